@@ -48,7 +48,7 @@ def two_digits(value: float | None) -> str:
     return number(value, 2)
 
 
-def exact_number(value: float | None) -> str:
+def ten_digits(value: float | None) -> str:
     """Number to ten digits, which show how an invariant moves; a dash for None."""
     return DASH if value is None else f"{value:.10g}"
 

@@ -28,7 +28,7 @@ def exact(data: dict[str, object], *overrides: str) -> Experiment:
 def test_double_is_the_default_and_no_part_of_the_identity() -> None:
     plain, named = exact(LAGRANGE), exact(LAGRANGE | {"precision": "double"})
     assert plain.precision == named.precision == "double"
-    assert plain.exact is None
+    assert plain.written is None
     assert plain.resolved() == named.resolved()
     assert not {"precision", "max_digits"} & plain.resolved().keys()
     assert "digits" not in plain.resolved()["output"]
@@ -63,27 +63,27 @@ def test_numbers_keep_all_their_written_digits(tmp_path: Path, name: str, form: 
     heads = [form.format(key, value) for key, value in (("scheme", "'hk'"), ("h", "0.1"), ("N", 3), ("precision", 60))]
     (tmp_path / name).write_text("\n".join(heads) + "\n" + sections)
     read = load_experiment(tmp_path / name, any_precision=True)
-    assert read.exact is not None
-    assert read.exact.h == Fraction(1, 10)
-    assert read.exact.parameters["mu"] == Fraction(PI)
-    assert read.exact.parameters["C"] == Fraction(1, 2)
-    assert read.exact.y0 == (1 + Fraction(1, 10**22), 0, 2, Fraction(3, 5), 0, Fraction(4, 5))
+    assert read.written is not None
+    assert read.written.h == Fraction(1, 10)
+    assert read.written.parameters["mu"] == Fraction(PI)
+    assert read.written.parameters["C"] == Fraction(1, 2)
+    assert read.written.y0 == (1 + Fraction(1, 10**22), 0, 2, Fraction(3, 5), 0, Fraction(4, 5))
 
 
 def test_fractions_may_be_written() -> None:
     changed = {"h": "1/3", "initial": {"omega": ["-2/7", 0, 1], "gamma": ["2/7", "3/7", "6/7"]}}
     read = exact(LAGRANGE | changed | {"precision": "rational"})
-    assert read.exact is not None
-    assert read.exact.h == Fraction(1, 3)
-    assert sum(x * x for x in read.exact.y0[3:]) == 1
+    assert read.written is not None
+    assert read.written.h == Fraction(1, 3)
+    assert sum(x * x for x in read.written.y0[3:]) == 1
     assert read.h == 1 / 3
 
 
 @pytest.mark.parametrize("initial", [{"gamma": ["auto", 0, 0.1]}, {"gamma": [1, 2, 3], "normalize": True}])
 def test_unit_vectors_are_completed_in_the_precision(initial: dict[str, object]) -> None:
     read = exact(LAGRANGE | {"initial": {"omega": [1, 0, 0], **initial}, "precision": 50})
-    assert read.exact is not None
-    assert abs(sum(x * x for x in read.exact.y0[3:]) - 1) < Fraction(1, 10**50)
+    assert read.written is not None
+    assert abs(sum(x * x for x in read.written.y0[3:]) - 1) < Fraction(1, 10**50)
 
 
 @pytest.mark.parametrize("precision", [50, "rational"])
@@ -91,7 +91,7 @@ def test_resolved_config_loads_to_the_same_experiment(precision: object) -> None
     changed = {"h": "1/3", "initial": {"omega": [1, PI, 0], "gamma": ["auto", 0, 0.6]}, "precision": precision}
     read = exact(LAGRANGE | changed, "top.mu=2/7")
     again = exact(read.resolved())
-    assert again.exact == read.exact
+    assert again.written == read.written
     assert again.digest == read.digest
 
 
@@ -110,8 +110,8 @@ def test_numbers_of_thousands_of_digits_are_read_and_written(tmp_path: Path, h: 
         "precision: 40\n"
     )
     experiment = load_experiment(path, any_precision=True)
-    assert experiment.exact is not None
+    assert experiment.written is not None
     wanted = Fraction(1, 10**10) if "/" in h else Fraction(10**5000 - 1, 9 * 10**5000)
-    assert experiment.exact.h == wanted
+    assert experiment.written.h == wanted
     (tmp_path / "again.yaml").write_text(experiment.to_yaml())
     assert load_experiment(tmp_path / "again.yaml", any_precision=True).digest == experiment.digest

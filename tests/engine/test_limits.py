@@ -23,7 +23,7 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, check_stop, stopping_when
 from topcli.engine import ensemble, setups, tile
 from topcli.engine.ensemble import EnsembleRun, Execution
-from topcli.engine.precise_numbers import LONG, Exact
+from topcli.engine.precise_numbers import LONG, Rational
 from topcli.engine.run import Run, nanoseconds_per_step
 from topcli.engine.setups import Setups
 from topcli.errors import RunError
@@ -215,10 +215,10 @@ def test_a_trajectory_that_goes_on_by_itself_stops_when_asked(impatient: None) -
 
 
 def test_an_operation_on_long_rational_numbers_heeds_a_stop() -> None:
-    short, long = Exact(Fraction(1, 3)), Fraction(1, 2 ** (LONG + 1))
+    short, long = Rational(Fraction(1, 3)), Fraction(1, 2 ** (LONG + 1))
     with stopping_when(AskedAt(1)):
-        assert short + short == Exact(Fraction(2, 3))
-        for operation in (lambda: Exact(long), lambda: short / Exact(1 / long)):
+        assert short + short == Rational(Fraction(2, 3))
+        for operation in (lambda: Rational(long), lambda: short / Rational(1 / long)):
             with pytest.raises(StopAsked):
                 operation()
 

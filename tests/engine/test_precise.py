@@ -15,9 +15,9 @@ from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.precise import PreciseRun, Rebuilder, longest, obstacle, precise_loop, prepared
 from topcli.engine.precise_numbers import (
     RATIONAL,
-    Exact,
     Floating,
     NotRationalError,
+    Rational,
     Rationals,
     StrayDoubleError,
     arithmetic_of,
@@ -57,7 +57,7 @@ def test_constants_stand_for_what_was_meant(constant: float, value: Fraction) ->
 
 
 def test_short_binary_fractions_mix_and_other_doubles_are_refused() -> None:
-    third = Exact(Fraction(1, 3))
+    third = Rational(Fraction(1, 3))
     assert (0.5 * third + 2.0).q == Fraction(13, 6)
     with pytest.raises(StrayDoubleError, match=r"0\.1, computed somewhere, has no exact meaning"):
         _ = third * 0.1
@@ -92,7 +92,7 @@ def test_fma_is_rounded_once() -> None:
 
 def test_rational_roots_of_squares_only() -> None:
     numbers = Rationals()
-    assert numbers.root(numbers.number(Fraction(9, 16))) == Exact(Fraction(3, 4))
+    assert numbers.root(numbers.number(Fraction(9, 16))) == Rational(Fraction(3, 4))
     with pytest.raises(NotRationalError, match="square root of 2 is not rational"):
         numbers.root(numbers.number(Fraction(2)))
 

@@ -20,7 +20,7 @@ from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request, make_figure
 from topcli.figures.picture import draw
 from topcli.figures.style import read_style, styled
-from topcli.runs.references import exact_columns
+from topcli.runs.references import overlay_columns
 from topcli.tops.heavy import Heavy
 
 GREY = "0.8"
@@ -140,7 +140,7 @@ def test_a_motion_without_exact_solution_is_refused() -> None:
 
     experiment = load_experiment("heavy_rk4").model_copy(update={"top": Gyrostat()})
     with pytest.raises(UsageError, match=r"heavy_rk4: no exact motion: .*no equations, and there is no closed form"):
-        exact_columns(experiment)
+        overlay_columns(experiment)
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from split_motions import axes, closed, kicked, moser_veselov, poisson_defect
 from stepping import gradients, states_of
 from topcli.contracts import Top
 from topcli.engine.precise import prepared
-from topcli.engine.precise_numbers import RATIONAL, Exact
+from topcli.engine.precise_numbers import RATIONAL, Rational
 from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
@@ -288,7 +288,7 @@ def test_hk_round_off_is_unbiased_in_every_integral(subject: Subject) -> None:
         exact, got = exactly(y.tolist(), 0.01), plain_step(subject, padded(y), 0.01)[: len(y)]
         for biased, found in errors.items():
             rounded = (np.nextafter(got, 0.0) if biased else got).tolist()
-            states = np.array([[Exact(Fraction(x)) for x in state] for state in (rounded, exact)], dtype=object)
+            states = np.array([[Rational(Fraction(x)) for x in state] for state in (rounded, exact)], dtype=object)
             values = [one.value(states) for one in exactly.top.invariants()]
             found.append([float(a - b) for a, b in values])
     mean, spread = ({kind: f(found, axis=0) for kind, found in errors.items()} for f in (np.mean, np.std))

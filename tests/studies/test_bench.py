@@ -155,13 +155,13 @@ makes up for it, as all have the same number of stages."""
 def test_every_scheme_takes_part_or_is_left_out_with_a_reason() -> None:
     for problem in bench_problems((), ()):
         line_up = choose(problem, ())
-        taking_part = [scheme.name for scheme in (*line_up.schemes, *line_up.exact)]
+        taking_part = [scheme.name for scheme in (*line_up.schemes, *line_up.closed_forms)]
         left_out = dict(line_up.left_out)
         assert len(set(taking_part)) == len(taking_part)
         assert {scheme.name for scheme in all_schemes() if scheme.top == problem.top.form} <= {*taking_part, *left_out}
         assert sorted([*taking_part, *left_out]) == sorted(default_names(problem.top.form))
         assert all(left_out.values())
-        assert [scheme.name for scheme in line_up.exact] == ["exact"]
+        assert [scheme.name for scheme in line_up.closed_forms] == ["exact"]
 
 
 @pytest.mark.parametrize("form", list(TOPS))

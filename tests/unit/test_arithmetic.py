@@ -49,7 +49,7 @@ from topcli.arithmetic.vectors import (
     solve3,
 )
 from topcli.engine.native import native
-from topcli.engine.precise_numbers import Exact
+from topcli.engine.precise_numbers import Rational
 
 EPS = 2.0**-52
 number = st.floats(-8.0, 8.0, allow_subnormal=False)
@@ -59,7 +59,9 @@ vector = st.tuples(rational, rational, rational)
 
 def exactly(function, *arguments) -> list[Fraction]:
     """Values of a kernel of + - * / in rational numbers; tuples among the arguments are taken item by item."""
-    made = [tuple(Exact(Fraction(x)) for x in a) if isinstance(a, tuple) else Exact(Fraction(a)) for a in arguments]
+    made = [
+        tuple(Rational(Fraction(x)) for x in a) if isinstance(a, tuple) else Rational(Fraction(a)) for a in arguments
+    ]
     return [x.q for x in function(*made)]
 
 

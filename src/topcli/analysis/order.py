@@ -237,11 +237,11 @@ def is_consistent(top: Top, method: Method, y0: Array) -> bool:
     p = np.array(top.constants())
     loop = interpreted(method, len(y0), len(p))
     errors = []
-    for h, exact in zip(sizes, reference_states(top, tuple(y0.tolist()), sizes), strict=True):
+    for h, expected in zip(sizes, reference_states(top, tuple(y0.tolist()), sizes), strict=True):
         end = single_step(loop, y0, p, float(h))
         if end is None:
             return True
-        errors.append(float(np.abs(end - exact).max()))
+        errors.append(float(np.abs(end - expected).max()))
     short, whole = errors
     return not (math.isfinite(whole) and short > 1e-12 * np.abs(y0).max() and short / sizes[0] > 0.5 * whole / sizes[1])
 

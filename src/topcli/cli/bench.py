@@ -144,7 +144,7 @@ def bench(
         print_warnings(problem.experiment)
         for name, reason in field.left_out if schemes else ():
             print_message(f"{problem.name}: {name} is left out: {reason}")
-        if not (field.schemes or field.exact or peers):
+        if not (field.schemes or field.closed_forms or peers):
             continue
         display.begin(problem.name)
         started = now()

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.config.document import Document, Problems, plain, validate
-from topcli.config.exact import read_exact, with_written_numbers
 from topcli.config.files import (
     apply_overrides,
     drop_partner,
@@ -23,6 +22,7 @@ from topcli.config.files import (
 from topcli.config.models import Config, Experiment, changed_name, name_fault
 from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
+from topcli.config.written import read_written, with_written_numbers
 from topcli.contracts import Top, checked_equations
 from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError, UsageError, quoted
@@ -145,7 +145,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
     config = _config(data, problems)
     cls, top = _top(data, problems)
     scheme = read_scheme(data["scheme"], cls, problems) if cls and "scheme" in data else None
-    state = members = columns = exact = None
+    state = members = columns = written = None
     if cls and top and "ensemble" in data:
         from topcli.config.ensemble import read_members
 
@@ -160,7 +160,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
             columns = read_columns(config.output, top.components, integrals, problems)
         _check(config, top, "ensemble" in data, problems)
         if config.precision != DOUBLE and top and state and not problems.messages:
-            exact = read_exact(data, top, state, config.precision, problems)
+            written = read_written(data, top, state, config.precision, problems)
     problems.raise_any()
     # a missing part has been raised as a problem
     assert config is not None
@@ -178,7 +178,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         output=config.output.model_copy(update={"columns": columns}),
         precision=config.precision,
         max_digits=config.max_digits or MAX_DIGITS,
-        exact=exact,
+        written=written,
     )
     if members is None:
         _require_short_step(experiment, document)

@@ -12,9 +12,9 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from topcli.analysis.columns import ATTITUDES, column_names
 from topcli.config.document import STRICT, as_integer, describe
-from topcli.config.exact import ExactNumbers
 from topcli.config.ranges import MAX_STEPS
 from topcli.config.text import to_yaml
+from topcli.config.written import WrittenNumbers
 from topcli.contracts import Invariant, Method, Scheme, Top
 from topcli.engine.fingerprint import own_code
 from topcli.engine.precise_numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
@@ -196,7 +196,7 @@ class Experiment(BaseModel):
     """A numerical experiment, complete and validated.
 
     ``y0`` is the initial state in the order of ``top.components``; ``options`` are the validated options of
-    ``scheme``; ``output.columns`` is None for all columns. With a ``precision`` other than double, ``exact`` are the
+    ``scheme``; ``output.columns`` is None for all columns. With a ``precision`` other than double, ``written`` are the
     numbers of the config as they are written. ``topcli.config.load`` makes it.
     """
 
@@ -212,7 +212,7 @@ class Experiment(BaseModel):
     output: Output
     precision: int | str = DOUBLE
     max_digits: int = MAX_DIGITS
-    exact: InstanceOf[ExactNumbers] | None = None
+    written: InstanceOf[WrittenNumbers] | None = None
 
     @property
     def duration(self) -> float:
@@ -259,10 +259,10 @@ class Experiment(BaseModel):
 
     def _resolved_precision(self) -> dict[str, Any]:
         """Entries of ``resolved`` that only runs in another precision than double have."""
-        if self.exact is None:
+        if self.written is None:
             return {}
         limit = {"max_digits": self.max_digits} if self.precision == RATIONAL else {}
-        return {**self.exact.resolved(self.top), "precision": self.precision, **limit}
+        return {**self.written.resolved(self.top), "precision": self.precision, **limit}
 
     @property
     def own_code(self) -> str:

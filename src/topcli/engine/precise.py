@@ -25,8 +25,8 @@ from topcli.engine.precise_numbers import (
     MAX_DIGITS,
     RATIONAL,
     Arithmetic,
-    Exact,
     NotRationalError,
+    Rational,
     TooLongError,
     arithmetic_of,
     at_most,
@@ -168,7 +168,7 @@ as long as those of the state after the step, those of ``rk4`` 1.05 times."""
 
 def longest(state: Any) -> int:
     """Binary digits of the longest numerator or denominator of a state in rational numbers; 0 for other numbers."""
-    return max((x.length for x in state if isinstance(x, Exact)), default=0)
+    return max((x.length for x in state if isinstance(x, Rational)), default=0)
 
 
 @dataclass(frozen=True)

@@ -280,23 +280,23 @@ class Mpfr(Arithmetic):
 def _operators(operation: Callable[[Any, Any], Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Operator of rational numbers, and the one with exchanged operands."""
 
-    def operator_of(number: Exact, other: Any) -> Any:
+    def operator_of(number: Rational, other: Any) -> Any:
         value = number.other(other)
-        return value if value is NotImplemented else Exact(operation(number.q, value))
+        return value if value is NotImplemented else Rational(operation(number.q, value))
 
-    def exchanged(number: Exact, other: Any) -> Any:
+    def exchanged(number: Rational, other: Any) -> Any:
         value = number.other(other)
-        return value if value is NotImplemented else Exact(operation(value, number.q))
+        return value if value is NotImplemented else Rational(operation(value, number.q))
 
     return operator_of, exchanged
 
 
-def _comparison(operation: Callable[[Any, Any], bool]) -> Callable[[Exact, Any], bool]:
+def _comparison(operation: Callable[[Any, Any], bool]) -> Callable[[Rational, Any], bool]:
     """Comparison of rational numbers."""
     return lambda number, other: bool(operation(number.q, number.other(other)))
 
 
-class Exact:
+class Rational:
     """Rational number that refuses doubles other than short binary fractions."""
 
     __slots__ = ("q",)
@@ -310,7 +310,7 @@ class Exact:
 
     def other(self, other: Any) -> Any:
         """Operand as a rational number; raises StrayDoubleError for a long double."""
-        if type(other) is Exact:
+        if type(other) is Rational:
             return other.q
         if isinstance(other, int):
             return other
@@ -328,19 +328,19 @@ class Exact:
         _comparison, (operator.eq, operator.lt, operator.le, operator.gt, operator.ge)
     )
 
-    def __pow__(self, power: int) -> Exact:
+    def __pow__(self, power: int) -> Rational:
         if not isinstance(power, int):
             raise NotRationalError(f"the power {power!r} of a rational number is not rational")
-        return Exact(self.q**power)
+        return Rational(self.q**power)
 
-    def __neg__(self) -> Exact:
-        return Exact(-self.q)
+    def __neg__(self) -> Rational:
+        return Rational(-self.q)
 
-    def __pos__(self) -> Exact:
+    def __pos__(self) -> Rational:
         return self
 
-    def __abs__(self) -> Exact:
-        return Exact(abs(self.q))
+    def __abs__(self) -> Rational:
+        return Rational(abs(self.q))
 
     def __hash__(self) -> int:
         return hash(self.q)
@@ -358,7 +358,7 @@ class Exact:
         return int(self.q)
 
     def __repr__(self) -> str:
-        return f"Exact({self.q})"
+        return f"Rational({self.q})"
 
     @property
     def length(self) -> int:
@@ -376,11 +376,11 @@ class Rationals(Arithmetic):
         self.root = self._root
         self.math.__dict__.update(fabs=abs)
 
-    def number(self, value: Fraction) -> Exact:
+    def number(self, value: Fraction) -> Rational:
         """The number itself."""
-        return Exact(self._made(value.numerator, value.denominator))
+        return Rational(self._made(value.numerator, value.denominator))
 
-    def _root(self, x: Any) -> Exact:
+    def _root(self, x: Any) -> Rational:
         """Square root of the square of a rational number; raises NotRationalError for any other."""
         value = self.fraction(x)
         parts = math.isqrt(max(value.numerator, 0)), math.isqrt(value.denominator)
@@ -392,7 +392,7 @@ class Rationals(Arithmetic):
 
     def fraction(self, x: Any) -> Fraction:
         """Value as Python's fraction."""
-        value = x.q if isinstance(x, Exact) else x
+        value = x.q if isinstance(x, Rational) else x
         return Fraction(int(value.numerator), int(value.denominator))
 
 

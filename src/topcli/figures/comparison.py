@@ -89,17 +89,17 @@ class SwingPanel:
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the rows into ``axes``, the first scheme at the top."""
-        t, exact = data["t"], data[f"swing:{REFERENCE}"]
+        t, reference = data["t"], data[f"swing:{REFERENCE}"]
         alike = groups(self.labels, data)
         own = looks(group[0] for group in alike)
-        start, note = last_swings(t, exact)
-        low, high = float(np.nanmin(exact)), float(np.nanmax(exact))
+        start, note = last_swings(t, reference)
+        low, high = float(np.nanmin(reference)), float(np.nanmax(reference))
         size = 1.35 * (high - low or 1.0)
         names = []
         for i, group in enumerate(alike):
             up = (len(alike) - 1 - i) * size
             near = np.clip(data[f"swing:{group[0]}"], low - 0.1 * size, high + 0.1 * size)
-            axes.plot(t, exact + up, **styles[REFERENCE])
+            axes.plot(t, reference + up, **styles[REFERENCE])
             axes.plot(t, near + up, **{**own[group[0]], "linestyle": "-"})
             names.append((up + 0.5 * (low + high), "\n≈ ".join(group)))
         axes.set_yticks(*zip(*names, strict=True), fontsize="small")

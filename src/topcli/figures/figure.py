@@ -20,7 +20,7 @@ import numpy as np
 from topcli import __version__
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import ExitCode, RunError, TopcliError, UsageError, clipped
-from topcli.figures.picture import DEFAULT_FORMATS, Drawable, Grid, draw, exact_column, save
+from topcli.figures.picture import DEFAULT_FORMATS, Drawable, Grid, draw, overlay_column, save
 from topcli.figures.style import STYLE
 from topcli.runs.identity import method_fingerprint
 from topcli.store.files import io_failure, require_writable, stored_study, write_study, write_whole
@@ -192,7 +192,7 @@ def _files(name: str, out: Path, formats: Sequence[str]) -> tuple[Path, ...]:
 def _padded(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Columns of equal length, with nan after the end of shorter ones; those of the exact motion are last."""
     rows = max(map(len, columns.values()))
-    names = sorted(columns, key=lambda name: name.startswith(exact_column("")))
+    names = sorted(columns, key=lambda name: name.startswith(overlay_column("")))
     return {name: np.append(columns[name], np.full(rows - len(columns[name]), np.nan)) for name in names}
 
 

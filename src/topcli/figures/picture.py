@@ -62,11 +62,11 @@ class Runs:
 
     def overlaid(self, columns: Iterable[str]) -> tuple[str, ...]:
         """Columns behind which the exact motion is drawn, as far as it is known."""
-        from topcli.runs.references import exact_names
+        from topcli.runs.references import overlay_names
 
         if not self.overlay:
             return ()
-        return tuple(name for name in columns if name.rpartition(":")[2] in exact_names(self.of(name).experiment))
+        return tuple(name for name in columns if name.rpartition(":")[2] in overlay_names(self.of(name).experiment))
 
 
 def component_symbol(name: str) -> str:
@@ -131,7 +131,7 @@ class Panel:
     ``title`` is above the axes on the left; ``{scheme}``, ``{h}`` and components of the state in it become the run's
     (``described``). An empty ``ylabel`` becomes the labels of the lines. ``deviation`` draws the absolute deviation
     from the first value, relative to it; ``change`` the value minus the first one. With ``whole`` a small pair of axes
-    in the upper left corner shows the values themselves over this vertical range. Columns in ``exact`` have another,
+    in the upper left corner shows the values themselves over this vertical range. Columns in ``overlaid`` have another,
     ``exact:<column>``, of the exact motion, which is drawn in grey behind the lines.
     """
 
@@ -146,7 +146,7 @@ class Panel:
     deviation: bool = False
     change: bool = False
     whole: tuple[float, float] | None = None
-    exact: tuple[str, ...] = ()
+    overlaid: tuple[str, ...] = ()
 
     def of_runs(self, runs: Runs) -> Panel:
         """Return the panel with title and labels of the runs that its columns come from, and the exact motion."""
@@ -154,18 +154,18 @@ class Panel:
             replace(line, label=line.label or column_label(runs.of(line.column).experiment, line.column))
             for line in self.lines
         )
-        exact = () if self.deviation else runs.overlaid(line.column for line in lines)
+        overlaid = () if self.deviation else runs.overlaid(line.column for line in lines)
         named = (f"{line.label} − {line.label}$(0)$" if self.change else line.label for line in lines)
         ylabel = self.ylabel or ", ".join(named)
         title = described(self.title, runs.of(self.x).experiment)
-        return replace(self, lines=lines, ylabel=ylabel, title=title, exact=exact)
+        return replace(self, lines=lines, ylabel=ylabel, title=title, overlaid=overlaid)
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the lines into ``axes``."""
         x = data[self.x]
         low, high = self.ylim or (np.inf, -np.inf)
-        for column in self.exact:
-            axes.plot(x, self._shown(data[exact_column(column)]), **styles[REFERENCE])
+        for column in self.overlaid:
+            axes.plot(x, self._shown(data[overlay_column(column)]), **styles[REFERENCE])
         for line in self.lines:
             values = self._shown(data[line.column])
             axes.plot(x, values, label=line.label, **self._style(line, len(x), styles))
@@ -212,7 +212,7 @@ class Panel:
         inset.set_ylabel(", ".join(line.label for line in self.lines), fontsize="small")
 
 
-def exact_column(column: str) -> str:
+def overlay_column(column: str) -> str:
     """Name of the column of the exact motion that belongs to a column of a run."""
     return f"exact:{column}"
 

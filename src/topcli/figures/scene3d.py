@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, checked_equations
 from topcli.errors import RunError, UsageError
-from topcli.figures.picture import Runs, exact_column, halo
+from topcli.figures.picture import Runs, halo, overlay_column
 from topcli.figures.style import REFERENCE, Styles
 
 TRACE, TRACE_FAR = "#0072B2", "#74ABD1"
@@ -114,7 +114,7 @@ class Sphere:
 
     A dot marks the start; arrows are the axes whose names ``axes`` are not empty; with ``band`` the two parallels that
     enclose the trace are drawn too. Small dots are at every unit of the column ``time``, if there is one. With
-    the columns ``exact`` the exact motion is drawn in grey behind the trace.
+    the columns ``overlaid`` the exact motion is drawn in grey behind the trace.
     """
 
     title: str
@@ -125,13 +125,13 @@ class Sphere:
     band: bool = True
     width: float = 1.25
     time: str = ""
-    exact: tuple[str, ...] = ()
+    overlaid: tuple[str, ...] = ()
 
     def of_runs(self, runs: Runs) -> Sphere:
         """Return the panel with the exact motion, and the name of the run as title if it is not the packaged one."""
-        run, exact = runs.of(self.vector[0]), runs.overlaid(self.vector)
+        run, overlaid = runs.of(self.vector[0]), runs.overlaid(self.vector)
         title = self.title if run.as_packaged else run.experiment.name
-        return replace(self, title=title, exact=exact if exact == self.vector else ())
+        return replace(self, title=title, overlaid=overlaid if overlaid == self.vector else ())
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the sphere and the trace into ``axes``."""
@@ -150,8 +150,8 @@ class Sphere:
             _line(axes, parallel(float(height)) @ camera.T, BAND, BAND_FAR, 0.7, 3, linestyle=(0, (4, 2.5)))
         if self.time:
             _time_dots(axes, seen, data[self.time][rows])
-        if self.exact:
-            exact = np.column_stack([data[exact_column(name)] for name in self.vector])[rows]
+        if self.overlaid:
+            exact = np.column_stack([data[overlay_column(name)] for name in self.vector])[rows]
             grey = styles[REFERENCE]["color"]
             _line(axes, exact @ camera.T, grey, grey, 2.6 * self.width, 4)
         _line(axes, seen, TRACE, TRACE_FAR, self.width, 5)
@@ -219,17 +219,17 @@ class Polhodes:
     levels: tuple[float, ...] = (0.1, 0.25, 0.42, 0.6, 0.77, 0.91)
     view: tuple[float, float] = (52.0, 24.0)
     pixels: int = 900
-    exact: tuple[str, ...] = ()
+    overlaid: tuple[str, ...] = ()
     label: str = "run"
 
     def of_runs(self, runs: Runs) -> Polhodes:
         """Return the panel with the moments of the run's top and the exact motion; UsageError for equal moments."""
-        experiment, exact = runs.of(self.omega[0]).experiment, runs.overlaid(self.omega)
+        experiment, overlaid = runs.of(self.omega[0]).experiment, runs.overlaid(self.omega)
         moments = checked_equations(experiment.top, "the figure polhodes").moments
         if len(set(moments)) < 3:
             given = ", ".join(f"{moment:g}" for moment in moments)
             raise UsageError(f"polhodes: {experiment.name} has the moments {given}; use three different ones")
-        return replace(self, moments=moments, exact=exact if exact == self.omega else ())
+        return replace(self, moments=moments, overlaid=overlaid if overlaid == self.omega else ())
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw into ``axes``. Raises RunError if the data are not on the ellipsoid of the moments."""
@@ -249,8 +249,8 @@ class Polhodes:
             width, far = (1.2, 0.45) if steady else (0.6, 0.3)
             _trace(axes, curve @ camera.T, _facing(curve, moments, camera), "0.15", width, far)
             _arrow(axes, curve, moments, camera)
-        if self.exact:
-            exact = np.column_stack([data[name] for name in map(exact_column, self.omega)]) / size
+        if self.overlaid:
+            exact = np.column_stack([data[name] for name in map(overlay_column, self.omega)]) / size
             grey, width = (styles[REFERENCE][key] for key in ("color", "linewidth"))
             _trace(axes, exact @ camera.T, _facing(exact, moments, camera), grey, width, 0.6)
         _trace(axes, path @ camera.T / size, _facing(path, moments, camera), RUN, width=1.8, far=0.45)

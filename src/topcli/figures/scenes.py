@@ -17,14 +17,14 @@ from topcli.contracts import Array, Outcome
 from topcli.errors import RunError, UsageError
 from topcli.figures.body import TRACE, TRACE_FAR, Body, BodyArtist, body_of
 from topcli.figures.figure import Figure, Loaded, Request
-from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs, described, exact_column
+from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs, described, overlay_column
 from topcli.figures.scene3d import arrow, pair_of_lines, projection
 
 
 class RunPanel(Protocol):
     """A panel that takes titles, labels or parameters from the runs that it draws.
 
-    If it can show the exact motion behind them, the columns that have one are in ``exact``.
+    If it can show the exact motion behind them, the columns that have one are in ``overlaid``.
     """
 
     def of_runs(self, runs: Runs) -> Drawable:
@@ -59,7 +59,7 @@ def scene_figure(
         needs=(scene, *others),
         rank=rank,
         takes_overrides=True,
-        takes_overlay=any(hasattr(panel, "exact") for panel in panels),
+        takes_overlay=any(hasattr(panel, "overlaid") for panel in panels),
     )
 
 
@@ -72,7 +72,7 @@ def _load(name: str, scenes: Mapping[str, str], panels: Sequence[RunPanel], layo
     completed = tuple(panel.of_runs(runs) for panel in panels)
     heading = described(layout.heading, drawn[""].experiment)
     if request.overlay:
-        if not any(getattr(panel, "exact", ()) for panel in completed):
+        if not any(getattr(panel, "overlaid", ()) for panel in completed):
             raise UsageError(f"{name}: --overlay exact: no panel shows components or integrals themselves")
         heading = "; ".join([*([heading] if heading else []), "exact motion in grey"])
     return Loaded(
@@ -112,20 +112,20 @@ class _Columns(dict[str, Any]):
     def __init__(self, name: str, scenes: Mapping[str, str], drawn: Mapping[str, DrawnRun]) -> None:
         super().__init__()
         self.name, self.scenes, self.drawn = name, scenes, drawn
-        self.exact: dict[str, Mapping[str, np.ndarray]] = {}
+        self.motions: dict[str, Mapping[str, np.ndarray]] = {}
 
     def __missing__(self, name: str) -> np.ndarray:
         """Column of this name. Raises UsageError if its run does not record it."""
-        from topcli.runs.references import exact_columns
+        from topcli.runs.references import overlay_columns
         from topcli.store.series import read_series
 
-        plain = name.removeprefix(exact_column(""))
+        plain = name.removeprefix(overlay_column(""))
         key, _, column = plain.rpartition(":")
         run = self.drawn[key]
         if plain != name:
-            if key not in self.exact:
-                self.exact[key] = exact_columns(run.experiment)
-            self[name] = self.exact[key][column]
+            if key not in self.motions:
+                self.motions[key] = overlay_columns(run.experiment)
+            self[name] = self.motions[key][column]
         elif column in run.experiment.recorded:
             self[name] = read_series(run.series, [column])[column]
         else:

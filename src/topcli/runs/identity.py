@@ -120,7 +120,7 @@ def prepared(experiment: Experiment | EnsembleExperiment, resume: bool = False) 
 
 def precise_of(experiment: Experiment) -> PreciseRun | None:
     """Prepare a run in another precision than double; None for double. Raises UsageError if the scheme has none."""
-    if experiment.exact is None:
+    if experiment.written is None:
         return None
     from topcli.runs.precise import precise_run
 

@@ -30,10 +30,10 @@ def precise_run(experiment: Experiment) -> PreciseRun | None:
 
     Raises UsageError, naming the scheme and the reason, if the scheme has no such precision.
     """
-    exact = experiment.exact
-    if exact is None:
+    written = experiment.written
+    if written is None:
         return None
-    numbers = (exact.h, exact.parameters, exact.y0)
+    numbers = (written.h, written.parameters, written.y0)
     return prepared(
         experiment.scheme, experiment.top, experiment.options, experiment.precision, numbers, experiment.max_digits
     )
@@ -67,10 +67,10 @@ class PreciseTally:
         """Add rows: step numbers (m,) and states (m, d); return the values of the invariants."""
         values = self.values(states)
         deviations: dict[str, Array] = {}
-        for name, exact in values.items():
+        for name, at_rows in values.items():
             first = self._firsts[name]
             with self._run.arithmetic.active():
-                off = [None if x is None or first is None else x - first for x in exact]
+                off = [None if x is None or first is None else x - first for x in at_rows]
             deviations[name] = np.array([_double(x) for x in off])
             self._unequal[name] += sum(x is None or x != 0 for x in off)
         self._count += len(n)
@@ -155,14 +155,14 @@ class PreciseRecorder(Recorder):
 
     def evaluated(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Add rows to the tally; return their columns."""
-        exact = self.precise.add(n, states)
-        doubles = {name: np.array([_double(x) for x in values]) for name, values in exact.items()}
+        values = self.precise.add(n, states)
+        doubles = {name: np.array([_double(x) for x in at_rows]) for name, at_rows in values.items()}
         top, h = self._experiment.top, self._experiment.h
         made = columns(top, n, h, states.astype(np.float64), self._names, self._modified, doubles)
         if self._digits:
             at = {name: list(states[:, i]) for i, name in enumerate(top.components)}
             with self._run.arithmetic.active():
-                at |= {"t": [int(step) * self._run.h for step in n], **exact}
+                at |= {"t": [int(step) * self._run.h for step in n], **values}
             made |= {name + DECIMAL: self._texts(at[name]) for name in self._names if name != "n"}
         return made
 

@@ -191,12 +191,12 @@ REFERENCES = SharedReferences()
 """References shared by all runs of this process."""
 
 
-def exact_names(experiment: Experiment) -> frozenset[str]:
-    """Columns that ``exact_columns`` returns: components of the state and integrals of the motion."""
+def overlay_names(experiment: Experiment) -> frozenset[str]:
+    """Columns that ``overlay_columns`` returns: components of the state and integrals of the motion."""
     return frozenset((*experiment.top.components, *(integral.name for integral in experiment.top.invariants())))
 
 
-def exact_columns(experiment: Experiment) -> dict[str, Array]:
+def overlay_columns(experiment: Experiment) -> dict[str, Array]:
     """Exact values (m,) of the components and integrals at the recorded times, by the series or else the closed form.
 
     Raises UsageError if the motion is not known exactly.

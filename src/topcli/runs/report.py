@@ -13,7 +13,7 @@ import numpy as np
 from topcli.analysis.tally import LOST, QUANTILES, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
 from topcli.contracts import Ending, Method, Outcome, Sampler
 from topcli.engine.run import NO_FAILURE, Endings
-from topcli.table import Column, Table, exact_number, markdown_table, number, two_digits
+from topcli.table import Column, Table, markdown_table, number, ten_digits, two_digits
 
 if TYPE_CHECKING:
     from topcli.analysis.roundoff import DigitGrowth
@@ -37,9 +37,9 @@ class ReportColumn(Column):
 
 REPORT_COLUMNS = (
     ReportColumn("invariant", "symbol", str),
-    ReportColumn("first", "first", exact_number),
-    ReportColumn("min", "min", exact_number),
-    ReportColumn("max", "max", exact_number),
+    ReportColumn("first", "first", ten_digits),
+    ReportColumn("min", "min", ten_digits),
+    ReportColumn("max", "max", ten_digits),
     ReportColumn("max deviation", "max_deviation", compared="{} max deviation"),
     ReportColumn("relative", "max_deviation_relative"),
     ReportColumn("rms deviation", "rms_deviation"),

@@ -24,7 +24,7 @@ from topcli.tops import TOPS
 
 def trajectory_of(experiment: Experiment) -> Trajectory:
     """Run an experiment in memory, in its precision."""
-    if experiment.exact is not None:
+    if experiment.written is not None:
         from topcli.runs.precise import precise_run, precise_trajectory
 
         prepared = precise_run(experiment)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Data, Flag, Head, Overrides, Result, Study, parts_of
-from topcli.table import DASH, Column, Table, exact_number, number
+from topcli.table import DASH, Column, Table, number, ten_digits
 
 SHOWN_TIMES = 5
 """Times of swings in the table; --json has them all."""
@@ -65,19 +65,19 @@ def _summary_columns(data: Data) -> list[Column]:
     swing = data["swing"]
 
     def span(data: Data) -> str:
-        return f"{exact_number(data['t_first'])} to {exact_number(data['t_last'])}, {data['times']}"
+        return f"{ten_digits(data['t_first'])} to {ten_digits(data['t_last'])}, {data['times']}"
 
     def start(data: Data) -> str:
         known = {"config": "the config's initial state", "first row": "the first row"}[data["reference"]["start"]]
         return "none" if data["reference"]["message"] else known
 
     def minima(times: Sequence[float]) -> str:
-        listed = ", ".join(map(exact_number, times[:SHOWN_TIMES])) or DASH
+        listed = ", ".join(map(ten_digits, times[:SHOWN_TIMES])) or DASH
         return listed + (f" and {len(times) - SHOWN_TIMES} more" if len(times) > SHOWN_TIMES else "")
 
     def spacing(data: Data) -> str:
         reference = swing["reference_spacing"]
-        return exact_number(swing["spacing"]) + ("" if reference is None else f" (reference {exact_number(reference)})")
+        return ten_digits(swing["spacing"]) + ("" if reference is None else f" (reference {ten_digits(reference)})")
 
     return [
         Column("rows", "rows"),

@@ -61,7 +61,7 @@ def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[di
 
 def _unlimited(experiment: Experiment) -> PreciseRun | None:
     """Run of an experiment in its precision; None for double. Its limit of digits leaves room for single steps."""
-    if experiment.exact is None:
+    if experiment.written is None:
         return None
     from topcli.runs.precise import precise_run
 
@@ -146,7 +146,7 @@ def compare_schemes(
         [(top, method, experiment.y0, entry.experiment.h) for entry, method in zip(compared, methods, strict=True)],
         steps=min(max(experiment.N, 1000), 50_000),
     )
-    if experiment.exact is not None:
+    if experiment.written is not None:
         timed = [1e9 * each.run_seconds / max(each.ending.step, 1) for each in trajectories]
     swing, first = top.components.index(top.swing), compared[0]
     t = np.arange(0, first.experiment.N + 1, first.stride) * first.experiment.h

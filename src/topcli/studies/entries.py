@@ -179,7 +179,7 @@ def _entry(experiment: Experiment, text: str, options: Mapping[str, Any]) -> Ent
     with _named(text if colon else ""):
         scheme = find_scheme(name, experiment.top.form)
         own, shown = _settings(settings, scheme, (STEP,)) if colon else ({}, {})
-        if STEP in own and experiment.exact is not None:
+        if STEP in own and experiment.written is not None:
             raise UsageError(f"entries share the step h at precision {experiment.precision}; give it with --set h=...")
         h = _step(own.pop(STEP), experiment.h) if STEP in own else experiment.h
         made = under_scheme(experiment, name, {**options, **own})

@@ -152,14 +152,14 @@ def ladders(
         scheme_with(name, problem.top.form)
     line_up = choose(problem, wanted)
     adaptive = [(scheme.name, "its steps follow a tolerance, not h") for scheme in line_up.schemes if scheme.adaptive]
-    exact = [(scheme.name, "is a closed form: its error does not depend on h") for scheme in line_up.exact]
-    exact += [
+    without_h = [(scheme.name, "is a closed form: its error does not depend on h") for scheme in line_up.closed_forms]
+    without_h += [
         (scheme.name, "has no error that depends on h")
         for scheme in line_up.schemes
         if not (scheme.order or scheme.adaptive)
     ]
     schemes = tuple(scheme for scheme in line_up.schemes if scheme.order is not None and not scheme.adaptive)
-    left_out = (*line_up.left_out, *adaptive, *exact)
+    left_out = (*line_up.left_out, *adaptive, *without_h)
     if not schemes:
         raise UsageError(f"no scheme with an order to observe: {'; '.join(': '.join(left) for left in left_out)}")
     return Ladders(problem, schemes, left_out if names else (), tuple(sizes), steps)

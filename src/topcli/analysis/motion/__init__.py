@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, nearest, quoted
-from topcli.table import Column, Table, exact_number
+from topcli.table import Column, Table, ten_digits
 
 
 class Quantity(NamedTuple):
@@ -116,7 +116,7 @@ def integrals_of(top: Top, y: Floats) -> tuple[Quantity, ...]:
 
 
 def _text(value: float) -> str:
-    return "∞" if value == math.inf else exact_number(value)
+    return "∞" if value == math.inf else ten_digits(value)
 
 
 QUANTITIES = Table(

@@ -198,10 +198,10 @@ COMPOSED = {
 
 @dataclass(frozen=True)
 class LineUp:
-    """The ``schemes`` to measure, the ``exact`` solutions, and the schemes left out with the reasons."""
+    """The ``schemes`` to measure, the ``closed_forms``, and the schemes left out with the reasons."""
 
     schemes: tuple[Scheme, ...]
-    exact: tuple[Scheme, ...]
+    closed_forms: tuple[Scheme, ...]
     left_out: tuple[tuple[str, str], ...]
 
 
@@ -244,7 +244,7 @@ def choose(problem: Problem, names: Sequence[str]) -> LineUp:
     nearest names.
     """
     schemes: list[Scheme] = []
-    exact: list[Scheme] = []
+    closed_forms: list[Scheme] = []
     left_out: list[tuple[str, str]] = []
     for name in names or default_names(problem.top.form):
         try:
@@ -252,7 +252,7 @@ def choose(problem: Problem, names: Sequence[str]) -> LineUp:
         except SchemeMisfitError:
             left_out.append((name, f"does not fit the top {problem.top.form}"))
             continue
-        if any(scheme.name == other.name for other in (*schemes, *exact)):
+        if any(scheme.name == other.name for other in (*schemes, *closed_forms)):
             raise UsageError(f"scheme {scheme.name!r} is named twice")
         reason = ""
         try:
@@ -266,7 +266,7 @@ def choose(problem: Problem, names: Sequence[str]) -> LineUp:
             reason = str(error)
         else:
             if isinstance(method, Sampler) and scheme.order is None:
-                exact.append(scheme)
+                closed_forms.append(scheme)
                 continue
             if isinstance(method, Sampler):
                 reason = "is evaluated, not stepped: its error is that of the scheme it solves"
@@ -276,4 +276,4 @@ def choose(problem: Problem, names: Sequence[str]) -> LineUp:
             left_out.append((scheme.name, reason))
         else:
             schemes.append(scheme)
-    return LineUp(tuple(schemes), tuple(exact), tuple(left_out))
+    return LineUp(tuple(schemes), tuple(closed_forms), tuple(left_out))

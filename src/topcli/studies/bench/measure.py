@@ -570,7 +570,7 @@ def bench(
             "reference": "Taylor series in double-double arithmetic",
             "effort": {"budget": effort.budget, "repetitions": effort.repetitions, "processes": processes},
             "competitors": rows,
-            "closed_forms": _closed_forms(line_up.exact, problem, reference),
+            "closed_forms": _closed_forms(line_up.closed_forms, problem, reference),
             "left_out": [{"name": name, "reason": reason} for name, reason in line_up.left_out],
             "skipped_peers": [{"name": name, "reason": reason} for name, reason in absent],
             "failed_peers": [{"name": name, "reason": reason} for name, reason in failed],

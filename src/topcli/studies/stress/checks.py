@@ -128,9 +128,9 @@ class Trial:
 
     def closed_form(self, n: NDArray[np.int64]) -> Array:
         """Return the states of the closed form of the top after ``n`` (m,) steps, (m, d)."""
-        exact = closed_form_of(self.top)
-        assert exact is not None
-        return exact.states(np.array(self.y0), self.h, n, self.top.constants())
+        closed = closed_form_of(self.top)
+        assert closed is not None
+        return closed.states(np.array(self.y0), self.h, n, self.top.constants())
 
     def claimed(self, h: float) -> list[Invariant]:
         """Invariants that the scheme claims to conserve to round-off at the step ``h``."""
@@ -199,10 +199,10 @@ def _every(N: int) -> int:
 
 def _errors(trial: Trial, motion: Trajectory) -> tuple[Array, float]:
     """Return the largest error of each recorded state (m,) relative to the motion's size, and that size."""
-    exact = trial.reference(motion.t)
-    size = float(np.abs(exact).max()) or 1.0
+    expected = trial.reference(motion.t)
+    size = float(np.abs(expected).max()) or 1.0
     with np.errstate(all="ignore"):
-        return np.abs(motion.states - exact).max(axis=1) / size, size
+        return np.abs(motion.states - expected).max(axis=1) / size, size
 
 
 def keeps_order(trial: Trial) -> Finding:
@@ -250,9 +250,9 @@ def false_order(trial: Trial) -> str:
         errors, size = [], 0.0
         for factor in (finer, 2 * finer, 4 * finer):
             motion = trial.run(trial.h / factor, trial.N * factor, _every(trial.N) * factor)
-            exact = trial.reference(motion.t)
-            errors.append(float(np.abs(motion.states - exact).max()))
-            size = float(np.abs(exact - exact[0]).max())
+            expected = trial.reference(motion.t)
+            errors.append(float(np.abs(motion.states - expected).max()))
+            size = float(np.abs(expected - expected[0]).max())
         observed = convergence([4.0, 2.0, 1.0], errors)
         verdict, why = judge_order(trial.order, observed, size, lambda: is_consistent(trial.top, trial.method, y0))
         if verdict is not OrderVerdict.UNDECIDED:
@@ -260,21 +260,21 @@ def false_order(trial: Trial) -> str:
     return ""
 
 
-def _timed(what: str, time: float, exact: float, trial: Trial, when: str = "at") -> Finding:
-    off = abs(time - exact) / abs(exact)
+def _timed(what: str, time: float, due: float, trial: Trial, when: str = "at") -> Finding:
+    off = abs(time - due) / abs(due)
     result = CaseOutcome.HELD if off <= RIGHT else CaseOutcome.DEGRADED if off <= ROUGH else CaseOutcome.BROKE
     if result is CaseOutcome.HELD:
         why = f"{what} {when} t = {time:.4f}, {off:.0e} off the theory"
     else:
-        why = f"{what} {when} t = {time:.4f}, not {exact:.4f} ({100 * off:.0f}% off)"
-    step = None if result is not CaseOutcome.BROKE else round(min(time, exact) / abs(trial.h))
-    return Finding(result, why, step, {"time": time, "exact": exact, "relative_error": off})
+        why = f"{what} {when} t = {time:.4f}, not {due:.4f} ({100 * off:.0f}% off)"
+    step = None if result is not CaseOutcome.BROKE else round(min(time, due) / abs(trial.h))
+    return Finding(result, why, step, {"time": time, "exact": due, "relative_error": off})
 
 
-def swings_at(exact: float, spacing: bool = False) -> Check:
-    """Return a check that the first deep minimum of the top's swinging component is at the time ``exact``.
+def swings_at(due: float, spacing: bool = False) -> Check:
+    """Return a check that the first deep minimum of the top's swinging component is at the time ``due``.
 
-    With ``spacing``, that the second minimum follows the first by ``exact``.
+    With ``spacing``, that the second minimum follows the first by ``due``.
     """
 
     def check(trial: Trial) -> Finding:
@@ -287,9 +287,9 @@ def swings_at(exact: float, spacing: bool = False) -> Check:
         if spacing:
             times = np.diff(times)
         if not len(times):
-            why = f"no {'second ' * spacing}swing up to t = {motion.t[-1]:.3g}; due at {exact:.4f}"
-            return Finding(CaseOutcome.BROKE, why, round(exact / abs(trial.h)), {"exact": exact})
-        return _timed("swings", float(times[0]), exact, trial, "after" if spacing else "at")
+            why = f"no {'second ' * spacing}swing up to t = {motion.t[-1]:.3g}; due at {due:.4f}"
+            return Finding(CaseOutcome.BROKE, why, round(due / abs(trial.h)), {"exact": due})
+        return _timed("swings", float(times[0]), due, trial, "after" if spacing else "at")
 
     return check
 
@@ -306,17 +306,17 @@ def _crossing(t: Array, values: Array) -> float | None:
 def flips(trial: Trial) -> Finding:
     """Check that omega2 first changes sign at the time given by the closed form."""
     n = np.arange(trial.N + 1, dtype=np.int64)
-    exact = _crossing(n * trial.h, trial.closed_form(n)[:, 1])
-    assert exact is not None
+    due = _crossing(n * trial.h, trial.closed_form(n)[:, 1])
+    assert due is not None
     motion = trial.run()
     wrong = fault(trial, motion)
     if wrong:
         return wrong
     time = _crossing(motion.t, motion.states[:, 1])
     if time is None:
-        why = f"no flip up to t = {motion.t[-1]:.3g}; due at {exact:.4f}"
-        return Finding(CaseOutcome.BROKE, why, round(exact / abs(trial.h)), {"exact": exact})
-    return _timed("flips", time, exact, trial)
+        why = f"no flip up to t = {motion.t[-1]:.3g}; due at {due:.4f}"
+        return Finding(CaseOutcome.BROKE, why, round(due / abs(trial.h)), {"exact": due})
+    return _timed("flips", time, due, trial)
 
 
 def stays_bounded(trial: Trial) -> Finding:

@@ -32,8 +32,8 @@ SECTIONS = ("h", "top", "initial")
 
 
 @dataclass(frozen=True)
-class ExactNumbers:
-    """Step size, parameters of the top, and initial state, exactly."""
+class WrittenNumbers:
+    """Step size, parameters of the top, and initial state, as they are written."""
 
     h: Fraction
     parameters: Mapping[str, Fraction]
@@ -93,9 +93,9 @@ def fraction_of(value: float) -> Fraction:
     return fraction_from(text if _MODEST.fullmatch(text) else repr(float(value)))
 
 
-def read_exact(
+def read_written(
     data: Mapping[str, Any], top: Top, y0: Sequence[float], precision: int | str, problems: Problems
-) -> ExactNumbers | None:
+) -> WrittenNumbers | None:
     """Return the numbers of a valid config; ``y0`` is its initial state in doubles. None if one is not rational."""
     given = data["top"] if isinstance(data["top"], dict) else {}
     resolved = {name: value for name, value in top.model_dump().items() if isinstance(value, float)}
@@ -111,7 +111,7 @@ def read_exact(
             text = f"{error}; write a unit vector of rational numbers, such as [0.6, 0, 0.8] or [2/7, 3/7, 6/7]"
             problems.add(("initial", name), text)
             return None
-    return ExactNumbers(fraction_of(data["h"]), parameters, tuple(state))
+    return WrittenNumbers(fraction_of(data["h"]), parameters, tuple(state))
 
 
 def _vector(
