@@ -10,11 +10,12 @@ import pytest
 
 from cases import table_of
 from conftest import random_states
+from steppers import built
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import ensemble
 from topcli.engine.ensemble import TILE, EnsembleRun, Execution, Piece
 from topcli.engine.run import Run
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
@@ -91,7 +92,7 @@ def test_large_steps_have_the_bits_of_a_single_run(name: str, monkeypatch: pytes
     """Large angles take libm's branch, iterations fail, schemes blow up: what happens is what happens alone."""
     monkeypatch.setattr(ensemble, "PIECE_STEPS", 4)
     top = Kowalevski()
-    method = find_scheme(name, "kowalevski").build(top, find_scheme(name, "kowalevski").options())
+    method = built(name)
     y0 = random_states(20, 8) * np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
     run = assert_same(top, method, y0, 1.7, 60)
     failed = [ending.outcome for ending in run.endings if ending.outcome is not Outcome.COMPLETED]
@@ -112,7 +113,7 @@ def test_large_steps_have_the_bits_of_a_single_run(name: str, monkeypatch: pytes
 """),
 )
 def test_ensembles_of_every_size_have_the_bits_of_single_runs(count: int, N: int, every: int) -> None:
-    method = find_scheme("hk", "kowalevski").build(Kowalevski(), None)
+    method = built("hk")
     assert_same(Kowalevski(), method, random_states(count, 2), 0.01, N, every)
 
 
@@ -133,7 +134,7 @@ def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The pieces come in the same order with the same bits."""
     monkeypatch.setattr(ensemble, "GROUP", 2)
     monkeypatch.setattr(ensemble, "PIECE_ROWS", 20)
-    method = find_scheme("hybrid", "kowalevski").build(Kowalevski(), find_scheme("hybrid", "kowalevski").options())
+    method = built("hybrid")
     y0 = random_states(3 * TILE + 5, 6)
 
     def pieces(threads: int) -> list[tuple[int, bytes, bytes, int]]:
@@ -153,11 +154,10 @@ def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_wide_pieces_hold_several_tiles_with_the_same_bits(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also around a tile that is left out because all of it failed."""
     monkeypatch.setattr(ensemble, "PIECE_STEPS", 20)
-    scheme = find_scheme("rk2", "kowalevski")
     y0 = random_states(6 * TILE + 5, 6)
     y0[2 * TILE : 3 * TILE, :3] = 1e200
     y0[7, :3] = 1e200
-    method, sizes = scheme.build(Kowalevski(), scheme.options()), []
+    method, sizes = built("rk2"), []
     options = {"threads": threads, "wide": True}
     some = (0, 7, 8, 2 * TILE, 3 * TILE, 5 * TILE + 1, 6 * TILE + 4)
     assert_same(Kowalevski(), method, y0, 0.01, 50, 5, lanes=some, **options)
@@ -187,7 +187,7 @@ def test_error_in_one_piece_is_raised_once_and_stops_the_others(
             raise OSError(f"no room for tile {broken}")
         return begun[-1]
 
-    method = find_scheme("hk", "kowalevski").build(Kowalevski(), None)
+    method = built("hk")
     y0, execution = random_states(4 * TILE, 2), Execution(threads=threads)
     run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, made=made, execution=execution)
     with pytest.raises(OSError, match=f"no room for tile {broken}"):
@@ -200,12 +200,11 @@ def test_interruption_keeps_recorded_rows(name: str, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(ensemble, "GROUP", 1)
     monkeypatch.setattr(ensemble, "PIECE_STEPS", 10)
     monkeypatch.setattr("topcli.engine.run.PLAIN_STEPS", 10)
-    scheme = find_scheme(name, "kowalevski")
     count, asked = (TILE + 6, 7) if name == "hk" else (3, 5)  # within the second tile, within the second trajectory
     answers = iter([False] * asked + [True] * 10)
     rows, run = together(
         Kowalevski(),
-        scheme.build(Kowalevski(), scheme.options()),
+        built(name),
         random_states(count, 6),
         0.01,
         40 if name == "dop853" else 50,

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from conftest import GEN, PAPER, ROOT
+from steppers import built
 from topcli.analysis import reference
 from topcli.analysis.tally import InvariantTally
 from topcli.arithmetic.elliptic import landen
@@ -47,11 +48,6 @@ class AskedAt:
     def __call__(self) -> bool:
         self.count += 1
         return self.count >= self.last
-
-
-def method(name: str, form: str = "kowalevski", **options: Any) -> Any:
-    found = find_scheme(name, form)
-    return found.build(TOPS[form](), found.options(**options))
 
 
 @pytest.fixture
@@ -108,7 +104,7 @@ def test_a_reference_ends_at_its_budget_of_steps() -> None:
 def test_taylor_stops_within_a_step(impatient: None) -> None:
     """h is far longer than the 50,000 series of a call reach."""
     asked = AskedAt(3)
-    run = Run(Kowalevski(), method("taylor"), GEN, 1e6, 2, stop=asked)
+    run = Run(Kowalevski(), built("taylor"), GEN, 1e6, 2, stop=asked)
     ending = run.collect().ending
     assert (ending.outcome, ending.step) == (Outcome.INTERRUPTED, 0)
     assert asked.count <= 4
@@ -118,13 +114,13 @@ def test_taylor_stops_within_a_step(impatient: None) -> None:
 def test_taylor_refuses_a_step_of_too_many_series() -> None:
     """At |omega| of one a series reaches less than about one unit of time."""
     assert SHORTEST_REACH == 2.0**-26
-    ending = Run(Kowalevski(), method("taylor"), GEN, 1e8, 2).collect().ending
+    ending = Run(Kowalevski(), built("taylor"), GEN, 1e8, 2).collect().ending
     assert (ending.outcome, ending.step, ending.counters["expansions"]) == (Outcome.NO_CONVERGENCE, 1, 0)
     assert ending.message == "did not converge at step 1 (t = 1e+08); a step of 1e+08 would need 7e+07 series or more"
 
 
 def test_dop853_stops_within_a_step() -> None:
-    stepper = method("dop853")
+    stepper = built("dop853")
     asked = AskedAt(7)
     with stopping_when(asked), pytest.raises(StopAsked):
         stepper.step((*GEN, 0.0, 0.0, 0.0), 1e3, Kowalevski().constants())
@@ -133,7 +129,7 @@ def test_dop853_stops_within_a_step() -> None:
 
 def test_dop853_gives_up_a_hopeless_step_early() -> None:
     """At 12 evaluations for some tenths of a unit of time, 1e9 would take 1e10 evaluations or more."""
-    ending = Run(Kowalevski(), method("dop853"), GEN, 1e9, 2).collect().ending
+    ending = Run(Kowalevski(), built("dop853"), GEN, 1e9, 2).collect().ending
     assert (ending.outcome, ending.step) == (Outcome.NO_CONVERGENCE, 1)
     assert rk2_rk4_dop853.TRIAL < ending.counters["evaluations"] < rk2_rk4_dop853.TRIAL + 15
 
@@ -145,7 +141,7 @@ def test_the_set_up_of_a_closed_form_stops_when_asked(monkeypatch: pytest.Monkey
     with stopping_when(asked), pytest.raises(StopAsked):
         ExactSetup().compute(np.array(GEN), (1.0,))
     assert asked.count == 3
-    run = Run(Kowalevski(), method("exact"), GEN, 0.1, 10, stop=AskedAt(3))
+    run = Run(Kowalevski(), built("exact"), GEN, 0.1, 10, stop=AskedAt(3))
     found = run.collect()
     assert (found.ending.outcome, found.n.tolist()) == (Outcome.INTERRUPTED, [0])
 
@@ -315,7 +311,7 @@ def test_an_ensemble_is_interrupted_within_a_chunk(impatient: None) -> None:
     y0 = np.tile(GEN, (40, 1))
     run = EnsembleRun(
         Kowalevski(),
-        method("hk"),
+        built("hk"),
         y0,
         0.1,
         10_000,

@@ -13,6 +13,7 @@ import pytest
 
 from cases import numbers_of
 from conftest import GEN, Said, random_states
+from steppers import built
 from topcli.contracts import Accuracy, Sampler
 from topcli.engine import setups
 from topcli.engine.code_cache import cache_state
@@ -23,7 +24,6 @@ from topcli.errors import RunError
 from topcli.schemes.kowalevski import exact
 from topcli.schemes.kowalevski.closed_form import motion_bytes, motion_from
 from topcli.schemes.kowalevski.exact import ExactSetup
-from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
 Y, P = np.array(GEN), (1.0,)
@@ -31,7 +31,7 @@ N = np.array([0, 7, 10**6, 10**12], dtype=np.int64)
 
 
 def method() -> Sampler:
-    found = find_scheme("exact", "kowalevski").build(Kowalevski(), None)
+    found = built("exact")
     assert isinstance(found, Sampler)
     return found
 

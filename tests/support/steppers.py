@@ -1,9 +1,19 @@
-"""Schemes written for the tests: positive controls that do not have the traits under test."""
+"""Schemes as steps, and schemes written for the tests: controls that do not have the traits under test."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from topcli.contracts import Floats, Method, StepFunction, Stepper, Top
-from topcli.tops.kowalevski import field
+from topcli.schemes.registry import find_scheme
+from topcli.tops.kowalevski import Kowalevski, field
+
+
+def built(name: str, top: Top | None = None, **options: Any) -> Any:
+    """Method of the scheme ``name`` for a top, by default the Kowalevski top."""
+    top = top or Kowalevski()
+    scheme = find_scheme(name, top.form)
+    return scheme.build(top, scheme.options(**options))
 
 
 def physical(made: Method) -> StepFunction:

@@ -13,13 +13,13 @@ import pytest
 
 from cases import numbers_of, table_of
 from conftest import GEN, random_states
+from steppers import built
 from test_euler import random_tops
 from topcli.analysis.reference import reference_states
 from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rc, carlson_rf, carlson_rj, jacobi, landen, to_dd
 from topcli.contracts import Sampler, Top
 from topcli.engine.run import Run
 from topcli.errors import RunError
-from topcli.schemes.registry import find_scheme
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
@@ -28,7 +28,7 @@ mp, mpf = mpmath.mp, mpmath.mpf
 
 
 def sampled(name: str, top: Top, y0, h: float, n) -> np.ndarray:
-    method = find_scheme(name, top.form).build(top, None)
+    method = built(name, top)
     assert isinstance(method, Sampler)
     return method.states(np.array(y0, dtype=float), h, np.array(n, dtype=np.int64), top.constants())
 
@@ -112,7 +112,7 @@ def test_exact_after_a_very_long_time() -> None:
 def test_hk_exact_in_special_cases(scene: str, h: float) -> None:
     A, B, C, *omega = SPECIAL[scene]
     top = Euler(A=A, B=B, C=C)
-    states = Run(top, find_scheme("hk", "euler").build(top, None), omega, h, 100).collect().states
+    states = Run(top, built("hk", top), omega, h, 100).collect().states
     got = sampled("hk-exact", top, omega, h, np.arange(101))
     assert np.abs(got - states).max() < 1e-13
 

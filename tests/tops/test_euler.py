@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from steppers import physical
+from steppers import built, physical
 from topcli.contracts import Invariant, Method, Outcome, Top
 from topcli.engine.run import Run
 from topcli.schemes.registry import find_scheme
@@ -31,8 +31,8 @@ def random_tops(count: int, seed: int, cls: type[Euler] = EulerGamma) -> list[tu
 
 def test_bs_implicit_is_the_inverse_of_bs() -> None:
     for top, y0 in random_tops(10, seed=22):
-        there = physical(find_scheme("bs-implicit", top.form).build(top, None))(tuple(y0), 0.2, top.constants())
-        back = physical(find_scheme("bs", top.form).build(top, None))(there, -0.2, top.constants())
+        there = physical(built("bs-implicit", top))(tuple(y0), 0.2, top.constants())
+        back = physical(built("bs", top))(there, -0.2, top.constants())
         assert back == pytest.approx(tuple(y0), abs=1e-14)
 
 
@@ -41,8 +41,8 @@ def test_omega_does_not_depend_on_gamma(name: str) -> None:
     """The six-component step moves omega as the three-component step does, bit for bit."""
     for top, y0 in random_tops(5, seed=23):
         free = Euler(A=top.A, B=top.B, C=top.C)
-        six = physical(find_scheme(name, top.form).build(top, None))(tuple(y0), 0.1, top.constants())
-        three = physical(find_scheme(name, "euler").build(free, None))(tuple(y0[:3]), 0.1, free.constants())
+        six = physical(built(name, top))(tuple(y0), 0.1, top.constants())
+        three = physical(built(name, free))(tuple(y0[:3]), 0.1, free.constants())
         assert six[:3] == three
 
 
@@ -52,7 +52,7 @@ def test_implicit_steps_are_solved_far_beyond_useful_step_sizes(name: str, h: fl
     """A solution always exists (a map of a sphere to itself homotopic to a constant); the iteration finds one."""
     found = 0
     for top, y0 in random_tops(100, seed=24, cls=Euler):
-        new = physical(find_scheme(name, "euler").build(top, None))(tuple(y0), h, top.constants())
+        new = physical(built(name, top))(tuple(y0), h, top.constants())
         if math.isfinite(sum(new)):
             found += 1
             m, m_new = ((np.array(top.constants()[:3]) * state) for state in (y0, new))
@@ -91,7 +91,7 @@ def test_round_off_is_a_random_walk(name: str) -> None:
 def test_bs_implicit_survives_vanishing_components() -> None:
     """omega1 and omega2 shrink below 1e-160, where their squares underflow; the iteration still ends."""
     top = Euler(A=2.05, B=2.49, C=3.68)
-    states = series(top, find_scheme("bs-implicit", "euler").build(top, None), np.array((0.04, -1.6, 1.0)), 0.1, 60_000)
+    states = series(top, built("bs-implicit", top), np.array((0.04, -1.6, 1.0)), 0.1, 60_000)
     assert np.abs(states[-1, :2]).max() < 1e-160
     assert over_bar(top.invariants()[0], states, 60_000) < 1.0
 
@@ -100,7 +100,7 @@ def test_bs_implicit_survives_vanishing_components() -> None:
 def test_steady_rotations_are_exact(name: str) -> None:
     """About a principal axis, or for A = B = C, omega does not move by a single bit."""
     for top, omega in ((Euler(), (0, 0, 2)), (Euler(A=1.7, B=1.7, C=1.7), (0.3, -1.1, 2)), (Euler(), (0, 0, 0))):
-        states = series(top, find_scheme(name, "euler").build(top, None), np.array(omega, dtype=float), 0.1, 1000)
+        states = series(top, built(name, top), np.array(omega, dtype=float), 0.1, 1000)
         assert np.array_equal(states, np.tile(np.array(omega, dtype=float), (len(states), 1)))
 
 
@@ -108,7 +108,7 @@ def test_a_step_that_full_corrections_miss_is_solved_by_halved_ones() -> None:
     """The midpoint rule with a very long step: Newton's method alone does not converge from here."""
     moments, h = np.array([3.0, 2.0, 1.0]), 5.0
     w = np.array([1.3342143375511515, 1.7247667469661203, -0.0030943871338332323])
-    new = Run(Euler(), find_scheme("midpoint", "euler").build(Euler(), None), w, h, 1, 1).collect().states[-1]
+    new = Run(Euler(), built("midpoint", Euler()), w, h, 1, 1).collect().states[-1]
     mean = 0.5 * (w + new)
     turned = h * np.cross(moments * mean, mean)
     np.testing.assert_allclose(moments * (new - w), turned, atol=1e-13)  # typically 1e-15

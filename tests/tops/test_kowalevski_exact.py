@@ -18,13 +18,13 @@ import pytest
 
 from cases import numbers_of
 from conftest import GEN
+from steppers import built
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Sampler
 from topcli.errors import RunError
 from topcli.schemes.kowalevski.closed_form.course import TURN, Phase
 from topcli.schemes.kowalevski.closed_form.setup import has_triple_root
 from topcli.schemes.kowalevski.exact import _kept, exact_accuracy
-from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
 RANDOM_STATES = int(os.environ.get("TOPCLI_RANDOM_TOPS", "6"))
@@ -46,7 +46,7 @@ FAMILIES = {
 
 
 def states(y0, h: float, n, c: float = 1.0) -> np.ndarray:
-    method = find_scheme("exact", "kowalevski").build(Kowalevski(c0=c), None)
+    method = built("exact", Kowalevski(c0=c))
     assert isinstance(method, Sampler)
     return method.states(np.array(y0, dtype=float), h, np.array(n, dtype=np.int64), (c,))
 
