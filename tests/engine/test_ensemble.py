@@ -73,6 +73,7 @@ def assert_same(
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
 def test_a_trajectory_has_the_bits_of_a_single_run(scheme, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ensemble, "PIECE_ROWS", 37)

@@ -209,7 +209,7 @@ def assert_exact_at_50_digits(scheme: Scheme, steps: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", EXACT, ids=name_of)
 def test_declared_invariants_are_exact_at_50_digits(scheme: Scheme) -> None:
-    assert_exact_at_50_digits(scheme, 100)
+    assert_exact_at_50_digits(scheme, 25)
 
 
 @pytest.mark.parametrize(("top", "name"), [("euler+gamma", "hk"), ("kowalevski", "hybrid")])

@@ -122,10 +122,14 @@ def test_refused_options_say_why() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("order", "counts"),
-    [(4, (60, 120)), (6, (40, 80)), (8, (28, 56)), (10, (24, 48))],
+    ("top", "order", "counts"),
+    [
+        (Euler(), 4, (60, 120)),
+        (EulerGamma(A=1.3, B=2.0, C=0.9), 6, (40, 80)),
+        (Euler(), 8, (28, 56)),
+        (EulerGamma(A=1.3, B=2.0, C=0.9), 10, (24, 48)),
+    ],
 )
-@pytest.mark.parametrize("top", [Euler(), EulerGamma(A=1.3, B=2.0, C=0.9)], ids=repr)
 def test_preprocessed_moments_raise_the_order(top: Top, order: int, counts: tuple[int, int]) -> None:
     """For omega and for gamma, by the root mean square of the errors from twelve states each."""
     step, vectors = Steps(top, "dmv", moments="preprocessed", order=order), len(top.components) // 3
