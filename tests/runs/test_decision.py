@@ -55,7 +55,9 @@ def looked_at(there: Mapping[str, Any]) -> Folder:
         found["run"] = stored(**found["run"])
     if "damaged_checkpoint" in found:
         found["damaged_checkpoint"] = Path(found["damaged_checkpoint"])
-    for key, make in (("fault", str), ("parts", lambda one: part(**one)), ("sources", source)):
+    if "fault" in found:
+        found["fault"] = tuple(found["fault"])
+    for key, make in (("parts", lambda one: part(**one)), ("sources", source)):
         found[key] = tuple(map(make, found.get(key, ())))
     return Folder(OUT, NAME, **found)
 

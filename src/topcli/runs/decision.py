@@ -11,11 +11,21 @@ from topcli.config.models import OUTSIDE_IDENTITY, name_fault
 from topcli.contracts import Outcome
 from topcli.errors import UsageError
 from topcli.runs.identity import Identity
-from topcli.store.folder import Folder, Resumable, link_error
+from topcli.store.folder import NO_FOLDER, OCCUPIED, UNREADABLE, Folder, Resumable
 from topcli.store.series import damaged
 
 CHECKPOINT_SECONDS = 10.0
 """Seconds between two checkpoints; the first one comes after half of it."""
+
+_REFUSALS = {
+    NO_FOLDER: ("output folder {folder.out}: {wrong}; choose another with --out",),
+    UNREADABLE: ("{wrong}; nothing was written", "choose another folder with --out, or another name with --name"),
+    OCCUPIED: (
+        "{folder.target}: {wrong}; nothing was written",
+        "move it away, or choose another folder with --out or another name with --name",
+    ),
+}
+"""Lines of the error for each of ``store.folder.FAULTS``."""
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, N) between chunks; of an ensemble, with those of all trajectories."""
@@ -73,7 +83,8 @@ def decide(identity: Identity, folder: Folder, options: RunOptions) -> Decision:
     """
     run = folder.run
     if folder.fault:
-        raise UsageError(*folder.fault)
+        kind, wrong = folder.fault
+        raise UsageError(*(line.format(folder=folder, wrong=wrong) for line in _REFUSALS[kind]))
     current = run is not None and run.complete(identity.digests)
     failed = run is not None and run.outcome is not Outcome.COMPLETED
     source = _source(identity, folder) if options.resume and (folder.damage or not current) else None
@@ -84,8 +95,22 @@ def decide(identity: Identity, folder: Folder, options: RunOptions) -> Decision:
             return Decision("leave", f"up to date{hint}")
         decision = Decision("rewrite", f"will be rewritten as {identity.format}")
     if folder.linked:
-        raise link_error(folder.target)
+        raise _link_error(folder.target)
     return decision
+
+
+def _link_error(target: Path) -> UsageError:
+    """Error for a run that would replace the symbolic link ``target``."""
+    return UsageError(
+        f"{target}: is a symbolic link, which no run can replace; nothing was written",
+        "remove it, or choose another name with --name",
+    )
+
+
+def require_no_link(target: Path) -> None:
+    """Raise UsageError if a result would replace a symbolic link."""
+    if target.is_symlink():
+        raise _link_error(target)
 
 
 def _run(identity: Identity, folder: Folder, options: RunOptions, source: Resumable | None) -> Decision:

@@ -179,17 +179,26 @@ class SingleRecording(Recording):
     def failure(self, error: OSError) -> RunError:
         """Error to report after a failed write; saves the run as interrupted, or its last checkpoint, if possible."""
         writer, last = self.writer, None
-        for last in [] if writer.finished or not writer.folder.exists() else self.checkpoints.to_save():
+        if writer.finished or not writer.folder.exists():
+            return writer.failure(error)
+        for last in self.checkpoints.to_save():
             with contextlib.suppress(OSError, TopcliError):
-                stored, _ = self.carry_out(last, RunOptions(stop=lambda: True))
-                kept = "the finished run is in its place"
-                if stored.interrupted:
-                    kept = f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
-                return io_failure(error, writer.target, kept)
+                return io_failure(error, writer.target, self._saved(last))
         if last is not None and read_checkpoint(writer.folder) is None:
             with contextlib.suppress(OSError):
                 write_checkpoint(writer.folder, last)
         return writer.failure(error)
+
+    def _saved(self, last: Checkpoint) -> str:
+        """Put the run up to a checkpoint in its place, and return what is kept. Raises OSError and TopcliError.
+
+        The run continues from the checkpoint and is stopped before its next step, so that it ends as interrupted runs
+        do; one that is already at its end is finished.
+        """
+        stored, _ = self.carry_out(last, RunOptions(stop=lambda: True))
+        if stored.interrupted:
+            return f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
+        return "the finished run is in its place"
 
 
 def _recorder(

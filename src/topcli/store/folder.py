@@ -38,6 +38,8 @@ from topcli.store.parts import (
 )
 from topcli.store.series import damaged
 
+FAULTS = NO_FOLDER, UNREADABLE, OCCUPIED = "no folder", "unreadable", "occupied"
+"""Obstacles to a run: the output folder is a file, the place cannot be read, or holds something else."""
 _KEPT = "what its last checkpoint holds is kept, and --resume continues it when writing is possible again"
 
 
@@ -61,8 +63,8 @@ class Folder:
 
     Attributes
     ----------
-    fault : tuple of str
-        Lines of an error if no run can be written there; empty if one can.
+    fault : tuple of str or None
+        Kind of obstacle to writing a run there, one of ``FAULTS``, and what is wrong; None if there is none.
     run : StoredRun or None
         Finished run in the place.
     damage : mapping
@@ -79,7 +81,7 @@ class Folder:
 
     out: Path
     name: str
-    fault: tuple[str, ...] = ()
+    fault: tuple[str, str] | None = None
     run: StoredRun | None = None
     damage: Mapping[str, str] = field(default_factory=dict)
     linked: bool = False
@@ -102,18 +104,16 @@ class Folder:
         target = out / name
         try:
             if out.exists() and not out.is_dir():
-                return cls(out, name, (f"output folder {out}: is not a folder; choose another with --out",))
+                return cls(out, name, (NO_FOLDER, "is not a folder"))
             run = read_run(target)
             foreign = run is None and target.exists() and (not target.is_dir() or any(target.iterdir()))
         except OSError as error:
             wrong = f"{str(error.filename or target)[:400]}: {(error.strerror or str(error)).lower()}"
-            hint = "choose another folder with --out, or another name with --name"
-            return cls(out, name, (f"{wrong}; nothing was written", hint))
-        if foreign or isinstance(run, DamagedRun):
-            damage = isinstance(run, DamagedRun) and f"holds a damaged run ({run.reason})"
-            why = damage or "exists and is not a finished run"
-            hint = "move it away, or choose another folder with --out or another name with --name"
-            return cls(out, name, (f"{target}: {why}; nothing was written", hint))
+            return cls(out, name, (UNREADABLE, wrong))
+        if isinstance(run, DamagedRun):
+            return cls(out, name, (OCCUPIED, f"holds a damaged run ({run.reason})"))
+        if foreign:
+            return cls(out, name, (OCCUPIED, "exists and is not a finished run"))
         parts = tuple(parts_of(out, name))
         places, aside = [target], f"{name}."
         with contextlib.suppress(OSError):
@@ -122,7 +122,7 @@ class Folder:
         left = [] if sources else [*(part.folder for part in parts if not part.alive), *places]
         damaged_checkpoint = next((path for folder in left if (path := folder / CHECKPOINT).exists()), None)
         damage = run.damage(quick=not suffix or run.series.suffix == f".{suffix}") if run else {}
-        return cls(out, name, (), run, damage, target.is_symlink(), parts, sources, damaged_checkpoint)
+        return cls(out, name, None, run, damage, target.is_symlink(), parts, sources, damaged_checkpoint)
 
 
 def _left_by_killed(parts: tuple[Part, ...]) -> Iterator[Resumable]:
@@ -143,20 +143,6 @@ def _interrupted(places: list[Path], name: str) -> Iterator[Resumable]:
             continue
         if checkpoint := read_checkpoint(place):
             yield Resumable(stored, checkpoint.done, checkpoint, checkpoint.about)
-
-
-def link_error(target: Path) -> UsageError:
-    """Error for a run that would replace the symbolic link ``target``."""
-    return UsageError(
-        f"{target}: is a symbolic link, which no run can replace; nothing was written",
-        "remove it, or choose another name with --name",
-    )
-
-
-def require_real(target: Path) -> None:
-    """Raise UsageError if a run would replace a symbolic link."""
-    if target.is_symlink():
-        raise link_error(target)
 
 
 def _own(name: str, run: StoredRun) -> bool:

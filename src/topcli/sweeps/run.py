@@ -23,8 +23,8 @@ from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep, load_sweep
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
+from topcli.runs.decision import require_no_link
 from topcli.store.files import io_failure, require_writable, sync, write_whole
-from topcli.store.folder import require_real
 from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.parts import LOCK, owner, take_lock
 from topcli.store.provenance import Commit, now
@@ -108,7 +108,7 @@ class _Tally:
 def require_sweep_folder(folder: Path) -> None:
     """Raise UsageError if ``folder`` holds anything but a sweep."""
     try:
-        require_real(folder)
+        require_no_link(folder)
         if folder.exists() and not (folder.is_dir() and (is_sweep(folder) or not _others(folder))):
             raise UsageError(
                 f"{folder}: exists and is not a sweep; nothing was written",

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, UsageError
+from topcli.runs.decision import require_no_link
 from topcli.store.files import json_text
-from topcli.store.folder import RunWriter, require_real
+from topcli.store.folder import RunWriter
 from topcli.store.manifest import MANIFEST, StoredRun, stored_runs
 from topcli.store.provenance import Commit
 from topcli.store.series import write_table
@@ -301,7 +302,7 @@ def require_bench_folder(out: Path, names: Sequence[str]) -> None:
     if (out / MANIFEST).exists():
         raise UsageError(f"--out {out}: is the folder of a run; choose another")
     for name in names:
-        require_real(out / name)
+        require_no_link(out / name)
 
 
 def store_bench(
