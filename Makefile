@@ -65,7 +65,7 @@ claims: $(VENV)/.installed
 	@$(BIN)/topcli claims
 
 attack: $(VENV)/.installed-dev
-	PYTHONPATH=tests $(BIN)/python -m attack $(ARGS)
+	PYTHONPATH=tests:tests/support $(BIN)/python -m attack $(ARGS)
 
 # a peer that cannot be installed is left out: the bench names it
 $(VENV)/.installed-peers: $(VENV)/.installed-dev

@@ -1,8 +1,8 @@
 """``python -m attack [PART...]``: attack topcli, and exit with 1 if something was found.
 
 Without a part all of ``PARTS`` are done. ``--seed`` (``ATTACK_SEED``) repeats an earlier attack, ``--only`` single
-cases of one part. ``--configs``, ``--damages`` and so on (``ATTACK_CONFIGS``, ``ATTACK_DAMAGES``, ...) say how many
-cases a part has, ``ATTACK_LIMIT`` after how many seconds a call counts as hanging.
+cases of one part; ``--cases`` says how many cases each part has. ``ATTACK_LIMIT`` is after how many seconds a call
+counts as hanging.
 """
 
 from __future__ import annotations
@@ -18,57 +18,61 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import topcli.cli.app  # noqa: F401 (imported once, here, and not in every fork)
 from attack.command import fork
-from attack.damage import damage
+from attack.damage import damage_cache, damage_run, stored
 from attack.fuzz import fuzz
 from attack.judge import Finding
-from attack.kills import kills
-from attack.odd import odd
-from attack.pages import pages
-from attack.scenes import COMPILED, Scenes, prepare, small_pieces, wait
-from attack.series import series
-from attack.sweeps import axes, sweeps
-from attack.verified import flips
+from attack.kills import kill, starts
+from attack.odd import film, rational
+from attack.pages import page, places
+from attack.sandbox import Tried, try_all
+from attack.scenes import Scenes, prepare, small_pieces, wait
+from attack.series import bomb, csv, parquet, series
+from attack.sweeps import damaged, edited, forged, together
 
 Result = tuple[dict[str, int], list[Finding]]
-Work = Callable[[Scenes, int, list[int], Path], Result]
-PARTS: dict[str, tuple[Work, str, int, str]] = {
-    "damage": (damage, "damages", 200, "damaged files of runs and of the machine-code cache"),
-    "kills": (kills, "kills", 120, "kills, power cuts and full disks at the n-th operation on the disk"),
-    "sweeps": (sweeps, "sweeps", 100, "damaged, edited and shared folders of sweeps"),
-    "axes": (axes, "axes", 300, "sweep files with hostile values"),
-    "flips": (flips, "flips", 200, "flipped bits and cut files that verify must find"),
-    "series": (series, "series", 120, "files of other programs for analyse"),
-    "pages": (pages, "pages", 60, "results with markup in them, for report"),
-    "odd": (odd, "odds", 80, "stored set-ups, animations, rational numbers"),
+
+
+@dataclass(frozen=True)
+class Part:
+    """Kinds of cases that take turns, their number, and what is made before the cases are shared out."""
+
+    kinds: tuple[Tried, ...]
+    cases: int
+    needs: Callable[[Scenes], object] = lambda scenes: None
+
+
+PARTS = {
+    "fuzz": Part((fuzz,), 20_000),
+    "damage": Part((damage_run, damage_cache, damage_run), 240, stored),
+    "kills": Part((kill,), 120, starts),
+    "sweeps": Part((damaged, forged, damaged, together, damaged, edited), 100),
+    "series": Part(tuple(map(series, (csv, parquet, csv, parquet, bomb))), 120),
+    "pages": Part((page,), 60, places),
+    "odd": Part((rational, film), 40),
 }
-"""Attacks, each with its function, the option that says how many cases it has, and their number."""
-ALL = ("fuzz", *PARTS)
 NOTES = ("slow",)
 """Kinds that are printed and are no fault: some configs ask for hours of honest work, which a signal ends."""
 
 
-def _number(name: str, default: int) -> int:
-    return int(os.environ.get(name) or default)
-
-
 def arguments() -> argparse.Namespace:
-    """Arguments of the command line, with defaults from the environment."""
+    """Arguments of the command line, with the seed from the environment."""
+    seed = int(os.environ.get("ATTACK_SEED") or random.SystemRandom().randrange(1, 10**6))
     parser = argparse.ArgumentParser(prog="attack", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(ALL)}; all by default")
-    parser.add_argument("--seed", type=int, default=_number("ATTACK_SEED", random.SystemRandom().randrange(1, 10**6)))
-    for option, count, text in (("configs", 20_000, "mutated configs"), *(one[1:] for one in PARTS.values())):
-        parser.add_argument(f"--{option}", type=int, default=_number(f"ATTACK_{option.upper()}", count), help=text)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; all by default")
+    parser.add_argument("--seed", type=int, default=seed)
+    parser.add_argument("--cases", type=int, help="cases of each part")
     parser.add_argument("--only", type=int, nargs="+", metavar="CASE", help="only these cases of a part")
-    parser.add_argument("--workers", type=int, default=_number("ATTACK_WORKERS", min(4, os.cpu_count() or 1)))
+    parser.add_argument("--workers", type=int, default=min(4, os.cpu_count() or 1))
     parser.add_argument("--folder", type=Path, help="where to work and to keep what is found; a temporary folder")
     asked = parser.parse_args()
-    if wrong := [part for part in asked.parts if part not in ALL]:
-        parser.error(f"no such part: {wrong[0]}; choose from {', '.join(ALL)}")
-    asked.parts = asked.parts or list(ALL)
+    if wrong := [part for part in asked.parts if part not in PARTS]:
+        parser.error(f"no such part: {wrong[0]}; choose from {', '.join(PARTS)}")
+    asked.parts = asked.parts or list(PARTS)
     if asked.only and len(asked.parts) != 1:
         parser.error("--only wants a single part, whose cases it names")
     return asked
@@ -96,19 +100,14 @@ def shared_out(work: Callable[[list[int]], Result], indices: list[int], workers:
     return dict(counts), sorted(findings, key=lambda finding: int(finding.case.split()[1]))
 
 
-def attack(part: str, asked: argparse.Namespace, scenes: Callable[[], Scenes], folder: Path) -> Result:
+def attack(name: str, asked: argparse.Namespace, scenes: Scenes, folder: Path) -> Result:
     """One part of the attack."""
-    kept = folder / "found"
-    if part == "fuzz":
-        return fuzz(asked.seed, asked.only or list(range(asked.configs)), folder / "fuzz", kept, asked.workers)
-    here = scenes()
-    work, option, *_ = PARTS[part]
-    cases = asked.only or list(range(getattr(asked, option)))
-    if part == "damage" and not asked.only:
-        for scheme in COMPILED:  # made here, before the work is shared out
-            here.code(scheme)
-    workers = 1 if asked.only else asked.workers
-    return shared_out(lambda share: work(here, asked.seed, share, kept), cases, workers, folder)
+    part = PARTS[name]
+    part.needs(scenes)
+    indices = asked.only or list(range(asked.cases or part.cases))
+    workers = min(asked.workers, len(indices))
+    tried = lambda share: try_all(name, part.kinds, scenes, asked.seed, share, folder / "found")  # noqa: E731
+    return shared_out(tried, indices, workers, folder)
 
 
 def main() -> int:
@@ -117,20 +116,11 @@ def main() -> int:
     sys.dont_write_bytecode = True
     faulthandler.enable()
     folder = Path(os.path.realpath(asked.folder or tempfile.mkdtemp(prefix="topcli-attack-")))
-    folder.mkdir(parents=True, exist_ok=True)
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(folder / "machine-code"))
-    cache = os.environ["NUMBA_CACHE_DIR"]
+    (folder / "runs").mkdir(parents=True)
+    cache = os.environ.setdefault("NUMBA_CACHE_DIR", str(folder / "machine-code"))
     print(f"ATTACK_SEED={asked.seed}  ({', '.join(asked.parts)}; findings are kept in {folder / 'found'})", flush=True)
-    made: list[Scenes] = []
-
-    def scenes() -> Scenes:
-        if not made:
-            small_pieces()
-            (folder / "runs").mkdir()
-            made.append(prepare(folder / "runs"))
-        return made[0]
-
-    found = 0
+    small_pieces()
+    scenes, found = prepare(folder / "runs"), 0
     for part in asked.parts:
         began = time.monotonic()
         counts, findings = attack(part, asked, scenes, folder)

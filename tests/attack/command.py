@@ -13,7 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -138,43 +138,6 @@ def content_of(file: BinaryIO) -> str:
     return file.read().decode("utf-8", "replace")
 
 
-@dataclass
-class Running:
-    """A call under way in a fork."""
-
-    argv: tuple[str, ...]
-    pid: int
-    files: tuple[BinaryIO, BinaryIO, BinaryIO] = field(repr=False)
-
-    def kill(self) -> None:
-        """End it with SIGKILL."""
-        os.kill(self.pid, signal.SIGKILL)
-
-    def finish(self, limit: float = LIMIT) -> Said:
-        """Wait for its end; after ``limit`` seconds SIGTERM asks for it, and then it is killed."""
-        deadline, pause, code, asked = time.monotonic() + limit, 0.0005, None, False
-        while True:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            if pid:
-                code = os.waitstatus_to_exitcode(status)
-                break
-            if time.monotonic() > deadline and not asked:
-                os.kill(self.pid, signal.SIGTERM)
-                asked, deadline = True, deadline + HEED
-            elif time.monotonic() > deadline:
-                self.kill()
-                os.waitpid(self.pid, 0)
-                break
-            time.sleep(pause)
-            pause = min(0.02, 1.5 * pause)
-        out, err, touched = (content_of(file) for file in self.files)
-        for file in self.files:
-            file.close()
-        if asked and code == -signal.SIGTERM:
-            code = None
-        return Said(self.argv, code, out, err, tuple(touched.splitlines()), asked and code is not None)
-
-
 def fork(work: Callable[[], int]) -> int:
     """Run ``work`` in a process of its own, which exits with the code that it returns; return the process number."""
     sys.stdout.flush()
@@ -189,16 +152,35 @@ def fork(work: Callable[[], int]) -> int:
     return pid
 
 
-def start(
+def _ended(pid: int, limit: float) -> tuple[int | None, bool]:
+    """Exit code of a process, None if it had to be killed, and whether SIGTERM had to ask for its end."""
+    deadline, pause, asked = time.monotonic() + limit, 0.0005, False
+    while True:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            code = os.waitstatus_to_exitcode(status)
+            return None if asked and code == -signal.SIGTERM else code, asked
+        if time.monotonic() > deadline:
+            os.kill(pid, signal.SIGKILL if asked else signal.SIGTERM)
+            if asked:
+                os.waitpid(pid, 0)
+                return None, True
+            asked, deadline = True, deadline + HEED
+        time.sleep(pause)
+        pause = min(0.02, 1.5 * pause)
+
+
+def call(
     argv: Sequence[str],
     cwd: Path,
     writable: Sequence[Path],
     environment: Mapping[str, str] = {},
+    limit: float = LIMIT,
     prepare: Callable[[], object] = lambda: None,
-) -> Running:
-    """Begin a call of the command with the working folder ``cwd``; it may write in the folders ``writable``.
+) -> Said:
+    """Call the command with the working folder ``cwd``, in a fork; it may write in the folders ``writable``.
 
-    ``prepare`` is called before it, in its process.
+    ``prepare`` is called before it, in its process. After ``limit`` seconds SIGTERM asks for its end.
     """
     files = (tempfile.TemporaryFile(), tempfile.TemporaryFile(), tempfile.TemporaryFile())  # noqa: SIM115
 
@@ -211,16 +193,8 @@ def start(
             prepare()
             return in_process(argv)
 
-    return Running(tuple(argv), fork(work), files)
-
-
-def call(
-    argv: Sequence[str],
-    cwd: Path,
-    writable: Sequence[Path],
-    environment: Mapping[str, str] = {},
-    limit: float = LIMIT,
-    prepare: Callable[[], object] = lambda: None,
-) -> Said:
-    """Call the command and wait for its end."""
-    return start(argv, cwd, writable, environment, prepare).finish(limit)
+    code, asked = _ended(fork(work), limit)
+    out, err, touched = (content_of(file) for file in files)
+    for file in files:
+        file.close()
+    return Said(tuple(argv), code, out, err, tuple(touched.splitlines()), asked and code is not None)

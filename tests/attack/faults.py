@@ -29,20 +29,27 @@ _OPEN = io.open
 class Disk:
     """Operations under ``root``, counted; at number ``at`` the fault ``how`` happens, with 0 none.
 
-    ``install`` is called in the process to be disturbed, ``log`` is shared with its parent: a line per operation.
+    Those count whose line in ``log``, such as ``replace manifest.json``, holds ``only``. With ``meanwhile`` this is
+    called there instead of a fault. ``install`` is for the process to be disturbed; the log is shared with its parent.
     """
 
     def __init__(
-        self, root: Path, at: int = 0, how: str = "before", meanwhile: Callable[[], object] | None = None
+        self,
+        root: Path,
+        at: int = 0,
+        how: str = "before",
+        meanwhile: Callable[[], object] | None = None,
+        only: str = "",
     ) -> None:
         self.root, self.at, self.how, self._meanwhile = os.path.realpath(root), at, how, meanwhile
+        self._only = only
         self.log: BinaryIO = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as this)
         weakref.finalize(self, self.log.close)
         self.count, self.full = 0, False
         self._flushed: dict[int, int] = {}
 
     def operations(self) -> list[str]:
-        """The operations so far, such as ``replace manifest.json``."""
+        """The operations so far."""
         self.log.seek(0)
         return self.log.read().decode("utf-8", "replace").splitlines()
 
@@ -56,8 +63,11 @@ class Disk:
 
     def operation(self, name: str, path: Any, do: Callable[[], Any], half: Callable[[], Any] | None = None) -> Any:
         """Do it, unless it is its turn to fail; ``half`` does a part of a write."""
+        line = f"{name} {os.path.basename(os.fsdecode(path))}"
+        if self._only not in line:
+            return do()
         self.count += 1
-        _REAL["write"](self.log.fileno(), f"{name} {os.path.basename(os.fsdecode(path))}\n".encode())
+        _REAL["write"](self.log.fileno(), f"{line}\n".encode())
         writing = name in ("create", "write")
         if self.full and writing:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -89,17 +99,13 @@ class Disk:
                 if not os.path.islink(path) and found.st_size > (kept := self._flushed.get(found.st_ino, 0)):
                     _REAL["truncate"](path, kept)
 
-    def install(self) -> None:
-        """Take the place of the functions of this process that write."""
+    def install(self, put: Callable[[Any, str, Any], None] = setattr) -> Disk:
+        """Take the place of the functions of this process that write; ``put`` may be one that takes them back."""
         for folder, _, names in os.walk(self.root):
             for name in names:
                 found = os.lstat(os.path.join(folder, name))
                 self._flushed[found.st_ino] = found.st_size
-        self._handles()
-        self._names()
-        self._files()
 
-    def _handles(self) -> None:
         def pwrite(handle: int, data: bytes, offset: int) -> int:
             half = lambda: _REAL["pwrite"](handle, data[: len(data) // 2], offset)  # noqa: E731
             return self._of_handle("write", handle, lambda: _REAL["pwrite"](handle, data, offset), half)
@@ -114,26 +120,27 @@ class Disk:
         def ftruncate(handle: int, length: int) -> None:
             self._of_handle("cut", handle, lambda: _REAL["ftruncate"](handle, length))
 
-        os.pwrite, os.fsync, os.ftruncate = pwrite, fsync, ftruncate
+        for function in (pwrite, fsync, ftruncate):
+            put(os, function.__name__, function)
+        for name in ("replace", "rename", "unlink", "remove", "rmdir", "mkdir", "truncate"):
+            put(os, name, self._named(name, getattr(os, name)))
+        self._files(put)
+        return self
 
     def _of_handle(self, name: str, handle: int, do: Callable[[], Any], half: Any = None) -> Any:
         path = self._name(handle)
         return self.operation(name, path, do, half) if path.startswith(self.root) else do()
 
-    def _names(self) -> None:
-        for name in ("replace", "rename", "unlink", "remove", "rmdir", "mkdir", "truncate"):
-            real = getattr(os, name)
+    def _named(self, name: str, real: Callable[..., Any]) -> Callable[..., Any]:
+        def called(path: Any, *others: Any, **options: Any) -> Any:
+            do = lambda: real(path, *others, **options)  # noqa: E731
+            gone = name in ("unlink", "remove", "rmdir") and not os.path.lexists(path)
+            target = others[0] if name in ("replace", "rename") else path
+            return self.operation(name, target, do) if self._inside(target) and not gone else do()
 
-            def called(path: Any, *others: Any, real: Any = real, name: str = name, **options: Any) -> Any:
-                do = lambda: real(path, *others, **options)  # noqa: E731
-                if name in ("unlink", "remove", "rmdir") and not os.path.lexists(path):
-                    return do()
-                target = others[0] if name in ("replace", "rename") else path
-                return self.operation(name, target, do) if self._inside(target) else do()
+        return called
 
-            setattr(os, name, called)
-
-    def _files(self) -> None:
+    def _files(self, put: Callable[[Any, str, Any], None]) -> None:
         import pyarrow.parquet as pq
 
         disk = self
@@ -164,11 +171,12 @@ class Disk:
             buffered = io.BufferedRandom(raw) if "+" in mode else io.BufferedWriter(raw)
             return buffered if "b" in mode else io.TextIOWrapper(buffered, encoding, errors, newline)
 
-        io.open = builtins.open = opened  # pyright: ignore[reportAttributeAccessIssue]
+        put(io, "open", opened)
+        put(builtins, "open", opened)
         written = pq.ParquetWriter.write_table
 
         def write_table(writer: Any, *arguments: Any, **options: Any) -> None:
             do = lambda: written(writer, *arguments, **options)  # noqa: E731
             disk.operation("write", "pieces.parquet", do) if isinstance(writer.where, (str, os.PathLike)) else do()
 
-        pq.ParquetWriter.write_table = write_table
+        put(pq.ParquetWriter, "write_table", write_table)

@@ -6,6 +6,7 @@ Every case follows from the seed, whatever the speed of the machine.
 
 from __future__ import annotations
 
+import functools
 import os
 import random
 import shutil
@@ -13,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from attack.command import Said
-from attack.damage import Sandbox, try_all
 from attack.faults import HOW, Disk
-from attack.judge import Content, Finding, content, wrong_content
+from attack.judge import Content, content, wrong_content
+from attack.sandbox import Case, Sandbox
 from attack.scenes import ENSEMBLE, NAME, Scene, Scenes, done_in_fork, experiment
-from attack.studies import SWEEP, SweepContent, SweepScene, sweep_content
+from attack.studies import SWEEP, SweepScene, sweep_content
 from topcli.runs.run import run_experiment
 from topcli.store.checkpoint import read_checkpoint
 from topcli.store.manifest import stored_run
@@ -82,7 +83,6 @@ class SweepStart:
 
     scene: SweepScene
     before: Path
-    expected: SweepContent
 
     def argv(self, step: int) -> list[str]:
         """The call, which also continues."""
@@ -98,98 +98,83 @@ class SweepStart:
     def wrong(self, out: Path) -> str:
         """Difference of the end from that of a sweep that was never killed."""
         hidden = [path.name for path in (out / SWEEP).rglob(".*")]
-        return self.expected.differs(sweep_content(out / SWEEP)) or (f"left behind: {hidden}" if hidden else "")
+        return self.scene.expected.differs(sweep_content(out / SWEEP)) or (f"left behind: {hidden}" if hidden else "")
 
 
 Starting = Start | SweepStart
 
 
+@functools.cache
 def starts(scenes: Scenes) -> list[Starting]:
     """All that is killed: runs beside nothing, beside a different run, interrupted and precise ones; many; sweeps."""
-    base = scenes.base / f"starts-{os.getpid()}"  # each share of the attack makes its own
-    empty, different, many = base / "empty", base / "different", base / "different-ensemble"
+    empty, different, many = (scenes.base / "starts" / name for name in ("empty", "different", "different-ensemble"))
     empty.mkdir(parents=True)
     done_in_fork(lambda: run_experiment(experiment(steps=900), different))
     shutil.copytree(different / NAME, many / ENSEMBLE)
-    kinds = {one.before.name: one for one in scenes.runs}
-    parquet, csv, ensemble = (kinds[f"finished-{kind}"] for kind in ("parquet", "csv", "ensemble"))
     old = [content(different / NAME)]
-    new, edited, series = scenes.sweeps
+    finished = (scenes.run(f"finished-{kind}") for kind in ("parquet", "csv", "ensemble", "precise", "rational"))
+    parquet, csv, ensemble, *precise = finished
+    interrupted = scenes.run("interrupted-csv")
     return [
-        Start(parquet, empty),
-        Start(ensemble, empty),
-        Start(kinds["finished-precise"], empty),
-        SweepStart(new, empty, new.expected),
-        Start(kinds["interrupted-csv"], kinds["interrupted-csv"].before),
-        SweepStart(edited, edited.before, edited.expected),
+        *(Start(one, empty) for one in (parquet, csv, ensemble, *precise)),
+        Start(interrupted, interrupted.before),
         Start(parquet, different, old),
-        Start(kinds["finished-rational"], empty),
-        SweepStart(series, empty, series.expected),
-        Start(csv, empty),
         Start(ensemble, many, old),
+        *(SweepStart(one, one.before if one.kind == "edited-sweep" else empty) for one in scenes.sweeps),
     ]
 
 
-def operations(begin: Starting, box: Sandbox) -> tuple[int, int]:
-    """Number of operations of a call that nothing disturbs, and its exit code."""
+@functools.cache
+def operations(scenes: Scenes, kind: int) -> tuple[int, int]:
+    """Number of operations of a call from one of the starts that nothing disturbs, and its exit code."""
+    begin, box = starts(scenes)[kind], Sandbox(scenes.base / f"undisturbed-{os.getpid()}", Case(""))
     shutil.copytree(begin.before, box.out)
     disk = Disk(box.out)
     said = box.call(*begin.argv(0), prepare=disk.install)
     assert said.code in (0, 1, 3), said.err
-    shutil.rmtree(box.out)
+    shutil.rmtree(box.folder)
     return len(disk.operations()), said.code
 
 
-class Killer:
-    """Tries one case after another, each from one of the starts."""
-
-    def __init__(self, scenes: Scenes) -> None:
-        self.begins = starts(scenes)
-        self._operations: dict[int, tuple[int, int]] = {}
-
-    def __call__(self, index: int, draw: random.Random, box: Sandbox) -> None:
-        kind = index % len(self.begins)
-        begin = self.begins[kind]
-        name = begin.scene.name
-        if kind not in self._operations:
-            self._operations[kind] = operations(begin, box)
-        shutil.copytree(begin.before, box.out)
-        (span, code), step, powerless = self._operations[kind], begin.check(box.out, 0), False
-        box.case.label = f"{begin.scene.kind} {name}"
-        for number in range(draw.choice((1, 1, 2, 3))):
-            how = HOW[(index // len(self.begins) + number) % len(HOW)]
-            disk = Disk(box.out, draw.randint(1, span if not number else span // 2 + 1), how)
-            said = box.call(*begin.argv(step), prepare=disk.install)
-            done = disk.operations()
-            box.case.how += f"{how} {disk.at}/{span}{f' {done[-1]}' if len(done) >= disk.at else ''}; "
-            if len(done) < disk.at:
-                break  # it had ended before
-            self.look(box, said, how)
-            powerless |= how == "power"
-            try:
-                step = begin.check(box.out, 0 if powerless else step)
-            except (AssertionError, ValueError) as error:
-                box.fault("kill", f"{error}")
-                return
-        said = box.call(*begin.argv(step))
-        if said.code != code:
-            box.fault("kill", f"called again it exits with {said.code}: {said.err[:300]}")
-        elif wrong := begin.wrong(box.out):
-            box.fault("wrong rows", f"differs from the one that was never killed: {wrong}")
-
-    def look(self, box: Sandbox, said: Said, how: str) -> None:
-        """Call the commands that look at what is left."""
-        if how.startswith("full"):
-            if said.code not in (0, 1, 3):
-                box.fault("exit code", f"on a full disk it exits with {said.code}")
-        elif said.code != KILLED:
-            box.fault("kill", f"exits with {said.code}: {said.err[:300]}")
-        box.call("list", "runs", "--out", "out")
-        left = sorted(path for path in box.out.iterdir() if path.is_dir())
-        if left and (said := box.call("verify", *(f"out/{path.name}" for path in left))).code == 1 and how != "power":
-            box.fault("kill", f"verify finds damage: {said.err[:300]}")
+def kill(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
+    """Disturb a call from one of the starts a few times, and let it end."""
+    kind = draw.randrange(len(starts(scenes)))
+    begin = starts(scenes)[kind]
+    (span, code), step, powerless = operations(scenes, kind), begin.check(begin.before, 0), False
+    shutil.copytree(begin.before, box.out)
+    box.case.label = f"{begin.scene.kind} {begin.scene.name}"
+    for number in range(draw.choice((1, 1, 2, 3))):
+        how = draw.choice(HOW)
+        disk = Disk(box.out, draw.randint(1, span if not number else span // 2 + 1), how)
+        said = box.call(*begin.argv(step), prepare=disk.install)
+        done = disk.operations()
+        box.case.how += f"{how} {disk.at}/{span}{f' {done[-1]}' if len(done) >= disk.at else ''}; "
+        if len(done) < disk.at:
+            break  # it had ended before
+        look(box, said, how)
+        powerless |= how == "power"
+        try:
+            step = begin.check(box.out, 0 if powerless else step)
+        except (AssertionError, ValueError) as error:
+            box.fault("kill", f"{error}")
+            return
+    said = box.call(*begin.argv(step))
+    if said.code != code:
+        box.fault("kill", f"called again it exits with {said.code}: {said.err[:300]}")
+    elif wrong := begin.wrong(box.out):
+        box.fault("wrong rows", f"differs from the one that was never killed: {wrong}")
 
 
-def kills(scenes: Scenes, seed: int, indices: list[int], kept: Path) -> tuple[dict[str, int], list[Finding]]:
-    """Try the cases ``indices``, in turn from each start; counts, and what was found."""
-    return try_all("kills", Killer(scenes), scenes.base, seed, indices, kept)
+def look(box: Sandbox, said: Said, how: str) -> None:
+    """Call the commands that look at what is left."""
+    if how.startswith("full"):
+        if said.code not in (0, 1, 3):
+            box.fault("exit code", f"on a full disk it exits with {said.code}")
+    elif said.code != KILLED:
+        box.fault("kill", f"exits with {said.code}: {said.err[:300]}")
+    box.call("list", "runs", "--out", "out")
+    left = sorted(path for path in box.out.iterdir() if path.is_dir())
+    said = box.call("verify", *(f"out/{path.name}" for path in left)) if left else said
+    torn = how == "power" or "journal.jsonl: damaged: 1 damaged lines" in said.err  # an incomplete last line
+    if left and said.code == 1 and not torn:
+        box.fault("kill", f"verify finds damage: {said.err[:300]}")

@@ -1,85 +1,43 @@
-"""Wrong configs: valid ones, changed at random by a few of the mutations below."""
+"""Wrong configs and sweep files: valid ones, changed at random by a few of the mutations below."""
 
 from __future__ import annotations
 
 import random
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
-EXTRA = {
-    "columns.yaml": "top: {kind: euler, A: 1.0, B: 2.0, C: 3.0}\ninitial:\n  omega: &w [0.1, 1.0, 0.2]\nscheme: hk\n"
-    "h: 0.1\nN: 100\noutput:\n  format: csv\n  every: 5\n  columns: [n, t, omega1, energy]\n",
-    "composed.yaml": "name: composed\ntop: kowalevski\ninitial:\n  omega: [2, 0, 0]\n  gamma: [auto, 0, 1e-3]\n"
-    "  normalize: true\nscheme: hk+suzuki4\nh: -0.01\nN: 50\n",
-    "states.yaml": "top: {kind: kowalevski, c0: 1}\ninitial: {gamma: [0.6, 0.48, 0.64]}\nensemble:\n  states:\n"
-    "    - {omega: [1, 0, 0]}\n    - {omega: [0, 1, 0], gamma: [0, 0, 1]}\n  store: final\n"
-    "scheme: rk4\nh: 0.01\nN: 50\n",
-    "heavy.toml": 'top = {kind = "heavy"}\nscheme = "midpoint"\nh = 0.01\nN = 50\n[initial]\nomega = [0.5, 0.1, 2.0]\n'
-    'gamma = [0.0, 0.6, 0.8]\n[output]\nformat = "csv"\n',
-}
-"""Features absent from the packaged configs."""
+TEXTS: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text(encoding="utf-8"))
+SMALL = "small.yaml"
+"""A sweep file that is quickly run."""
 
 
-def corpus() -> dict[str, str]:
-    """Valid configs by file name."""
-    files = sorted(path for path in CONFIGS.iterdir() if path.suffix in (".yaml", ".toml"))
-    return {**{path.name: path.read_text(encoding="utf-8") for path in files}, **EXTRA}
+def read(folder: Path) -> dict[str, str]:
+    """The configs of a folder by file name."""
+    files = sorted(path for path in folder.iterdir() if path.suffix in (".yaml", ".toml"))
+    return {path.name: path.read_text(encoding="utf-8") for path in files}
 
 
-CORPUS = corpus()
+SWEEPS = {f"sweep-{name}": text for name, text in read(CONFIGS / "sweeps").items()} | {SMALL: TEXTS["configs"][SMALL]}
+CORPUS = {**read(CONFIGS), **TEXTS["configs"], **SWEEPS}
 TOKEN = re.compile(r"[\w.+-]+|[^\w\s]")
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d.]*(?:[eE][-+]?\d+)?(?!\w)")
 VALUE = re.compile(r"(?m)(?<=[:=] )[^\n#]+")
+KEY = re.compile(r"(?m)^ *\w+")
+STRETCH = re.compile(r"(?s).{1,3}")
 TOKENS = sorted({token for text in CORPUS.values() for token in TOKEN.findall(text)})
-LINES = sorted({line for text in CORPUS.values() for line in text.splitlines() if line and not line.startswith("#")})
-NUMBERS = (
-    *("0", "-0.0", "-1", "1e308", "-1e308", "1e400", "-1e400", "5e-324", "1e-400", "1e155", "1e20", ".nan", "nan"),
-    *("inf", "-.inf", "1_000", "0x1F", "0o17", "0b11", "00012", "1e", "1e5", "2.0", "1e16", "9007199254740993"),
-    *("2147483648", "9223372036854775808", "1000000000000", "1000001", "0.1e-5", "+1", "1e+3", "12:30:45", "²", "１２"),
-)
-WRONG = (
-    *("[]", "{}", "null", "~", "true", "no", "'text'", '""', "[[1, 2], [3]]", "{a: 1}", "{kind: heavy}", "1979-05-27"),
-    *(
-        "[1, 2]",
-        "[1, 2, 3, 4]",
-        "[a, b, c]",
-        "[auto, auto, 0]",
-        "[.nan, 0, 0]",
-        "|\n  block",
-        "? x",
-        "1979-05-27T07:32Z",
-    ),
-    *("{sphere: 2}", "{normal: [0, 1]}", "{energy: 1e300}", "{start: 0, stop: 1, count: 3}", "hk+suzuki4+suzuki4"),
-    *("name", "kahan", "+", "hk+", "+li8", "HK", "-auto", "omega1", "top.B", "../../x", "/etc/passwd"),
+LINES = sorted(
+    {line for text in CORPUS.values() for line in text.splitlines() if line and not line.startswith("#")}
+    | {f"name: '{name}'" for name in TEXTS["names"]}
 )
 CONTROLS = "".join(map(chr, [*range(1, 32), *range(127, 160), 0x202E, 0x2066, 0x200F, 0xFEFF, 0x2028, 0x200B, 0xAD]))
 LETTERS = "äßЖ漢あع🌀é\u0301ﬁI\u0130ſ\u00a0\u3000２"
-TAGS = (
-    "!!python/object/apply:os.system ",
-    "!t ",
-    "!!binary ",
-    "!!float ",
-    "!<tag:x> ",
-    "!! ",
-    "!!set ",
-    "!!timestamp ",
-)
-NAMES = ("../x", "a/b", "CON", ".hidden", "-dash", "x " * 60, "figures", "a\\b", "~", "$(touch x)", "[link=x]y[/link]")
-
-Mutation = Callable[[random.Random, str], str]
-
-
-def _place(draw: random.Random, text: str, pattern: re.Pattern[str]) -> tuple[int, int]:
-    """Place of one of the matches of ``pattern``; an empty place if there is none."""
-    found = [match.span() for match in pattern.finditer(text)]
-    return draw.choice(found) if found else (len(text), len(text))
-
-
-def _put(text: str, place: tuple[int, int], new: str) -> str:
-    return text[: place[0]] + new + text[place[1] :]
+BOMB = "".join(f"x{i}: &x{i} [{', '.join([f'*x{i - 1}'] * 9) if i else '1'}]\n" for i in range(12))
+"""Aliases that stand for 9¹² numbers."""
 
 
 def _size(draw: random.Random, largest: int) -> int:
@@ -87,175 +45,86 @@ def _size(draw: random.Random, largest: int) -> int:
     return int(2 * (largest / 2) ** draw.random())
 
 
-def swap_tokens(draw: random.Random, text: str) -> str:
-    """Two tokens change places."""
-    found = list(TOKEN.finditer(text))
-    if len(found) < 2:
-        return text
-    one, two = sorted(draw.sample(found, 2), key=lambda match: match.start())
-    return text[: one.start()] + two[0] + text[one.end() : two.start()] + one[0] + text[two.end() :]
+def _nested(draw: random.Random, old: str) -> str:
+    nest, depth = draw.choice(list(TEXTS["nests"])), _size(draw, 20_000)
+    return nest * depth + old + TEXTS["nests"][nest] * depth * draw.randrange(2)
 
 
-def foreign_token(draw: random.Random, text: str) -> str:
-    """A token of another config in the place of one of this."""
-    return _put(text, _place(draw, text, TOKEN), draw.choice(TOKENS))
+def _control(draw: random.Random, old: str) -> str:
+    """A control character or a letter of the whole world, plain or escaped."""
+    odd = draw.choice(CONTROLS if draw.random() < 0.7 else LETTERS)
+    return f'"{old.strip()}\\u{ord(odd):04x}"' if ord(odd) < 0x10000 and draw.random() < 0.4 else old + odd
 
 
-def odd_number(draw: random.Random, text: str) -> str:
-    """A number that is huge, tiny, not finite, or written in a strange way."""
-    digits = str(draw.randrange(1, 10)) * _size(draw, 20_000)
-    return _put(text, _place(draw, text, NUMBER), digits if draw.random() < 0.1 else draw.choice(NUMBERS))
+Source = Callable[[random.Random, str], str]
+REPLACED: dict[str, tuple[tuple[re.Pattern[str], ...], Source]] = {
+    "foreign token": ((TOKEN,), lambda draw, old: draw.choice(TOKENS)),
+    "odd number": ((NUMBER,), lambda draw, old: draw.choice(TEXTS["numbers"])),
+    "many digits": ((NUMBER,), lambda draw, old: str(draw.randrange(1, 10)) * _size(draw, 20_000)),
+    "wrong type": ((VALUE,), lambda draw, old: draw.choice(TEXTS["values"])),
+    "deep": ((VALUE,), _nested),
+    "alias": ((VALUE,), lambda draw, old: draw.choice((*TEXTS["aliases"], "*" + "a" * _size(draw, 100_000)))),
+    "tag": ((VALUE,), lambda draw, old: draw.choice((*TEXTS["tags"], "!" * _size(draw, 30_000), "!!\n" * 3000)) + old),
+    "control": ((TOKEN, VALUE, KEY), _control),
+    "long": ((TOKEN, VALUE), lambda draw, old: (draw.choice(TEXTS["long"]) * _size(draw, 200_000))[:200_000]),
+    "splice": ((STRETCH,), lambda draw, old: "".join(draw.choices(TEXTS["pieces"], k=draw.randrange(1, 4)))),
+}
+"""Mutations that put something in the place of what one of these patterns finds."""
 
 
-def wrong_type(draw: random.Random, text: str) -> str:
-    """A value of another type."""
-    return _put(text, _place(draw, text, VALUE), draw.choice(WRONG))
+def foreign_keys(draw: random.Random, lines: list[str]) -> None:
+    """Keys of another top, scheme, ensemble or sweep, in the place of the same key or between two lines."""
+    new = draw.choice(LINES)
+    same = [i for i, line in enumerate(lines) if re.split("[:=]", line)[0] == re.split("[:=]", new)[0]]
+    at = draw.choice(same) if same and draw.random() < 0.7 else draw.randrange(len(lines) + 1)
+    lines[at : at + (at in same)] = [new]
 
 
-def deep(draw: random.Random, text: str) -> str:
-    """Deeply nested brackets, braces, sections or keys."""
-    depth = _size(draw, 20_000)
-    nest = draw.choice(("[", "{a: ", "- ", "? ", "[{", "(", "a.", "{a = "))
-    closing = {"[": "]", "{a: ": "}", "[{": "}]", "{a = ": "}"}.get(nest, "")
-    return _put(text, _place(draw, text, VALUE), nest * depth + closing * depth * draw.randrange(2))
-
-
-def alias(draw: random.Random, text: str) -> str:
-    """Anchors and aliases: harmless, unknown, recursive, exploding, with a strange name."""
-    place = _place(draw, text, VALUE)
-    value = text[slice(*place)]
-    kind = draw.randrange(5)
-    if kind == 0:
-        return _put(_put(text, place, "&a " + value), _place(draw, text, VALUE), "*a")
-    if kind == 1:
-        return _put(text, place, draw.choice(("*b", "&b *b", "&b [*b]", "&a &b 1", "*", "&", "<<: *a")))
-    if kind == 2:
-        bomb = "".join(f"x{i}: &x{i} [{', '.join([f'*x{i - 1}'] * 9) if i else '1'}]\n" for i in range(12))
-        return bomb + text
-    if kind == 3:
-        odd = "".join(draw.choice(CONTROLS + LETTERS) for _ in range(draw.randrange(1, 9)))
-        return _put(text, place, f"*{odd}")
-    return _put(text, place, "*" + "a" * _size(draw, 100_000))
-
-
-def tag(draw: random.Random, text: str) -> str:
-    """Tags, also very many and very long."""
-    many = draw.choice(("!", "!!", "!a", "%TAG ! !\n")) * _size(draw, 30_000)
-    return _put(
-        text, (start := _place(draw, text, VALUE)[0], start), many if draw.random() < 0.2 else draw.choice(TAGS)
-    )
-
-
-def duplicate(draw: random.Random, text: str) -> str:
-    """Repeat a line."""
-    lines = text.splitlines()
-    lines.insert(draw.randrange(len(lines) + 1), draw.choice(lines or [""]))
-    return "\n".join(lines) + "\n"
-
-
-def foreign_lines(draw: random.Random, text: str) -> str:
-    """Keys of another top, scheme or ensemble, in the place of the same key or between two lines."""
-    lines = text.splitlines()
-    for _ in range(draw.randrange(1, 4)):
-        new = draw.choice(LINES)
-        same = [i for i, line in enumerate(lines) if re.split("[:=]", line)[0] == re.split("[:=]", new)[0]]
-        if same and draw.random() < 0.7:
-            lines[draw.choice(same)] = new
-        else:
-            lines.insert(draw.randrange(len(lines) + 1), new)
-    return "\n".join(lines) + "\n"
-
-
-def foreign_section(draw: random.Random, text: str) -> str:
-    """A stretch of lines from another config."""
+def section(draw: random.Random, lines: list[str]) -> None:
+    """A stretch of lines from another config, or none, in the place of some lines or between two."""
     other = draw.choice(list(CORPUS.values())).splitlines()
-    begin = draw.randrange(len(other))
-    lines = text.splitlines()
-    place = draw.randrange(len(lines) + 1)
-    lines[place : place + draw.randrange(3)] = other[begin : begin + draw.randrange(1, 8)]
-    return "\n".join(lines) + "\n"
+    begin, at = draw.randrange(len(other)), draw.randrange(len(lines) + 1)
+    lines[at : at + draw.randrange(3)] = other[begin : begin + draw.randrange(8)]
 
 
-def drop(draw: random.Random, text: str) -> str:
-    """A line or a stretch less, or the end cut off."""
-    if draw.random() < 0.2:
-        return text[: draw.randrange(len(text) + 1)]
-    lines = text.splitlines()
-    if lines:
-        begin = draw.randrange(len(lines))
-        del lines[begin : begin + draw.randrange(1, 3)]
-    return "\n".join(lines) + "\n"
+def repeat(draw: random.Random, lines: list[str]) -> None:
+    """A line once more, perhaps with another indentation."""
+    line = draw.choice(lines or [""])
+    indented = draw.choice((" ", "   ", "\t", "- ", "? ", ": ", "# ")) + line.strip()
+    lines.insert(draw.randrange(len(lines) + 1), draw.choice((line, indented)))
 
 
-def indent(draw: random.Random, text: str) -> str:
-    """Another indentation, tabs, other line ends."""
-    lines = text.splitlines()
-    if lines:
-        i = draw.randrange(len(lines))
-        lines[i] = draw.choice((" ", "   ", "\t", "- ", "? ", ": ", "# ", "")) + lines[i].strip()
-    return draw.choice(("\n", "\n", "\r\n", "\r")).join(lines) + "\n"
+def bomb(draw: random.Random, lines: list[str]) -> None:
+    """Aliases that explode, before everything."""
+    lines.insert(0, BOMB)
 
 
-def control(draw: random.Random, text: str) -> str:
-    """Control characters and letters of the whole world, plain and escaped, in keys, values and between."""
-    for _ in range(draw.randrange(1, 4)):
-        odd = draw.choice(CONTROLS if draw.random() < 0.7 else LETTERS)
-        pattern = draw.choice((TOKEN, VALUE, re.compile(r"(?m)^ *\w+")))
-        start, end = _place(draw, text, pattern)
-        escaped = f'"{text[start:end].strip()}\\u{ord(odd):04x}"' if ord(odd) < 0x10000 else odd
-        text = _put(text, (start, end), escaped) if draw.random() < 0.4 else _put(text, (end, end), odd)
-    return text
-
-
-def name(draw: random.Random, text: str) -> str:
-    """A strange name of the experiment."""
-    odd = "".join(draw.choice(LETTERS + "abc .") for _ in range(_size(draw, 120)))
-    chosen = draw.choice(NAMES) if draw.random() < 0.4 else odd
-    quoted = draw.choice((chosen, f"'{chosen}'", f'"{chosen}"'))
-    lines = [line for line in text.splitlines() if not line.startswith("name")]
-    return f"name{'=' if '[initial]' in text else ':'} {quoted}\n" + "\n".join(lines) + "\n"
-
-
-def long(draw: random.Random, text: str) -> str:
-    """Something very long: a name of a scheme, a key, a list, a comment."""
-    size = _size(draw, 200_000)
-    piece = draw.choice(("x", "漢", "ab", "1, ", "-", "9", '"', "a: 1\n", "# \n", " ", "\n", "\x1b[31m"))
-    start, end = _place(draw, text, draw.choice((TOKEN, VALUE)))
-    return _put(text, (start, end), (piece * size)[:200_000])
-
-
-def splice(draw: random.Random, text: str) -> str:
-    """Some characters that mean something, in the place of others."""
-    pieces = (
-        ": ",
-        "- ",
-        "[",
-        "]",
-        "{",
-        "}",
-        ",",
-        "#",
-        "&a ",
-        "*a",
-        "|\n",
-        ">",
-        "'",
-        '"',
-        "---\n",
-        "...",
-        "%YAML 1.1\n",
+def ends(draw: random.Random, lines: list[str]) -> None:
+    """Other ends of lines, or the end cut off."""
+    end = draw.choice(("\r\n", "\r", ""))
+    lines[:] = (
+        [end.join(lines)] if end else [line[: len(line) // 2] for line in lines[: draw.randrange(len(lines) + 1)]]
     )
-    start = draw.randrange(len(text) + 1)
-    new = "".join(draw.choice(pieces) for _ in range(draw.randrange(1, 4)))
-    return _put(text, (start, start + draw.randrange(4)), new)
 
 
-MUTATIONS: tuple[Mutation, ...] = (
-    *(swap_tokens, foreign_token, odd_number, odd_number, wrong_type, wrong_type, deep, alias, tag, duplicate),
-    *(foreign_lines, foreign_lines, foreign_section, drop, indent, control, control, name, long, splice),
-)
-GENTLE: tuple[Mutation, ...] = (odd_number, foreign_token, foreign_lines, foreign_section, wrong_type, name, duplicate)
+LINEWISE = {one.__name__: one for one in (foreign_keys, section, repeat, bomb, ends)}
+MUTATIONS = (*REPLACED, *LINEWISE)
+GENTLE = ("odd number", "foreign token", "foreign_keys", "section", "wrong type", "repeat")
 """Those after which a config is most often still one."""
+
+
+def mutated(draw: random.Random, name: str, text: str) -> str:
+    """A text after one of ``MUTATIONS``."""
+    if name in LINEWISE:
+        lines = text.splitlines()
+        LINEWISE[name](draw, lines)
+        return "\n".join(lines) + "\n"
+    patterns, source = REPLACED[name]
+    found = list(draw.choice(patterns).finditer(text))
+    if not found:
+        return text + source(draw, "")
+    place = draw.choice(found)
+    return text[: place.start()] + source(draw, place[0]) + text[place.end() :]
 
 
 def flip(draw: random.Random, content: bytes) -> bytes:
@@ -266,32 +135,17 @@ def flip(draw: random.Random, content: bytes) -> bytes:
     return bytes(changed)
 
 
-@dataclass(frozen=True)
-class Mutant:
-    """A config to be tried: the name of its file, its content, and the mutations that made it."""
-
-    file: str
-    content: bytes
-    made_by: str
-
-
 def draw_for(seed: int, part: str, index: int) -> random.Random:
     """The random numbers of one case: those of no other, and the same wherever and whenever it is tried."""
     return random.Random(f"{seed}/{part}/{index}")
 
 
-def mutant(seed: int, index: int) -> Mutant:
-    """Config ``index`` of the attack with ``seed``."""
-    draw = draw_for(seed, "fuzz", index)
+def mutant(draw: random.Random) -> tuple[str, bytes, str]:
+    """A wrong config or sweep file: the name of its file, its content, and the mutations that made it."""
     file = draw.choice(sorted(CORPUS))
-    text, made_by = CORPUS[file], [file]
-    gentle = draw.random() < 0.5
-    for _ in range(draw.choice((0, 1, 1, 1, 2, 3))):
-        mutation = draw.choice(GENTLE if gentle else MUTATIONS)
-        text = mutation(draw, text)[:1_100_000]
-        made_by.append(mutation.__name__)
+    text, names = CORPUS[file], GENTLE if draw.random() < 0.5 else MUTATIONS
+    made_by = draw.choices(names, k=draw.choice((0, 1, 1, 1, 2, 3)))
+    for name in made_by:
+        text = mutated(draw, name, text)[:1_100_000]
     content = text.encode("utf-8", "surrogatepass")
-    if draw.random() < 0.1:
-        content = flip(draw, content)
-        made_by.append("flip")
-    return Mutant(file, content, " ".join(made_by))
+    return file, flip(draw, content) if draw.random() < 0.1 else content, " ".join(made_by)

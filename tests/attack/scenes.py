@@ -9,14 +9,15 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pyarrow.csv
 import pyarrow.parquet  # noqa: F401 (imported once, here, and not in every fork)
 
-from attack.command import Said, call, fork
-from attack.judge import Content, content, judged
+from attack.command import fork
+from attack.judge import Content, content
 from attack.studies import SweepScene, sweep_scenes
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
@@ -34,8 +35,6 @@ ENSEMBLE = "kowalevski_ensemble"
 OTHER = "beside"
 """A run that nobody harms, in every folder of runs."""
 STEPS = 2000
-COMPILED = ("hk", "rk2", "bohlin-a", "ensemble")
-"""Content of the cache of machine code: three schemes of single runs, and one of ensembles."""
 SHORT = {
     "top": {"kind": "kowalevski", "c0": 1},
     "initial": {"omega": ["1/3", "1/5", 2], "gamma": [0.6, 0, 0.8]},
@@ -76,23 +75,32 @@ def experiment(suffix: str = "parquet", steps: int = STEPS) -> Experiment:
     return load_experiment(CONFIGS / f"{NAME}.yaml", [f"N={steps}", f"output.format={suffix}"])
 
 
-def write_configs(folder: Path) -> None:
-    """Write the configs of the attacked runs, which the commands are called with."""
-    for suffix in ("parquet", "csv"):
-        (folder / suffix).mkdir(parents=True)
-        (folder / suffix / f"{NAME}.yaml").write_text(experiment(suffix).to_yaml(), encoding="utf-8")
+def write_configs(folder: Path) -> dict[str, Path]:
+    """Write the configs of the attacked runs, which the commands are called with, by the kind of run."""
     many = load(CONFIGS / f"{ENSEMBLE}.yaml", ["N=40", "ensemble.random.count=50", "ensemble.store=trajectories"])
-    (folder / f"{ENSEMBLE}.yaml").write_text(many.to_yaml(), encoding="utf-8")
+    texts = {suffix: experiment(suffix).to_yaml() for suffix in ("parquet", "csv")} | {"ensemble": many.to_yaml()}
+    texts |= {kind: to_yaml({"name": NAME, **SHORT, **keys}) for kind, keys in PRECISE.items()}
+    found = {kind: folder / kind / f"{ENSEMBLE if kind == 'ensemble' else NAME}.yaml" for kind in texts}
+    for kind, path in found.items():
+        path.parent.mkdir(parents=True)
+        path.write_text(texts[kind], encoding="utf-8")
+    return found
 
 
-def killed_run(out: Path, suffix: str, steps: int) -> None:
+def killed_run(out: Path, one: Any, steps: int) -> None:
     """Leave what a process leaves that is killed after ``steps`` steps, with a checkpoint after each chunk."""
 
     def progress(done: int, total: int) -> None:
         if done >= steps:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    run_experiment(experiment(suffix), out, RunOptions(checkpoint_every=0.0, on_progress=progress))
+    run_experiment(one, out, RunOptions(checkpoint_every=0.0, on_progress=progress))
+
+
+def interrupted_run(out: Path, one: Any, chunks: int) -> None:
+    """Interrupt a run after some chunks."""
+    asked = iter(range(STEPS))
+    run_experiment(one, out, RunOptions(stop=lambda: next(asked) == chunks))
 
 
 @dataclass
@@ -116,85 +124,46 @@ class Scene:
         return hidden[0] if hidden else out / self.name
 
 
-@dataclass
+@dataclass(eq=False)
 class Scenes:
     """All that is attacked, under ``base``."""
 
     base: Path
     runs: list[Scene]
     sweeps: list[SweepScene]
-    _codes: dict[str, Path] = field(default_factory=dict)
 
     @property
-    def cache(self) -> Path:
-        """A folder of machine code."""
-        return self.base / "cache"
+    def config(self) -> Path:
+        """The config of the single run."""
+        return self.base / "configs" / "parquet" / f"{NAME}.yaml"
 
-    def code(self, scheme: str) -> Path:
-        """The file of the machine code of one of ``COMPILED``, within ``cache``; made when it is first asked for."""
-        if scheme not in self._codes:
-            import numba  # noqa: F401 (recompiling is the larger part of what a damaged cache costs)
-
-            known = set(self.cache.rglob("*.o"))
-            config = f"{ENSEMBLE}.yaml" if scheme == "ensemble" else f"parquet/{NAME}.yaml"
-            change = [] if scheme == "ensemble" else ["--set", f"scheme={scheme}"]
-            argv = ["run", str(self.base / "configs" / config), "--out", str(self.base / f"warm-{scheme}"), *change]
-            must_be_fine(call(argv, self.base, [self.base], {"NUMBA_CACHE_DIR": str(self.cache)}, limit=300.0))
-            made = max(set(self.cache.rglob("*.o")) - known, key=lambda path: path.stat().st_size)
-            self._codes[scheme] = made.relative_to(self.cache)
-        return self._codes[scheme]
+    def run(self, name: str) -> Scene:
+        """The scene of a folder of runs, such as ``finished-csv``."""
+        return next(one for one in self.runs if one.before.name == name)
 
 
 def prepare(base: Path) -> Scenes:
     """Make everything under ``base``. Raises RuntimeError when a plain run fails already."""
     configs = base / "configs"
-    write_configs(configs)
     os.environ["MPLCONFIGDIR"] = str(base / "matplotlib")
-    reference: dict[str, Content] = {}
-    runs = []
-    for suffix in ("parquet", "csv"):
-        whole = base / f"reference-{suffix}"
-        done_in_fork(lambda suffix=suffix, whole=whole: run_experiment(experiment(suffix), whole))
-        reference[suffix] = content(whole / NAME)
-    many = load(configs / f"{ENSEMBLE}.yaml")
-    done_in_fork(lambda: run_experiment(many, base / "reference-ensemble"))  # pyright: ignore[reportArgumentType]
     other = load_experiment(CONFIGS / f"{NAME}.yaml", ["N=30", f"name={OTHER}"])
     done_in_fork(lambda: run_experiment(other, base / "beside"))
-    reference["ensemble"] = content(base / "reference-ensemble" / ENSEMBLE)
-
-    def scene(kind: str, suffix: str, make: Callable[[Path], object]) -> None:
-        before = base / "before" / f"{kind}-{suffix}"
-        shutil.copytree(base / "beside", before)
-        wait(fork(lambda: int(make(before) is NotImplemented)))
-        name = ENSEMBLE if suffix == "ensemble" else NAME
-        config = configs / (f"{ENSEMBLE}.yaml" if suffix == "ensemble" else f"{suffix}/{NAME}.yaml")
-        runs.append(Scene(kind, name, config, before, reference[suffix]))
-
-    for suffix in ("parquet", "csv"):
-        asked = iter(range(STEPS))
-        one = experiment(suffix)
-        scene("finished", suffix, lambda out, one=one: run_experiment(one, out))
-        scene("killed", suffix, lambda out, suffix=suffix: killed_run(out, suffix, 1100))
-        scene("killed-late", suffix, lambda out, suffix=suffix: killed_run(out, suffix, 1900))
-        scene(
-            "interrupted",
-            suffix,
-            lambda out, one=one, asked=asked: run_experiment(one, out, RunOptions(stop=lambda: next(asked) == 12)),
-        )
-    scene("finished", "ensemble", lambda out: run_experiment(many, out))  # pyright: ignore[reportArgumentType]
-    for kind, keys in PRECISE.items():
-        path = configs / kind / f"{NAME}.yaml"
-        path.parent.mkdir()
-        data = {"name": NAME, **SHORT, **keys}
-        path.write_text(to_yaml(data), encoding="utf-8")
-        one = load(path)
-        done_in_fork(lambda one=one, kind=kind: run_experiment(one, base / f"reference-{kind}"))  # pyright: ignore[reportArgumentType]
-        reference[kind] = content(base / f"reference-{kind}" / NAME)
-        scene("finished", kind, lambda out, one=one: run_experiment(one, out))  # pyright: ignore[reportArgumentType]
+    runs = []
+    for kind, config in write_configs(configs).items():
+        one = load(config)
+        whole = base / f"reference-{kind}"
+        done_in_fork(lambda one=one, whole=whole: run_experiment(one, whole))
+        expected = content(whole / one.name)
+        lives: dict[str, Callable[[Path], object]] = {"finished": lambda out, one=one: run_experiment(one, out)}
+        if kind in ("parquet", "csv"):
+            lives |= {
+                "killed": lambda out, one=one: killed_run(out, one, 1100),
+                "killed-late": lambda out, one=one: killed_run(out, one, 1900),
+                "interrupted": lambda out, one=one: interrupted_run(out, one, 12),
+            }
+        for life, make in lives.items():
+            before = base / "before" / f"{life}-{kind}"
+            shutil.copytree(base / "beside", before)
+            wait(fork(lambda make=make, before=before: int(make(before) is NotImplemented)))
+            runs.append(Scene(life, one.name, config, before, expected))
     return Scenes(base, runs, sweep_scenes(base, configs))
-
-
-def must_be_fine(said: Said) -> None:
-    """Raise RuntimeError unless a call of the preparation went well."""
-    if said.code or judged(said):
-        raise RuntimeError(f"the attack could not be prepared: {' '.join(said.argv)}: {said.code} {said.err}")

@@ -17,10 +17,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from attack.damage import Sandbox, try_all
-from attack.judge import Finding
 from attack.mutations import flip
-from attack.scenes import NAME, Scenes
+from attack.sandbox import Sandbox, Tried
+from attack.scenes import Scenes
 
 MEMORY = 3 << 29
 """Bytes that a call may take beyond what this process has; what is read may take a small part of it."""
@@ -85,7 +84,7 @@ ODD: tuple[Callable[[random.Random, Columns], None], ...] = (
 )
 
 
-def _text(draw: random.Random, box: Sandbox) -> Path:
+def csv(draw: random.Random, box: Sandbox) -> Path:
     """CSV with odd values, odd cells, and a name that promises something else."""
     columns = motion()
     draw.choice(ODD)(draw, columns)
@@ -117,7 +116,7 @@ def _written(box: Sandbox, name: str, data: bytes) -> Path:
     return path
 
 
-def _parquet(draw: random.Random, box: Sandbox) -> Path:
+def parquet(draw: random.Random, box: Sandbox) -> Path:
     """Parquet of other types, with repeated names, or damaged."""
     columns = motion()
     draw.choice(ODD)(draw, columns)
@@ -150,7 +149,7 @@ def _parquet(draw: random.Random, box: Sandbox) -> Path:
     return _written(box, draw.choice(("a.parquet", "a.csv")), data)
 
 
-def _bomb(draw: random.Random, box: Sandbox) -> Path:
+def bomb(draw: random.Random, box: Sandbox) -> Path:
     """A small file of which a program that trusts it makes gigabytes."""
     kind = draw.randrange(6)
     if kind < 2:  # compressed text
@@ -180,9 +179,6 @@ def _bomb(draw: random.Random, box: Sandbox) -> Path:
     return path
 
 
-KINDS = (_text, _parquet, _text, _parquet, _bomb)
-
-
 def _limited() -> None:
     """Limit the memory of this process to what it has and ``MEMORY``."""
     with open("/proc/self/statm", encoding="ascii") as file:
@@ -190,20 +186,18 @@ def _limited() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
 
 
-def series(scenes: Scenes, seed: int, indices: list[int], kept: Path) -> tuple[dict[str, int], list[Finding]]:
-    """Try the cases ``indices``; counts, and what was found."""
-    config = scenes.base / "configs" / "parquet" / f"{NAME}.yaml"
+def series(make: Callable[[random.Random, Sandbox], Path]) -> Tried:
+    """An attack by files that ``make`` writes."""
 
-    def one(index: int, draw: random.Random, box: Sandbox) -> None:
+    def tried(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
         box.out.mkdir()
-        make = KINDS[index % len(KINDS)]
         path = make(draw, box)
-        box.case.label, box.case.how = make.__name__.strip("_"), path.name
+        box.case.label, box.case.how = make.__name__, path.name
         more = ["--json"] if draw.random() < 0.5 else ["--plot", "--out", "out"] if draw.random() < 0.2 else []
-        said = box.call("analyse", path.name, "--config", str(config), *more, prepare=_limited)
+        said = box.call("analyse", path.name, "--config", str(scenes.config), *more, prepare=_limited)
         if said.code not in (0, 2):
             box.fault("exit code", f"exits with {said.code}: {said.err[-300:]}")
         elif said.code == 0 and "--json" in more and json.loads(said.out)["rows"] > ROWS:
             box.fault("wrong rows", f"{json.loads(said.out)['rows']} rows of at most {ROWS}")
 
-    return try_all("series", one, scenes.base, seed, indices, kept)
+    return tried

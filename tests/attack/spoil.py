@@ -30,6 +30,16 @@ HOSTILE: tuple[Any, ...] = (
         "/etc/passwd",
     ),
     *("\x1b[31mred\x1b[0m", "\u202eevil", "[link=http://x]y[/link]", "\x9b2J", {"a": None}, [[[[1]]]], "\0", "a\nb"),
+    *(["object", "Pendulum", [1]], ["array", "<f8", [-1, 7], "AAAA"], ["complex", 10**400, 0], ["fraction", 1, 0]),
+    *(
+        ["object", "Path", {}],
+        ["array", "|O", [1], "AAAAAAAAAAA="],
+        ["x"],
+        "/etc/passwd",
+        "printf",
+        ["system"],
+        "advance",
+    ),
 )
 """Values that a key of a JSON file should never have."""
 
@@ -83,36 +93,29 @@ def _removed(draw: random.Random, path: Path) -> None:
     path.unlink()
 
 
+def hostile_value(draw: random.Random, value: Any) -> Any:
+    """A value of a JSON file with something else in one place, or without one of its keys."""
+    if isinstance(value, dict) and value and draw.random() < 0.8:
+        key = draw.choice(sorted(value))
+        if draw.random() < 0.1:
+            return {name: one for name, one in value.items() if name != key}
+        return {**value, key: hostile_value(draw, value[key])}
+    if isinstance(value, list) and len(value) > 1 and draw.random() < 0.8:
+        at = draw.randrange(len(value))
+        return [*value[:at], hostile_value(draw, value[at]), *value[at + 1 :]]
+    return draw.choice(HOSTILE)
+
+
 def hostile_json(draw: random.Random, path: Path) -> None:
-    """Some keys of a JSON file with values of another kind, or nesting without end."""
+    """A JSON file with values of another kind, or with nesting without end."""
     try:
-        data = json.loads(path.read_bytes())
+        text = json.dumps(hostile_value(draw, json.loads(path.read_bytes())))
     except ValueError:
-        _foreign_text(draw, path)
-        return
-    if draw.random() < 0.1:
-        path.write_text(draw.choice(("[", '{"a":', '{"pid": [')) * 100_000)
-        return
-    for _ in range(draw.randrange(1, 3)):
-        at = data
-        while isinstance(at, dict) and at:
-            key = draw.choice(sorted(at))
-            if not isinstance(at[key], dict) or draw.random() < 0.4:
-                at[key] = draw.choice(HOSTILE)
-                break
-            at = at[key]
-    path.write_text(json.dumps(data))
+        text = "a text\n"
+    path.write_text(draw.choice(("[", '{"a":', '{"pid": [')) * 100_000 if draw.random() < 0.1 else text)
 
 
 Damage = Callable[[random.Random, Path], None]
 DAMAGES: tuple[Damage, ...] = (
     *(_bit, _bit, _bits, _truncate, _truncate, _zero, _zero, _append, _foreign_text, _folder, _link, _removed),
 )
-
-
-def hostile_header(draw: random.Random, path: Path) -> None:
-    """A header with other values, between the digest and the code as they were."""
-    digest, header, code = path.read_bytes().split(b"\n", 2)
-    data = json.loads(header)
-    data[draw.choice(sorted(data))] = draw.choice((*HOSTILE, "printf", ["system"], "advance"))
-    path.write_bytes(digest + b"\n" + json.dumps(data).encode() + b"\n" + code)

@@ -16,14 +16,10 @@ from topcli.config.sweep import load_sweep
 from topcli.sweeps.journal import Journal
 
 SWEEP = "study"
+START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
 DATA: dict[str, Any] = {
     "name": SWEEP,
-    "base": {
-        "top": "kowalevski",
-        "initial": {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]},
-        "h": 0.01,
-        "N": 60,
-    },
+    "base": {"top": "kowalevski", "initial": START, "h": 0.01, "N": 60},
     "grid": {"scheme": ["hk", "rk4"], "h": [0.002 * k for k in range(1, 11)]},
     "include": [{"scheme": "rk2", "h": 1e150}],
     "measure": ["deviation.energy", "drift.k_sq"],
@@ -71,11 +67,12 @@ def sweep_content(folder: Path) -> SweepContent | str:
 
 @dataclass
 class SweepScene:
-    """A sweep file, a folder ``before`` with what an earlier life left, and the content at its end."""
+    """A sweep file, a folder ``before`` with what an earlier life left, the sweep at its end and its content."""
 
     kind: str
     config: Path
     before: Path
+    whole: Path
     expected: SweepContent
     name: str = SWEEP
 
@@ -89,34 +86,31 @@ class SweepScene:
             ]
 
 
+SHORTER = {**DATA, "grid": {"scheme": ["hk"], "h": [0.01, 0.02]}, "include": [{"scheme": "rk4", "h": 0.03}]}
+KINDS = {
+    "new-sweep": (DATA, None),
+    "edited-sweep": (DATA, {**DATA, "grid": {**DATA["grid"], "h": [*DATA["grid"]["h"][2:7], 0.05]}}),
+    "sweep-with-series": ({**SHORTER, "store": "series"}, None),
+}
+"""A new sweep, one whose file was edited after it had finished, and one that stores series."""
+
+
 def sweep_scenes(base: Path, configs: Path) -> list[SweepScene]:
-    """A new sweep, one whose file was edited after it had finished, and one that stores series."""
+    """The sweeps of ``KINDS``."""
     found = []
-    fewer = {**DATA, "grid": {**DATA["grid"], "h": [*DATA["grid"]["h"][2:7], 0.05]}}
-    few = {"scheme": ["hk"], "h": [0.01, 0.02]}
-    for kind, data, earlier in (
-        ("new sweep", DATA, None),
-        ("edited sweep", DATA, fewer),
-        (
-            "sweep with series",
-            {**DATA, "grid": few, "store": "series", "include": [{"scheme": "rk4", "h": 0.03}]},
-            None,
-        ),
-    ):
-        config = configs / f"{kind.replace(' ', '-')}.yaml"
-        before, whole = base / "before" / config.stem, base / f"whole-{config.stem}"
+    for kind, (data, earlier) in KINDS.items():
+        config, before, whole = configs / f"{kind}.yaml", base / "before" / kind, base / f"whole-{kind}"
         before.mkdir(parents=True)
-        argv = ["sweep", str(config), "--threads", "1", "--out"]
         for out, given in ((before, earlier), (whole, data)):
             if given is not None:
                 config.write_text(load_sweep(given).to_yaml(), encoding="utf-8")
                 if out == whole:
                     shutil.copytree(before, whole)
-                said = call([*argv, str(out)], base, [base])
+                said = call(["sweep", str(config), "--threads", "1", "--out", str(out)], base, [base])
                 if said.code not in (0, 3):
                     raise RuntimeError(f"the attack could not be prepared: {said.err}")
         expected = sweep_content(whole / SWEEP)
         if isinstance(expected, str):
             raise RuntimeError(f"the attack could not be prepared: {expected}")
-        found.append(SweepScene(kind, config, before, expected))
+        found.append(SweepScene(kind, config, before, whole / SWEEP, expected))
     return found

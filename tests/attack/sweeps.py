@@ -1,4 +1,4 @@
-"""Sweeps under attack: damaged and forged files, two processes in one folder, an edited file, hostile values."""
+"""Sweeps under attack: damaged and forged files, two processes in one folder, an edited file."""
 
 from __future__ import annotations
 
@@ -12,16 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from attack.command import call
-from attack.damage import Sandbox, foreign_kept, try_all
 from attack.faults import HOW, Disk
-from attack.judge import Finding
+from attack.sandbox import Sandbox
 from attack.scenes import Scenes
-from attack.spoil import DAMAGES, FOREIGN, HOSTILE, hostile_json
+from attack.spoil import DAMAGES, hostile_json, hostile_value
 from attack.studies import DATA, SWEEP, SweepContent, SweepScene, sweep_content
 from topcli.config.sweep import load_sweep
-
-MOST_RUN = 60
-"""Rows of an accepted file that is also run."""
 
 
 def sweep(box: Sandbox, config: Path | str, *more: str, **options: Any) -> int | None:
@@ -38,7 +34,7 @@ def compare(box: Sandbox, expected: SweepContent, what: str) -> None:
 def damaged(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
     """Damage a file of a finished sweep; read it, and call the sweep again."""
     scene = draw.choice((scenes.sweeps[0], scenes.sweeps[2]))
-    shutil.copytree(scenes.base / f"whole-{scene.config.stem}", box.out)
+    shutil.copytree(scene.whole.parent, box.out)
     names = ("journal.jsonl", "journal.jsonl", "rows.parquet", "rows.parquet", "manifest.json", "sweep.yaml", "lock")
     path = box.out / SWEEP / draw.choice(names)
     damage = hostile_json if path.suffix == ".json" and draw.random() < 0.6 else draw.choice(DAMAGES)
@@ -46,8 +42,8 @@ def damaged(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
     before = path.read_bytes()
     damage(draw, path)
     same = path.is_file() and not path.is_symlink() and path.read_bytes() == before
-    planted = sum(one.is_file() and one.read_bytes() == FOREIGN.encode() for one in box.out.rglob("*"))
-    read(scenes, scene, box, intact=same)
+    planted = box.planted
+    read(scene, box, intact=same)
     if path.name != "lock" and not same:
         said = box.call("verify", f"out/{SWEEP}")
         if not path.exists() and path.name == "manifest.json":
@@ -64,15 +60,15 @@ def damaged(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
             compare(box, scene.expected, f"sweep exits with {code}")
         elif code not in (1, 2):
             return
-    foreign_kept(box, planted)
+    box.foreign_kept(planted)
 
 
-def read(scenes: Scenes, scene: SweepScene, box: Sandbox, intact: bool) -> None:
+def read(scene: SweepScene, box: Sandbox, intact: bool) -> None:
     """A table and a page are made of the right rows or refused."""
     words = ["--rows", "scheme", "--columns", "h", "--value", "deviation.energy", "--json"]
     said = box.call("table", f"out/{SWEEP}", *words)
     if said.code == 0:
-        whole = call(["table", str(scenes.base / f"whole-{scene.config.stem}" / SWEEP), *words], box.folder, [])
+        whole = call(["table", str(scene.whole), *words], box.folder, [])
         found, wanted = (json.loads(one.out) for one in (said, whole))
         if any(found.get(key) != wanted[key] for key in wanted if key not in ("folder", "path", "file")):
             box.fault("wrong rows", "table exits with 0 and shows other numbers")
@@ -85,28 +81,16 @@ def read(scenes: Scenes, scene: SweepScene, box: Sandbox, intact: bool) -> None:
 def forged(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
     """Give the journal a line whose checksum is right and whose content no sweep has written."""
     scene = scenes.sweeps[0]
-    shutil.copytree(scenes.base / f"whole-{scene.config.stem}", box.out)
+    shutil.copytree(scene.whole.parent, box.out)
     path = box.out / SWEEP / "journal.jsonl"
     lines = path.read_bytes().splitlines(keepends=True)
     at = draw.randrange(len(lines))
-    block = json.loads(lines[at][9:])
-    key, value = draw.choice(sorted(block)), draw.choice(HOSTILE)
-    kind = draw.randrange(4)
-    if kind == 0:
-        block[key] = value
-    elif kind == 1 and isinstance(block[key], list):
-        block[key] = [value, *block[key][1:]]
-    elif kind == 2 and isinstance(block[key], list):
-        block[key] = block[key][: draw.randrange(len(block[key]) + 1)] * draw.choice((1, 3))
-    else:
-        inner = block[draw.choice(("keys", "values"))]
-        inner[draw.choice(sorted(inner))] = draw.choice((value, [value], []))
-    text = json.dumps(block).encode()
+    text = json.dumps(hostile_value(draw, json.loads(lines[at][9:]))).encode()
     if draw.random() < 0.1:
         text = draw.choice((b"[", b'{"a":')) * 100_000
     lines[at] = b"%08x %s\n" % (zlib.crc32(text), text)
     path.write_bytes(b"".join(lines))
-    box.case.label, box.case.how = "forged journal", f"{kind} {key} {str(value)[:30]}"
+    box.case.label, box.case.how = "forged journal", f"line {at}"
     code = sweep(box, scene.config)
     if code not in (0, 1, 2, 3):
         box.fault("exit code", f"sweep exits with {code}")
@@ -139,25 +123,22 @@ def together(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
         box.fault("wrong rows", "a row ran twice")
 
 
+H = DATA["grid"]["h"]
+EDITS: tuple[dict[str, Any], ...] = (
+    {"grid": {**DATA["grid"], "h": [*H[1:8:2], 0.03]}},
+    {"measure": ["drift.k_sq"]},
+    {"measure": ["deviation.energy", "deviation.k_sq", "swings"]},
+    {"base": {**DATA["base"], "N": 61}},
+    {"grid": {"h": H[:3], "scheme": ["rk4", "rk2", "hk"]}},
+    {"include": None, "exclude": [{"scheme": "hk", "h": 0.002}]},
+    {"grid": {**DATA["grid"], "scheme": [{"name": "hk", "compensated": True}, "hk"]}},
+)
+
+
 def edited(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
     """Disturb a sweep, edit its file, and run it; it must hold what the edited file gives in an empty folder."""
-    data = json.loads(json.dumps(DATA))
-    edit = draw.randrange(6)
-    if edit == 0:
-        data["grid"]["h"] = [*draw.sample(data["grid"]["h"], 4), 0.03]
-    elif edit == 1:
-        data["measure"] = draw.choice(
-            (["drift.k_sq"], ["deviation.energy", "deviation.k_sq"], ["drift.k_sq", "swings"])
-        )
-    elif edit == 2:
-        data["base"]["N"] = draw.choice((30, 61))
-    elif edit == 3:
-        data["grid"] = {"h": data["grid"]["h"][:3], "scheme": ["rk4", "rk2", "hk"]}
-    elif edit == 4:
-        del data["include"]
-        data["exclude"] = [{"scheme": "hk", "h": 0.002}]
-    else:
-        data["grid"]["scheme"] = [{"name": "hk", "compensated": True}, "hk"]
+    edit = draw.randrange(len(EDITS))
+    data = {key: value for key, value in {**DATA, **EDITS[edit]}.items() if value is not None}
     config = box.folder / "edited.yaml"
     config.write_text(load_sweep(data).to_yaml(), encoding="utf-8")
     shutil.copytree(scenes.sweeps[0].before, box.out)
@@ -174,114 +155,3 @@ def edited(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
     left = SweepContent(current, found.file, found.outcomes, found.series)
     if wrong := wanted.differs(left):
         box.fault("wrong rows", f"after the edit: {wrong}")
-
-
-KINDS = (damaged, forged, damaged, together, damaged, edited)
-
-
-def sweeps(scenes: Scenes, seed: int, indices: list[int], kept: Path) -> tuple[dict[str, int], list[Finding]]:
-    """Try the cases ``indices``; counts, and what was found."""
-
-    def one(index: int, draw: random.Random, box: Sandbox) -> None:
-        KINDS[index % len(KINDS)](scenes, draw, box)
-
-    return try_all("sweeps", one, scenes.base, seed, indices, kept)
-
-
-# --- hostile values ---------------------------------------------------------------------------------------------------
-
-NUMBERS = (
-    *(0, -0.0, 1, 1.0, -1, 0.01, 1e-3, 5e-324, 1e-300, 1e150, 1e308, 1.7976931348623157e308, -1.7e308, 10**30, 2**63),
-    *(float("nan"), float("inf"), -float("inf"), True, None, "x", "", "0.01", "1/3", [], [1], {}, {"a": 1}, 10**13),
-)
-KEYS = (
-    *("h", "N", "T", "scheme", "top", "top.c0", "initial", "initial.omega", "initial.omega1", "initial.gamma"),
-    *("initial.gamma3", "initial.normalize", "output.every", "sample", "seed", "scheme.compose", "scheme.compensated"),
-    *("", ".", "h.", "top.", "base", "<b>", "x" * 3000, "\x1b[31m", "\u202e"),
-)
-VALUES = (
-    *("hk", "rk4", "HK", "<script>", {"name": "hk"}, {"name": "rk4", "compose": "x"}, "kowalevski", "euler", "heavy"),
-    *({"kind": "kowalevski", "c0": 2}, [1, 0, 0], [0.6, 0, 0.8], ["auto", 0, 1], [float("nan")] * 3, "sphere"),
-)
-
-
-def _number(draw: random.Random) -> Any:
-    return draw.choice(NUMBERS if draw.random() < 0.7 else VALUES)
-
-
-def _range(draw: random.Random) -> Any:
-    keys = [key for key in ("from", "to", "count", "spacing") if draw.random() < 0.85]
-    made = {key: draw.choice((1, 2, 3, 10**7, 10**12, _number(draw))) for key in keys}
-    if "spacing" in made:
-        made["spacing"] = draw.choice(("log", "linear", "log", 1))
-    return made
-
-
-def _axis(draw: random.Random) -> Any:
-    kind = draw.random()
-    if kind < 0.35:
-        return _range(draw)
-    if kind < 0.45:
-        return _number(draw)
-    values = [_number(draw) for _ in range(draw.choice((0, 1, 2, 3)))]
-    return values * draw.choice((1, 1, 1, 2, 300))
-
-
-def _section(draw: random.Random) -> Any:
-    if draw.random() < 0.1:
-        return _number(draw)
-    return {draw.choice(KEYS): _axis(draw) for _ in range(draw.choice((1, 1, 2, 3)))}
-
-
-def hostile_file(draw: random.Random) -> dict[str, Any]:
-    """A sweep file of which some sections are no sections of a sweep file."""
-    data = json.loads(json.dumps(DATA))
-    data["measure"] = ["deviation.energy"]
-    for _ in range(draw.choice((1, 1, 2, 3))):
-        part = draw.choice(("grid", "grid", "zip", "include", "exclude", "random", "base", "measure", "store", "name"))
-        if part in ("grid", "zip"):
-            data[part] = _section(draw)
-        elif part in ("include", "exclude"):
-            data[part] = [{draw.choice(KEYS): _number(draw)} for _ in range(draw.choice((0, 1, 2)))]
-        elif part == "random":
-            drawn = {"count": draw.choice((1, 2, 10**8, _number(draw))), "omega": {"sphere": _number(draw)}}
-            drawn |= {draw.choice(("gamma", "top.c0", "omega", "seed")): draw.choice((_range(draw), _number(draw)))}
-            data[part] = drawn
-            data["base"].pop("initial" if draw.random() < 0.5 else "T", None)
-        elif part == "base":
-            data["base"][draw.choice(("h", "N", "T", "top", "initial", "output", "scheme", "name"))] = _number(draw)
-        else:
-            data[part] = draw.choice((_number(draw), [_number(draw)], ["swings"], "series", "x" * 2000, "../x"))
-    return data
-
-
-def _yaml(data: Any) -> str:
-    """YAML of plain data, with its own words for infinities and nan."""
-    text = json.dumps(data, ensure_ascii=True)
-    for word, own in (("-Infinity", "-.inf"), ("Infinity", ".inf"), ("NaN", ".nan")):
-        text = text.replace(word, own)
-    return text + "\n"
-
-
-def axes(scenes: Scenes, seed: int, indices: list[int], kept: Path) -> tuple[dict[str, int], list[Finding]]:
-    """Plan the sweep files ``indices``, and run those that are accepted and short; counts, and what was found."""
-
-    def one(index: int, draw: random.Random, box: Sandbox) -> None:
-        box.out.mkdir()
-        text = _yaml(hostile_file(draw))
-        (box.folder / "hostile.yaml").write_text(text, encoding="utf-8")
-        box.case.label, box.case.how, box.case.spoilt = "hostile sweep", f"{len(text)} characters", text.encode()
-        said = box.call("sweep", "hostile.yaml", "--dry-run", "--json", "--out", "out")
-        if said.code not in (0, 2):
-            box.fault("exit code", f"--dry-run exits with {said.code}")
-        elif said.code == 0 and (plan := json.loads(said.out))["rows"] <= MOST_RUN:
-            code = sweep(box, "hostile.yaml", "--time-limit", "2", "--quiet")
-            rows = sweep_content(box.out / plan["name"])
-            if code not in (0, 1, 3):
-                box.fault("exit code", f"an accepted sweep exits with {code}")
-            elif isinstance(rows, str) or len(rows.rows) != plan["rows"]:
-                box.fault(
-                    "wrong rows", f"{plan['rows']} rows planned, then {rows if isinstance(rows, str) else 'fewer'}"
-                )
-
-    return try_all("axes", one, scenes.base, seed, indices, kept)

@@ -19,13 +19,14 @@ import pytest
 
 from attack.__main__ import PARTS, arguments
 from attack.command import Said, fork
-from attack.damage import Case, Sandbox, foreign_kept, meet, plot, verify
+from attack.damage import meet, plot, verify
 from attack.faults import Disk
 from attack.fuzz import misread, read_back, wrong_run
 from attack.judge import Finding, content, judged, rows_apart, wrong_content
 from attack.kills import Start
-from attack.mutations import CORPUS, MUTATIONS, Mutant, draw_for, mutant
-from attack.pages import Reader
+from attack.mutations import CORPUS, MUTATIONS, draw_for, mutant, mutated
+from attack.pages import wrong_markup
+from attack.sandbox import Case, Sandbox
 from attack.scenes import Scene, wait
 from attack.spoil import FOREIGN
 from conftest import ROOT
@@ -39,50 +40,32 @@ TESTS = ROOT / "tests"
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 
 
-def python(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    path = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")]).strip(os.pathsep)
-    return subprocess.run(
-        [sys.executable, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": path},
-    )
-
-
-def attack(folder: Path, *arguments: str) -> str:
-    """Output of a small attack, in which nothing may be found."""
-    done = python("-m", "attack", *arguments, "--folder", folder)
+def python(*arguments: str | Path) -> str:
+    """Output of a process that has the attack on its path."""
+    path = os.pathsep.join([str(TESTS), str(TESTS / "support"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command, environment = [sys.executable, *map(str, arguments)], {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 FINE = ("nothing", "write in out", "tab and letters", "message of 1000", "two messages", "codes")
 SEEN = {
-    "segfault": ["signal"],
-    "exception": ["traceback"],
-    "unknown code": ["exit code"],
-    "code of a bug": ["traceback"],
-    "hang": ["hang"],
-    "slow": ["slow"],
-    "message of 1001": ["long message"],
-    "message of many lines": ["long message"],
-    "escape": ["control character"],
-    "carriage return": ["control character"],
-    "C1": ["control character"],
-    "bidi": ["control character"],
-    "write outside": ["touched"],
-    "remove outside": ["touched"],
-    "rename to outside": ["touched"],
-    "folder outside": ["touched"],
+    "signal": ("segfault",),
+    "traceback": ("exception", "code of a bug"),
+    "exit code": ("unknown code",),
+    "hang": ("hang",),
+    "slow": ("slow",),
+    "long message": ("message of 1001", "message of many lines"),
+    "control character": ("escape", "carriage return", "C1", "bidi"),
+    "touched": ("write outside", "remove outside", "rename to outside", "folder outside"),
 }
 
 
 @pytest.mark.slow
 def test_every_planted_fault_is_seen_and_nothing_else(tmp_path: Path) -> None:
-    done = python(TESTS / "attack" / "plants.py", tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == {name: SEEN.get(name, []) for name in (*FINE, *SEEN)}
+    seen = json.loads(python(TESTS / "attack" / "plants.py", tmp_path))
+    assert seen == {plant: [] for plant in FINE} | {plant: [kind] for kind, plants in SEEN.items() for plant in plants}
 
 
 def test_the_codes_are_those_of_the_table() -> None:
@@ -96,12 +79,10 @@ def test_a_finding_is_one_line_without_control_characters() -> None:
     assert len(line) < 330
 
 
-# --- wrong rows -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({}, ""),
         ({"x": np.array([1.0, np.nextafter(0.1, 1), np.nan, 0.0])}, "1 rows differ, first x[1]"),
         ({"x": np.array([1.0, 0.1, np.nan, -0.0])}, "1 rows differ, first x[3]"),
         ({"x": np.array([1.0, 0.1, 0.0, 0.0])}, "1 rows differ, first x[2]"),
@@ -112,8 +93,9 @@ def test_a_finding_is_one_line_without_control_characters() -> None:
 )
 def test_rows_that_differ_in_one_bit_are_found(change: dict[str, np.ndarray], message: str) -> None:
     rows = {"n": np.arange(4), "x": np.array([1.0, 0.1, np.nan, 0.0])}
-    assert rows_apart(rows, {name: values.copy() for name, values in rows.items()}) == ""
-    assert rows_apart(rows, {**rows, **change}).startswith(message)
+    found = rows_apart(rows, {**{name: values.copy() for name, values in rows.items()}, **change})
+    assert found.startswith(message)
+    assert bool(found) == bool(message)
 
 
 def run(out: Path, *overrides: str) -> tuple[Experiment, Path]:
@@ -122,16 +104,12 @@ def run(out: Path, *overrides: str) -> tuple[Experiment, Path]:
 
 
 def test_a_wrong_file_of_a_run_folder_is_found(tmp_path: Path) -> None:
-    _, whole = run(tmp_path / "whole")
-    _, other = run(tmp_path / "other", "h=0.002")
+    (_, whole), (_, other) = run(tmp_path / "whole"), run(tmp_path / "other", "h=0.002")
     expected = content(whole)
     assert wrong_content(expected, run(tmp_path / "again")[1]) == ""
-    for name, message in {
-        "series.parquet": "11 rows differ|12 rows differ",
-        "report.json": "another report",
-        "manifest.json": "another manifest",
-        "config.yaml": "another config",
-    }.items():
+    messages = {"series.parquet": "1[12] rows differ"}
+    messages |= {f"{name}.{suffix}": f"another {name}" for name, suffix in (("report", "json"), ("config", "yaml"))}
+    for name, message in {**messages, "manifest.json": "another manifest"}.items():
         mixed = tmp_path / f"mixed-{name}"
         shutil.copytree(whole, mixed)
         shutil.copyfile(other / name, mixed / name)
@@ -142,39 +120,97 @@ def test_a_wrong_file_of_a_run_folder_is_found(tmp_path: Path) -> None:
 
 def test_rows_must_reach_the_step_of_the_report(tmp_path: Path) -> None:
     experiment, folder = run(tmp_path)
-    said = Said(("run",), 0, "", "")
-    assert wrong_run(experiment, said, tmp_path) == ""
-    assert wrong_run(experiment, Said(("run",), 1, "", ""), tmp_path) == "outcome completed, exit code 1"
-    assert "plain Python" in wrong_run(load_experiment(HK, ["N=12", "h=0.0010000001"]), said, tmp_path)
-    assert "initial state" in wrong_run(load_experiment(HK, ["N=12", "initial.omega=[2, 0, 1]"]), said, tmp_path)
+    for overrides, code, message in (
+        ([], 0, ""),
+        ([], 1, "outcome completed, exit code 1"),
+        (["h=0.0010000001"], 0, "in plain Python"),
+        (["initial.omega=[2, 0, 1]"], 0, "initial state"),
+    ):
+        said = Said(("run",), code, "", "")
+        found = wrong_run(load_experiment(HK, ["N=12", *overrides]), said, tmp_path)
+        assert message in found
+        assert bool(found) == bool(message)
     shutil.rmtree(folder)
-    assert wrong_run(experiment, said, tmp_path) == "it exited with 0 and there is no run folder"
+    assert wrong_run(experiment, Said(("run",), 0, "", ""), tmp_path) == "it exited with 0 and there is no run folder"
 
 
 @pytest.mark.parametrize("file", ["kowalevski_hk.yaml", "kowalevski_generic_hk.toml"])
 def test_a_config_read_with_another_meaning_is_a_finding(tmp_path: Path, file: str) -> None:
-    case = Mutant(file, CORPUS[file].encode(), "")
     path = tmp_path / file
-    path.write_bytes(case.content)
-    assert misread(case, load_experiment(path)) == ""
+    path.write_text(CORPUS[file])
+    assert misread(path, load_experiment(path)) == ""
     assert read_back(load_experiment(path), tmp_path) == ""
     for change in ("h=0.02", "N=11", "top.c0=1.5", "initial.omega=[0.7, -0.4, 1.25]"):
-        assert misread(case, load_experiment(path, [change])).startswith(change.partition("=")[0])
-
-
-# --- what the damages and the kills look for -------------------------------------------------------------------------
+        assert misread(path, load_experiment(path, [change])).startswith(change.partition("=")[0])
 
 
 class Box(Sandbox):
-    """A sandbox in which every call of the command says the same."""
+    """A sandbox with a copy of ``scene`` in which a file is damaged and every call of the command says the same."""
 
-    def __init__(self, folder: Path, said: Said, case: Case) -> None:
-        super().__init__(folder, case)
-        self.out.mkdir()
+    def __init__(self, folder: Path, scene: Scene, said: Said, file: str = "series.parquet") -> None:
+        super().__init__(folder, Case("finished", f"{scene.name}/{file}", "bit"))
+        shutil.copytree(scene.before, self.out)
         self.said = said
 
     def call(self, *argv: str, prepare: Callable[[], object] = lambda: None) -> Said:
+        prepare()
         return self.said
+
+
+def cut(box: Box, scene: Scene) -> None:
+    os.truncate(box.out / scene.name / "series.parquet", 100)
+
+
+def other_rows(box: Box, scene: Scene) -> None:
+    shutil.copytree(run(box.folder / "other", "h=0.002")[1], box.out / scene.name, dirs_exist_ok=True)
+
+
+def other_bytes(box: Box, scene: Scene) -> None:
+    scene.expected.files["series.parquet"] += b" "
+
+
+def drawn(by: float) -> Callable[[Box, Scene], None]:
+    """A figure of the run, of which a number is off."""
+
+    def draw(box: Box, scene: Scene) -> None:
+        (box.out / "figures").mkdir()
+        rows = {name: scene.expected.rows[name].copy() for name in ("t", "gamma1")}
+        rows["gamma1"][5] += by
+        write_parquet(box.out / "figures" / "fig1.parquet", rows, {})
+
+    return draw
+
+
+def nothing(box: Box, scene: Scene) -> None:
+    pass
+
+
+def resumed(scene: Scene, box: Sandbox) -> None:
+    meet(scene, box, ["--resume"], resumable=False)
+
+
+def reported(scene: Scene, box: Sandbox) -> None:
+    meet(scene, box, ["--json"], resumable=False)
+
+
+def verified(scene: Scene, box: Sandbox) -> None:
+    verify(scene, box, "series.parquet")
+
+
+WRONG_STEP = json.dumps({"runs": [{"step": 11}]})
+LOOKS = [
+    (nothing, resumed, 0, "(up to date)", ""),
+    (cut, resumed, 0, "(up to date)", "wrong rows"),
+    (other_rows, resumed, 0, "", "wrong rows"),
+    (other_bytes, resumed, 0, "(up to date)", "taken for good"),
+    (nothing, reported, 0, WRONG_STEP, "wrong rows"),
+    (nothing, verified, 1, "series.parquet: x", ""),
+    (nothing, verified, 0, "", "taken for good"),
+    (nothing, verified, 1, "damaged", "taken for good"),
+    (drawn(0.0), plot, 0, "", ""),
+    (drawn(1e-16), plot, 0, "", "wrong rows"),
+]
+"""What is done to a finished run, how the attack looks at it, what the command says, and the kind of the finding."""
 
 
 @pytest.fixture
@@ -183,78 +219,36 @@ def scene(tmp_path: Path) -> Scene:
     return Scene("finished", folder.name, HK, tmp_path / "before", content(folder))
 
 
-def box(scene: Scene, tmp_path: Path, code: int, out: str, path: str = "series.parquet") -> Box:
-    """A sandbox with a copy of ``scene``, where the file ``path`` counts as damaged."""
-    made = Box(tmp_path / "box", Said(("run",), code, out, ""), Case("finished", f"{scene.name}/{path}", "bit"))
-    shutil.copytree(scene.before, made.out, dirs_exist_ok=True)
-    return made
+@pytest.mark.parametrize(("spoil", "look", "code", "out", "kind"), LOOKS)
+def test_what_is_wrong_with_a_run_is_seen(
+    scene: Scene,
+    tmp_path: Path,
+    spoil: Callable[[Box, Scene], None],
+    look: Callable[[Scene, Sandbox], None],
+    code: int,
+    out: str,
+    kind: str,
+) -> None:
+    box = Box(tmp_path / "box", scene, Said(("run",), code, out, ""))
+    spoil(box, scene)
+    look(scene, box)
+    assert [found for found, _ in box.case.faults] == [kind] * bool(kind)
 
 
-def test_a_damaged_series_must_not_be_up_to_date(scene: Scene, tmp_path: Path) -> None:
-    whole = box(scene, tmp_path, 0, "(up to date)")
-    meet(scene, whole, [], resumable=False)
-    assert whole.case.faults == []
-    os.truncate(whole.out / scene.name / "series.parquet", 100)
-    meet(scene, whole, [], resumable=False)
-    assert whole.case.faults[0][0] == "wrong rows"
-    shutil.copytree(run(tmp_path / "other", "h=0.002")[1], whole.out / scene.name, dirs_exist_ok=True)
-    meet(scene, whole, ["--resume"], resumable=False)
-    assert "rows differ" in whole.case.faults[1][1]
-    assert len(whole.case.faults) == 2
-
-
-def test_a_damaged_file_whose_rows_are_right_is_still_damaged(scene: Scene, tmp_path: Path) -> None:
-    marked = box(scene, tmp_path, 0, "(up to date)")
-    scene.expected.files["series.parquet"] += b" "
-    meet(scene, marked, [], resumable=False)
-    assert [kind for kind, _ in marked.case.faults] == ["taken for good"]
-
-
-def test_a_wrong_report_is_a_finding(scene: Scene, tmp_path: Path) -> None:
-    message = {**scene.expected.report, "step": 11}
-    wrong = box(scene, tmp_path, 0, json.dumps({"runs": [message]}))
-    meet(scene, wrong, ["--json"], resumable=False)
-    assert "reports another step" in wrong.case.faults[0][1]
-
-
-def test_a_refusal_must_keep_the_checkpoint(scene: Scene, tmp_path: Path, monkeypatch) -> None:
-    lost = box(scene, tmp_path, 1, "")
-    checkpoint = lost.out / scene.name / "checkpoint.npz"
+def test_a_refusal_must_keep_the_checkpoint_and_foreign_files(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    box = Box(tmp_path / "box", scene, Said(("run",), 1, "", ""))
+    (box.out / "theirs").write_text(FOREIGN)
+    checkpoint = box.out / scene.name / "checkpoint.npz"
     checkpoint.write_text("x")
-    meet(scene, lost, ["--resume"], resumable=True)
-    assert lost.case.faults == []
-    monkeypatch.setattr(lost, "call", lambda *argv: checkpoint.unlink() or lost.said)
-    meet(scene, lost, ["--resume"], resumable=True)
-    assert [kind for kind, _ in lost.case.faults] == ["lost"]
-
-
-@pytest.mark.parametrize(("code", "out", "faults"), [(1, "series.parquet: x", 0), (0, "", 1), (1, "damaged", 1)])
-def test_verify_must_name_the_file(scene: Scene, tmp_path: Path, code: int, out: str, faults: int) -> None:
-    asked = box(scene, tmp_path, code, out)
-    verify(scene, asked, "series.parquet")
-    assert [kind for kind, _ in asked.case.faults] == ["taken for good"] * faults
-
-
-def test_a_figure_must_show_the_rows_of_its_run(scene: Scene, tmp_path: Path) -> None:
-    drawn = box(scene, tmp_path, 0, "")
-    (drawn.out / "figures").mkdir()
-    rows = {name: scene.expected.rows[name].copy() for name in ("t", "gamma1")}
-    write_parquet(drawn.out / "figures" / "fig1.parquet", rows, {})
-    plot(scene, drawn)
-    assert drawn.case.faults == []
-    rows["gamma1"][5] = np.nextafter(rows["gamma1"][5], 2.0)
-    write_parquet(drawn.out / "figures" / "fig1.parquet", rows, {})
-    plot(scene, drawn)
-    assert "1 rows differ, first gamma1[5]" in drawn.case.faults[0][1]
-
-
-def test_foreign_files_must_survive(scene: Scene, tmp_path: Path) -> None:
-    kept = box(scene, tmp_path, 0, "")
-    (kept.out / "theirs").write_text(FOREIGN)
-    foreign_kept(kept, 1)
-    assert kept.case.faults == []
-    foreign_kept(kept, 2)
-    assert [kind for kind, _ in kept.case.faults] == ["lost"]
+    meet(scene, box, ["--resume"], resumable=True)
+    box.foreign_kept(1)
+    assert box.case.faults == []
+    monkeypatch.setattr(box, "call", lambda *argv: checkpoint.unlink() or box.said)
+    meet(scene, box, ["--resume"], resumable=True)
+    box.foreign_kept(2)
+    assert [kind for kind, _ in box.case.faults] == ["lost", "lost"]
 
 
 def test_leftovers_of_a_kill_are_judged(scene: Scene, tmp_path: Path) -> None:
@@ -316,51 +310,35 @@ def test_a_fault_falls_on_its_operation(tmp_path: Path, at: int, how: str, left:
     assert {path.name: path.stat().st_size for path in root.iterdir()} == left
 
 
-# --- the attack as a whole ------------------------------------------------------------------------------------------
-
-
 def test_mutants_follow_from_the_seed_and_every_mutation_changes_something() -> None:
-    assert [mutant(5, i) for i in range(40)] == [mutant(5, i) for i in range(40)]
-    assert mutant(5, 1) != mutant(6, 1)
-    for number, mutation in enumerate(dict.fromkeys(MUTATIONS)):
+    def mutants(seed: int) -> list[tuple[str, bytes, str]]:
+        return [mutant(draw_for(seed, "", i)) for i in range(40)]
+
+    assert mutants(5) == mutants(5) != mutants(6)
+    for name in MUTATIONS:
         texts = [CORPUS["kowalevski_hk.yaml"], CORPUS["kowalevski_generic_hk.toml"]]
-        changed = [mutation(draw_for(number, "", i), text) != text for i in range(6) for text in texts]
-        assert sum(changed) >= 6, mutation.__name__
-
-
-@pytest.mark.slow
-def test_mutated_configs_end_in_a_result_or_an_error(tmp_path: Path) -> None:
-    """With this seed long names, which the messages repeat whole, come later."""
-    printed = attack(tmp_path, "fuzz", "--seed", "1", "--configs", "60", "--workers", "2")
-    counted = re.search(r"fuzz: 60 configs, (\d+) accepted in", printed)
-    assert counted
-    assert 12 < int(counted[1]) < 48
-
-
-@pytest.mark.slow
-def test_damaged_files_are_survived(tmp_path: Path) -> None:
-    """Damages that hold: of checkpoints, series and folders, the last one of the machine-code cache."""
-    cases = ["2", "6", "10", "11"]
-    printed = attack(tmp_path, "damage", "--seed", "1", "--only", *cases)
-    assert f"damage: {len(cases)} cases, " in printed
+        changed = [mutated(draw_for(i, name, 0), name, text) != text for i in range(6) for text in texts]
+        assert sum(changed) >= 6, name
 
 
 @pytest.mark.slow
 def test_a_small_attack_finds_nothing(tmp_path: Path) -> None:
-    """All other parts, in one process, which prepares their scenes once."""
-    cases = {"kills": 5, "sweeps": 2, "axes": 3, "flips": 5, "series": 2, "pages": 3, "odd": 2}
-    numbers = [word for part, count in cases.items() for word in (f"--{PARTS[part][1]}", str(count))]
-    printed = attack(tmp_path, *cases, "--seed", "1", "--workers", "1", *numbers)
-    for part, count in cases.items():
-        assert f"{part}: {count} cases, " in printed
+    """All parts, in one process, which prepares what is attacked once; some mutants are accepted and some are not."""
+    printed = python("-m", "attack", "--folder", tmp_path, "--seed", "1", "--workers", "1", "--cases", "6")
+    for part in PARTS:
+        assert f"{part}: 6 cases, " in printed
+    more = python("-m", "attack", "fuzz", "--folder", tmp_path, "--seed", "1", "--workers", "2", "--cases", "60")
+    counted = re.search(r"fuzz: 60 cases, \d+ calls, (\d+) good ends", more)
+    assert counted
+    assert 12 < int(counted[1]) < 60
 
 
 def test_markup_in_a_page_is_seen() -> None:
-    reader = Reader()
-    reader.feed('<p title="<b>"><a href="#part1">x</a><svg><path style="fill: url(#a)"/></svg>&lt;script&gt;')
-    assert reader.wrong == []
-    reader.feed('<script>1</script><img src="x"><a href="javascript:1">x</a><p onclick="1"><link href="http://x">')
-    assert [text.split()[0] for text in reader.wrong] == ["an", "an", "img", "a", "a", "p", "link"]
+    fine = '<p title="<b>"><a href="#part1">x</a><svg><path style="fill: url(#a)"/></svg>&lt;script&gt;</p>'
+    assert list(wrong_markup(fine)) == []
+    wrong = '<script>1</script><img src="x"><a href="javascript:1">x</a><p onclick="1"></p><link href="http://x">'
+    assert [text.split()[0] for text in wrong_markup(wrong)] == ["an", "an", "img", "a", "p", "link"]
+    assert list(wrong_markup("<p><a>x</p>")) == ["</p> closes <a>"]
 
 
 @pytest.mark.parametrize(
@@ -380,10 +358,8 @@ def test_wrong_usage_is_refused(
     assert message in capsys.readouterr().err
 
 
-def test_number_of_attacks_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, number in {"SEED": "7", "CONFIGS": "8", "DAMAGES": "9", "KILLS": "10", "ODDS": "11"}.items():
-        monkeypatch.setenv(f"ATTACK_{name}", number)
-    monkeypatch.setattr(sys, "argv", ["attack", "--kills", "3"])
+def test_the_seed_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ATTACK_SEED", "7")
+    monkeypatch.setattr(sys, "argv", ["attack", "kills", "--cases", "3"])
     asked = arguments()
-    assert (asked.seed, asked.configs, asked.damages, asked.kills, asked.odds) == (7, 8, 9, 3, 11)
-    assert asked.parts == ["fuzz", "damage", "kills", "sweeps", "axes", "flips", "series", "pages", "odd"]
+    assert (asked.seed, asked.cases, asked.parts) == (7, 3, ["kills"])

@@ -14,9 +14,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from attack.faults import Disk
 from cases import table_of
 from conftest import ROOT
-from injected import Operations, command_in_fork, python_process, signal_to_self, topcli_process
+from injected import command_in_fork, python_process, signal_to_self, topcli_process
 from topcli.cli.output import ProgressDisplay, spell_seconds
 from topcli.store.manifest import stored_runs
 from topcli.store.series import read_series
@@ -37,7 +38,7 @@ def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> Non
     """Remains of a signal at the third checkpoint are continued to the end of a run that was never stopped."""
     steps = ["--set", "N=12000000", "--set", "output.every=50000", "--checkpoint-every", "0"]
     arguments = ["run", HK, "--name", "long", *steps]
-    at_a_checkpoint = Operations(tmp_path, 3, signal_to_self(number), names=["replace"], only="checkpoint")
+    at_a_checkpoint = Disk(tmp_path, 3, meanwhile=signal_to_self(number), only="replace checkpoint")
     said = command_in_fork(arguments, tmp_path, at_a_checkpoint)
     if number != signal.SIGKILL:
         assert said.code == 130, said.err
@@ -70,8 +71,8 @@ def test_a_signal_after_the_last_step_changes_nothing(tmp_path: Path, number: si
     (tmp_path / "one.yaml").write_text(SWEEP)
     many = ["--set", "ensemble={random: {count: 3, gamma: sphere}}"] if kind == "ensemble" else []
     run = ["run", HK, "--name", "one", "--set", "N=500", *many]
-    command, last = (["sweep", "one.yaml"], ".rows") if kind == "sweep" else (run, ".manifest")
-    late = Operations(tmp_path, 1, signal_to_self(number), names=["replace"], only=last)
+    command, last = (["sweep", "one.yaml"], "rows") if kind == "sweep" else (run, "manifest")
+    late = Disk(tmp_path, 1, meanwhile=signal_to_self(number), only=f"replace {last}")
     said = command_in_fork(command, tmp_path, late)
     assert said.code == 0, said.err
     assert "interrupted" not in said.err
@@ -85,7 +86,7 @@ def test_a_signal_after_the_last_step_changes_nothing(tmp_path: Path, number: si
 def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli, in_tmp: Path, number: signal.Signals) -> None:
     """A signal when the second of four batches is stored: at most the third one is finished."""
     (in_tmp / "study.yaml").write_text(SWEEP)
-    second = Operations(in_tmp, 2, signal_to_self(number), names=["pwrite"], only="journal")
+    second = Disk(in_tmp, 2, meanwhile=signal_to_self(number), only="write journal")
     said = command_in_fork(["sweep", "study.yaml", "--threads", "1"], in_tmp, second)
     assert said.code == 130, said.err
     assert "interrupted; run it again to continue" in said.err

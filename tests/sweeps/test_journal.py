@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from attack.command import fork
-from injected import Operations, in_fork
+from attack.faults import Disk
+from injected import in_fork
 from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
@@ -102,7 +103,7 @@ def test_the_journal_is_flushed_every_two_seconds_and_at_its_end(
 ) -> None:
     """Rows come every 0.75 s of a clock that the test sets."""
     times = {"now": 50.0}
-    flushes = Operations(tmp_path, names=["fsync"], only="journal.jsonl").install(monkeypatch.setattr)
+    flushes = Disk(tmp_path, only="fsync journal.jsonl").install(monkeypatch.setattr)
     seen: list[int] = []
     with Journal(tmp_path, write=True, clock=lambda: times["now"]) as journal:
         for i in range(8):
@@ -123,7 +124,7 @@ def test_a_second_sweep_in_the_folder_is_refused_while_the_first_lives(tmp_path:
             os.write(says, b"!")
             signal.pause()
 
-        Operations(tmp_path, 1, wait, names=["replace"]).install()
+        Disk(tmp_path, 1, meanwhile=wait, only="replace").install()
         return sweep(tmp_path).failed
 
     pid = fork(first)
@@ -148,10 +149,10 @@ def test_a_kill_at_any_write_loses_nothing_and_runs_nothing_twice(tmp_path: Path
     kills = resumed = 0
     for at in itertools.count(1, 2):
         out, known, codes = tmp_path / f"life{at}", 0, []
-        for torn, moment in ((True, at), (False, 4 + at % 7), (False, 0)):
+        for how, moment in (("torn", at), ("before", 4 + at % 7), ("before", 0)):
 
-            def life(out: Path = out, torn: bool = torn, moment: int = moment) -> None:
-                Operations(out, moment, torn=torn).install()
+            def life(out: Path = out, how: str = how, moment: int = moment) -> None:
+                Disk(out, moment, how).install()
                 sweep(out, data, threads=2)
 
             codes.append(in_fork(life))

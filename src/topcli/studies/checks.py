@@ -19,6 +19,7 @@ from topcli.errors import UsageError
 from topcli.schemes.plugins import ENTRY_POINT_GROUP, top_origin
 from topcli.schemes.registry import all_schemes, plugin_failures
 from topcli.store.files import DamagedError, check_study, read_json
+from topcli.store.manifest import MANIFEST
 from topcli.store.parts import parts_of
 from topcli.store.provenance import environment, installed
 from topcli.store.verify import CheckedFile, CheckedRun, check_run
@@ -29,13 +30,17 @@ from topcli.tops import TOPS
 
 
 def _unfinished_sweep(folder: Path) -> CheckedRun:
-    """Check the journal, from which an unfinished sweep is continued; its table is written again."""
+    """Check the journal, from which an unfinished sweep is continued; its table is written again.
+
+    A manifest is there once it has finished; one that cannot be understood is damaged.
+    """
     try:
         damaged = damaged_lines(folder / JOURNAL)
         reason = f"{damaged} damaged lines, whose rows run again" if damaged else "every line has its checksum"
     except OSError as error:
         damaged, reason = 1, f"cannot be read ({error.strerror})"
-    return CheckedRun(folder, False, (CheckedFile(JOURNAL, bool(damaged), reason),))
+    manifest = [CheckedFile(MANIFEST, True, "no manifest of a sweep")] if (folder / MANIFEST).exists() else []
+    return CheckedRun(folder, False, (CheckedFile(JOURNAL, bool(damaged), reason), *manifest))
 
 
 def _study(path: Path) -> CheckedRun:
