@@ -50,7 +50,7 @@ PARTS = {
     "fuzz": Part((fuzz,), 20_000),
     "damage": Part((damage_run, damage_cache, damage_run), 240, stored),
     "kills": Part((kill,), 120, starts),
-    "sweeps": Part((damaged, forged, damaged, together, damaged, edited), 100),
+    "sweeps": Part((damaged, forged, together, edited, damaged), 100),
     "series": Part(tuple(map(series, (csv, parquet, csv, parquet, bomb))), 120),
     "pages": Part((page,), 60, places),
     "odd": Part((rational, film), 40),

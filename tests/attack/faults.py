@@ -12,6 +12,7 @@ import builtins
 import errno
 import io
 import os
+import re
 import signal
 import tempfile
 import weakref
@@ -29,7 +30,7 @@ _OPEN = io.open
 class Disk:
     """Operations under ``root``, counted; at number ``at`` the fault ``how`` happens, with 0 none.
 
-    Those count whose line in ``log``, such as ``replace manifest.json``, holds ``only``. With ``meanwhile`` this is
+    Those count whose line in ``log``, such as ``replace manifest.json``, matches ``only``. With ``meanwhile`` this is
     called there instead of a fault. ``install`` is for the process to be disturbed; the log is shared with its parent.
     """
 
@@ -64,11 +65,11 @@ class Disk:
     def operation(self, name: str, path: Any, do: Callable[[], Any], half: Callable[[], Any] | None = None) -> Any:
         """Do it, unless it is its turn to fail; ``half`` does a part of a write."""
         line = f"{name} {os.path.basename(os.fsdecode(path))}"
-        if self._only not in line:
+        if not re.search(self._only, line):
             return do()
         self.count += 1
         _REAL["write"](self.log.fileno(), f"{line}\n".encode())
-        writing = name in ("create", "write")
+        writing = name in ("create", "write", "fsync")
         if self.full and writing:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if self.count != self.at:

@@ -1,28 +1,69 @@
-"""Every figure at its printed size: no text is too small, leaves the page or covers other text."""
+"""Every figure at its printed size: no text is too small, leaves the page or covers other text.
+
+Pictures of the documentation show what the current code draws.
+"""
 
 from __future__ import annotations
 
+import importlib.util
+import json
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from figure_studies import figure_named
+from conftest import ROOT
+from drawn_artists import drawn
+from figure_studies import PREPARE, loaded_named
 from layout import drawn_texts, layout_faults, smallest_size
 from seen_colours import lines_alike
 from sweep_rows import write_rows
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_analysis, loaded_comparison
-from topcli.figures.figure import Request
+from topcli.figures.figure import Loaded, Request
 from topcli.figures.growth import loaded_roundoff
 from topcli.figures.picture import Grid, Line, Panel, draw
 from topcli.figures.style import styled
 from topcli.figures.sweep import Choice, sweep_figure
+from topcli.schemes.registry import all_schemes
+from topcli.store.series import write_parquet
+from topcli.studies.stress.trials import chosen
 from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 from topcli.tops.kowalevski import Kowalevski
+
+IMAGES = ROOT / "docs" / "images"
+
+
+def docs() -> ModuleType:
+    """The program that draws the pictures of the documentation."""
+    spec = importlib.util.spec_from_file_location("draw_images", ROOT / "docs" / "draw_images.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+images = docs()
+STORED: dict[str, dict] = json.loads((IMAGES / "data.json").read_text(encoding="utf-8"))
+"""For each picture of the documentation the size of its columns when it was drawn."""
+
+
+def assert_stored(name: str, data: dict[str, np.ndarray], folder: Path) -> None:
+    """The data are those behind the picture of the documentation."""
+    rows = max(map(len, data.values()))
+    same = {column: np.append(values, np.full(rows - len(values), np.nan)) for column, values in data.items()}
+    write_parquet(folder / "data.parquet", same, {})
+    found = images.summary(folder / "data.parquet")
+    assert found == {column: pytest.approx(row, rel=1e-5) for column, row in STORED[name].items()}, (
+        "run make docs-images"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -30,71 +71,137 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("results")
 
 
+DRAWN = [(name, overlay) for name, one in FIGURES.items() for overlay in (False, True)[: 1 + one.takes_overlay]]
+PICTURES = {(name, False): name for name in set(STORED) - set(PREPARE)} | {(images.FILES["overlay"], True): "overlay"}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize(("name", "overlay"), DRAWN)
 def test_texts_are_legible_and_apart_and_lines_differ_without_colour(
-    name: str, results: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, overlay: bool, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    figure = figure_named(name, results, monkeypatch)
+    """Also over the exact motion, which has no label."""
+    loaded = loaded_named(name, results, monkeypatch, overlay=overlay)
+    data = loaded.data()
+    figure = draw(loaded.panels, data, loaded.layout)
     assert layout_faults(figure) == []
     assert lines_alike(figure) == []
+    if (name, overlay) in PICTURES:
+        assert_stored(PICTURES[name, overlay], data, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name, one in FIGURES.items() if one.takes_overlay])
-def test_texts_are_apart_over_the_exact_motion(name: str, results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert layout_faults(figure_named(name, results, monkeypatch, overlay=True)) == []
+@pytest.mark.parametrize("name", [name for name in STORED if name in PREPARE and name != "stress"])
+def test_studies_behind_pictures_are_those_of_the_code(name: str, tmp_path: Path) -> None:
+    assert_stored(name, FIGURES[name].load(Request(tmp_path)).data(), tmp_path)
+
+
+def test_every_picture_is_drawn_by_the_target_and_shown_on_a_page() -> None:
+    pictures = {path.stem for path in IMAGES.glob("*.png")}
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    text = "".join(path.read_text(encoding="utf-8") for path in pages)
+    assert pictures == set(images.PICTURES) == {name for name in pictures if f"images/{name}.png)" in text}
+    assert set(STORED) == pictures - set(images.TIMES)
+
+
+def test_the_picture_of_hard_cases_shows_the_declared_limits() -> None:
+    """Each scheme that there is, and the cases that it declares to break."""
+    schemes, cases = chosen((), (), None)
+    names = {(case.form, case.name) for case in cases}
+    declared = {
+        f"{scheme.name} ({scheme.top})": sorted(case for case in scheme.limits if (scheme.top, case) in names)
+        for scheme in schemes
+    }
+    assert len(schemes) == len(all_schemes())
+    assert {name: sorted(broke) for name, broke in STORED["stress"].items()} == declared, "run make docs-images"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [2, 9, 22])
-def test_comparisons_of_any_number_of_schemes(count: int) -> None:
+def test_the_target_draws_a_picture_and_keeps_what_is_known_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(images, "IMAGES", tmp_path)
+    monkeypatch.setattr(images, "SUMMARY", tmp_path / "data.json")
+    known = {name: rows for name, rows in STORED.items() if name != "fig1"}
+    (tmp_path / "data.json").write_text(json.dumps(known), encoding="utf-8")
+    monkeypatch.setattr("sys.argv", ["draw_images.py", "fig1", "--results", str(tmp_path / "results")])
+    images.main()
+    assert (tmp_path / "data.json").read_text(encoding="utf-8") == (IMAGES / "data.json").read_text(encoding="utf-8")
+    assert (tmp_path / "fig1.png").read_bytes()[:4] == b"\x89PNG"
+    assert capsys.readouterr().out.strip() == str(tmp_path / "fig1.png")
+
+
+def test_a_summary_says_when_data_differ(tmp_path: Path) -> None:
+    t = np.linspace(0.0, 1.0, 11)
+    write_parquet(tmp_path / "a.parquet", {"t": t, "y": np.append(t[1:] ** 2, np.nan)}, {})
+    assert images.summary(tmp_path / "a.parquet") == {
+        "t": [11, 1.0, pytest.approx(np.sqrt(0.35), rel=1e-4)],
+        "y": [10, 1.0, pytest.approx(np.sqrt(2.5333 / 10), rel=1e-4)],
+    }
+
+
+def compared(folder: Path, count: int) -> Loaded:
+    """A comparison of many schemes."""
     t = np.linspace(0.0, 40.0, 900)
     series = {"t": t, "swing:reference": np.cos(t)}
     labels = [f"scheme-{i:02}:h=0.001" for i in range(count)]
     for i, label in enumerate(labels):
         series |= {f"error:{label}": 10.0 ** (-i) * t, f"swing:{label}": np.cos(t + 0.1 * i)}
     figures = {"config": {"h": 0.001}, "schemes": [{"label": one} for one in labels], "reference": {"swing": "gamma1"}}
-    loaded = loaded_comparison(Result(figures, series))
-    assert layout_faults(draw(loaded.panels, loaded.data(), loaded.layout)) == []
+    return loaded_comparison(Result(figures, series))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [1e-12, 1.0])
-@pytest.mark.parametrize("forms", [("plain",), ("plain", "compensated")])
-def test_growth_of_many_invariants(forms: tuple[str, ...], size: float) -> None:
-    """Labels of curves that end at one place are moved apart, and not off the page."""
+def grown(folder: Path, forms: tuple[str, ...], size: float) -> Loaded:
+    """Growth of six invariants, whose curves end at one place or apart."""
     steps = [2.0**k for k in range(9, 18)]
-    found = [
-        {"name": f"i{i}", "symbol": f"i{i}", "steps": steps, "rms": [1e-16 * (1.0 + size * i) * n**0.5 for n in steps]}
-        for i in range(6)
-    ]
+    rms = [[1e-16 * (1.0 + size * i) * n**0.5 for n in steps] for i in range(6)]
+    found = [{"name": f"i{i}", "symbol": f"i{i}", "steps": steps, "rms": values} for i, values in enumerate(rms)]
     measured = [{"form": form, "scheme": "hk", "outcome": "completed", "invariants": found} for form in forms]
-    study = {"config": {}, "steps": 1, "copies": 8, "h": 0.01, "forms": measured}
-    loaded = loaded_roundoff(Result(study))
-    figure = draw(loaded.panels, loaded.data(), loaded.layout)
-    assert layout_faults(figure) == []
-    shown = [text.get_text() for text in drawn_texts(figure)]
-    assert sum(text.startswith("i") for text in shown) == 6 * len(forms)
+    return loaded_roundoff(Result({"config": {}, "steps": 1, "copies": 8, "h": 0.01, "forms": measured}))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "choice",
-    [
-        Choice("h", "error.max", "scheme", aggregate="median"),
-        Choice("scheme", "error.max", aggregate="median"),
-        Choice("h", "initial.gamma3", colour="error.max", aggregate="max"),
-        Choice("scheme", "h", colour="error.max", aggregate="max"),
-    ],
-)
-def test_figures_of_sweeps(choice: Choice, tmp_path: Path) -> None:
+def analysed(folder: Path, reference: bool) -> Loaded:
+    t = np.linspace(0.0, 50.0, 300)
+    series = {"t": t, "swing": np.cos(t)} | ({"error": 1e-9 * t, "swing:reference": np.cos(t)} if reference else {})
+    series |= {f"deviation:{one.name}": 10.0 ** (-3.0 * i) * t for i, one in enumerate(Kowalevski().invariants())}
+    start = {"omega": [1, 0, 0], "gamma": ["auto", 0, 0.1]}
+    config = {"top": "kowalevski", "initial": start, "scheme": "hk", "h": 0.1, "N": 1}
+    return loaded_analysis(Result({"config": config, "file": "x.csv", "sha256": ""}, series))
+
+
+def swept(folder: Path, choice: Choice) -> Loaded:
     grid = [(f"scheme-{i}", h, eps) for i in range(18) for h in (0.1, 0.05, 0.02, 1e-3) for eps in (1e-1, 1e-8, 1e-3)]
     keys = {name: [row[i] for row in grid] for i, name in enumerate(("scheme", "h", "initial.gamma3"))}
     values = [1e-9 * (i + 1.0) * row[1] ** 2 for i, row in enumerate(grid)]
-    folder = write_rows(tmp_path / "kowalevski_errors", keys, {"error.max": values})
-    loaded = sweep_figure(read_rows(folder), choice).load(Request(tmp_path))
-    assert layout_faults(draw(loaded.panels, loaded.data(), loaded.layout)) == []
+    folder = write_rows(folder / "kowalevski_errors", keys, {"error.max": values})
+    return sweep_figure(read_rows(folder), choice).load(Request(folder))
+
+
+MADE_UP = [
+    *(partial(compared, count=count) for count in (2, 9, 22)),
+    *(
+        partial(grown, forms=forms, size=size)
+        for forms in (("plain",), ("plain", "compensated"))
+        for size in (1e-12, 1.0)
+    ),
+    *(partial(analysed, reference=reference) for reference in (True, False)),
+    partial(swept, choice=Choice("h", "error.max", "scheme", aggregate="median")),
+    partial(swept, choice=Choice("scheme", "error.max", aggregate="median")),
+    partial(swept, choice=Choice("h", "initial.gamma3", colour="error.max", aggregate="max")),
+    partial(swept, choice=Choice("scheme", "h", colour="error.max", aggregate="max")),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("made_up", MADE_UP)
+def test_texts_are_apart_whatever_the_result(made_up: Callable[[Path], Loaded], tmp_path: Path) -> None:
+    """Of comparisons of any number of schemes, series and sweeps; labels at the ends of curves are all on the page."""
+    loaded = made_up(tmp_path)
+    figure = drawn(loaded)
+    assert layout_faults(figure) == []
+    if made_up in MADE_UP[3:7]:
+        shown = [text.get_text() for text in drawn_texts(figure)]
+        assert sum(text.startswith("i") for text in shown) == len(loaded.data()) - 1
 
 
 def _figure() -> Figure:
@@ -147,31 +254,3 @@ def test_a_heading_and_a_shared_legend_are_apart() -> None:
     assert layout_faults(figure) == []
     (legend,) = figure.legends
     assert len(legend.get_texts()) == 5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("reference", [True, False])
-def test_the_figure_of_a_series(reference: bool) -> None:
-    top = Kowalevski()
-    t = np.linspace(0.0, 50.0, 300)
-    series = {"t": t, "swing": np.cos(t)} | ({"error": 1e-9 * t, "swing:reference": np.cos(t)} if reference else {})
-    series |= {f"deviation:{one.name}": 10.0 ** (-3.0 * i) * t for i, one in enumerate(top.invariants())}
-    loaded = loaded_analysis(
-        Result(
-            {
-                "config": {
-                    "top": "kowalevski",
-                    "initial": {"omega": [1, 0, 0], "gamma": ["auto", 0, 0.1]},
-                    "scheme": "hk",
-                    "h": 0.1,
-                    "N": 1,
-                },
-                "file": "x.csv",
-                "sha256": "",
-            },
-            series,
-        )
-    )
-    figure = draw(loaded.panels, loaded.data(), loaded.layout)
-    assert layout_faults(figure) == []
-    assert lines_alike(figure) == []

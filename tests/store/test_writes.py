@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import errno
 import itertools
 import os
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import topcli
+from attack.faults import Disk
+from injected import in_fork
 from resuming import HK, NAME, content, killed, small
 from stored_results import store_comparison, store_ensemble, store_sweep
 from sweeping import sweep, with_grid
@@ -25,10 +24,10 @@ from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
-from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
+from topcli.store.checkpoint import CHECKPOINT
 from topcli.store.manifest import stored_run, stored_runs
 from topcli.store.parts import new_part
-from topcli.store.series import GrowingFile, SeriesWriter, read_series
+from topcli.store.series import read_series
 
 Calls = list[tuple[str, str, str]]
 
@@ -133,28 +132,9 @@ def test_every_file_is_flushed_before_its_rename_and_its_folder_after(
     assert set(files_put_in_place(calls, tmp_path)) == names
 
 
-def being_written(handle: int) -> tuple[str, str]:
-    """Name of an open file, and the one that it gets when it is complete."""
-    name = Path(os.readlink(f"/proc/self/fd/{handle}")).name
-    return name, re.sub(r"^\.(\w+)\.\d+", r"\1", name)
-
-
-@contextmanager
-def flush_failing(name: str, monkeypatch: pytest.MonkeyPatch, once: Sequence[str] = ()) -> Iterator[list[str]]:
-    """Every flush of the file ``name`` fails for a full disk, one for each of ``once``; yields the failures."""
-    fsync, failed, left = os.fsync, list[str](), [*once]
-
-    def full(handle: int) -> None:
-        written = being_written(handle)[1]
-        if written == name or written in left:
-            failed.append(written)
-            left.remove(written) if written in left else None
-            raise OSError(28, "No space left on device")
-        fsync(handle)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
-        yield failed
+def failing(patch: pytest.MonkeyPatch, out: Path, only: str, at: int = 1, how: str = "full") -> None:
+    """A disk that is full from the operation ``at`` of this kind on, or for this one."""
+    Disk(out, at, how, only=only).install(patch.setattr)
 
 
 @pytest.mark.parametrize("name", ["sweep.yaml", "rows.parquet", "manifest.json"])
@@ -164,65 +144,27 @@ def test_a_failed_flush_keeps_the_earlier_table_of_a_sweep(
     sweep(tmp_path)
     before = (tmp_path / "study" / "rows.parquet").read_bytes()
     said = pytest.raises(RunError, match=f"{name}.*: no space left on the device; ")
-    with flush_failing(name, monkeypatch) as failed, said:
+    with monkeypatch.context() as patch, said:
+        failing(patch, tmp_path, rf"fsync \.?{name.partition('.')[0]}")
         sweep(tmp_path, with_grid(h=[0.01, 0.03]))
-    assert failed
     rows = (tmp_path / "study" / "rows.parquet").read_bytes()
     assert (rows == before) == (name != "manifest.json")
     assert not list((tmp_path / "study").glob(".*"))
     assert sweep(tmp_path, with_grid(h=[0.01, 0.03])).ran == (2 if name == "sweep.yaml" else 0)
 
 
-def test_a_checkpoint_vouches_for_rows_that_are_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """When a checkpoint is put in its place the series has been flushed at least as far as it says."""
-    fsync, replace = os.fsync, os.replace
-    flushed, claimed = [0], []
-
-    def flush(handle: int) -> None:
-        fsync(handle)
-        if Path(os.readlink(f"/proc/self/fd/{handle}")).stem == "series":
-            flushed.append(os.fstat(handle).st_size)
-
-    def put(source: os.PathLike[str], target: os.PathLike[str]) -> None:
-        replace(source, target)
-        if Path(target).name == "checkpoint.npz":
-            found = read_checkpoint(Path(target).parent)
-            assert found is not None
-            claimed.append(found.series.length)
-            assert claimed[-1] <= flushed[-1]
-
-    monkeypatch.setattr(os, "fsync", flush)
-    monkeypatch.setattr(os, "replace", put)
-    run_experiment(small(), tmp_path, RunOptions(checkpoint_every=0.0))
-    assert len(set(claimed)) > 3
-
-
 @pytest.mark.parametrize("name", ["report.json", "series.parquet", "manifest.json"])
 def test_a_failed_flush_keeps_the_earlier_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     earlier = run_experiment(small(), tmp_path).stored
     content = {path.name: path.read_bytes() for path in earlier.folder.iterdir()}
-    with flush_failing(name, monkeypatch) as failed, pytest.raises(RunError, match="no space left"):
-        run_experiment(small("h=0.002"), tmp_path, RunOptions(force=True))
-    assert failed
+    with monkeypatch.context() as patch:
+        failing(patch, tmp_path, rf"fsync \.?{name.partition('.')[0]}")
+        with pytest.raises(RunError, match="no space left"):
+            run_experiment(small("h=0.002"), tmp_path, RunOptions(force=True))
     assert {path.name: path.read_bytes() for path in earlier.folder.iterdir()} == content
     found = stored_run(earlier.folder)
     assert found is not None
     assert not found.damage()
-
-
-def full_after(monkeypatch: pytest.MonkeyPatch, room: int, forever: bool = True) -> None:
-    """A disk that accepts a number of further bytes of series, then nothing, or only bytes freed by truncation."""
-    append, used = SeriesWriter._append, [0]
-
-    def limited(self: SeriesWriter, *pieces: bytes) -> None:
-        size = sum(map(len, pieces))
-        if used[0] + size > room:
-            used[0] = room if forever else 0
-            raise OSError(errno.ENOSPC, "No space left on device", str(self._path))
-        used[0] += size
-        append(self, *pieces)
-
-    monkeypatch.setattr(SeriesWriter, "_append", limited)
 
 
 def test_a_full_disk_leaves_what_was_written_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,7 +174,7 @@ def test_a_full_disk_leaves_what_was_written_readable(tmp_path: Path, monkeypatc
     expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
     data = read_series(tmp_path / "whole" / NAME / f"series.{suffix}")
     with monkeypatch.context() as patched:
-        full_after(patched, 16_000, forever=False)
+        failing(patched, tmp_path / "out", "write series", 4, "full once")
         with pytest.raises(RunError, match=rf"series.{suffix}: no space left .* kept, marked interrupted") as caught:
             run_experiment(experiment, tmp_path / "out")
     assert caught.value.exit_code == 1
@@ -245,30 +187,13 @@ def test_a_full_disk_leaves_what_was_written_readable(tmp_path: Path, monkeypatc
     assert content(run_experiment(experiment, tmp_path / "out", RunOptions(resume=True)).stored.folder) == expected
 
 
-def test_a_series_that_cannot_be_flushed_leaves_the_last_state_in_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No checkpoint was due yet, and two more could not be written of the end: a state that was remembered is one."""
-    expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
-    out, messages = tmp_path / "out", list[str]()
-    with (
-        flush_failing("series.parquet", monkeypatch, [".checkpoint.npz"] * 2) as failed,
-        pytest.raises(RunError, match=r"last checkpoint holds is kept.*\(up to step \d+\)"),
-    ):
-        run_experiment(small(), out, RunOptions(checkpoint_every=1e9))
-    assert failed.count(".checkpoint.npz") == 2
-    resumed = run_experiment(small(), out, RunOptions(resume=True, on_message=messages.append))
-    assert content(resumed.stored.folder) == expected
-    assert "continues from step" in messages[0]
-
-
 def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
     out = tmp_path / "out"
     with monkeypatch.context() as patched:
-        full_after(patched, 16_000)
+        failing(patched, out, "write series", 6)
         with pytest.raises(RunError, match=r"no space left .* last checkpoint holds is kept.*\(up to step \d+\)"):
             run_experiment(small(), out, RunOptions(checkpoint_every=0.0))
     assert stored_runs(out) == []
@@ -276,116 +201,39 @@ def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
     assert [path.name for path in out.iterdir()] == [NAME]
 
 
-class Disk:
-    """A disk on which the series may have ``room`` bytes, and which refuses its flushes and renames after ``calls``.
-
-    ``claimed`` is the furthest step of a checkpoint that was put in its place.
-    """
-
-    def __init__(self, patch: pytest.MonkeyPatch, room: int = 10**9, calls: int = 10**9, forever: bool = True) -> None:
-        self.claimed, self.refused = 0, 0
-        append, replace, done = GrowingFile.append, os.replace, itertools.count()
-
-        def full() -> None:
-            self.refused += 1
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-        def limited(file: GrowingFile, *pieces: bytes) -> None:
-            if file.length + sum(map(len, pieces)) > room:
-                full()
-            append(file, *pieces)
-
-        def counted(real: Callable[..., Any]) -> Callable[..., Any]:
-            def operation(*arguments: Any, **options: Any) -> Any:
-                number = next(done)
-                if number == calls or (forever and number > calls):
-                    full()
-                return real(*arguments, **options)
-
-            return operation
-
-        def put(source: Any, target: Any, **options: Any) -> None:
-            replace(source, target, **options)
-            if Path(target).name == CHECKPOINT:
-                found = read_checkpoint(Path(target).parent)
-                assert found is not None
-                self.claimed = max(self.claimed, found.done)
-
-        patch.setattr(GrowingFile, "append", limited)
-        for name, real in (("replace", put), ("rename", os.rename), ("fsync", os.fsync)):
-            patch.setattr(os, name, counted(real))
-
-
-def failure(out: Path) -> str:
-    """Message of a run that fails; empty if it does not."""
-    try:
-        run_experiment(small(), out, RunOptions(checkpoint_every=0.0))
-    except RunError as error:
-        return str(error)
-    return ""
-
-
-def resumed_from(out: Path, expected: dict[str, object]) -> int:
-    """Step from which the run in ``out`` continues, to the result that it is to have; 300 if it was complete."""
-    messages: list[str] = []
-    for part in out.glob(".*"):  # as after the end of this process
-        part.rename(out / f".{NAME}.part-999999999-00000000")
-    run = run_experiment(small(), out, RunOptions(resume=True, on_message=messages.append))
-    assert content(run.stored.folder) == expected
-    assert [path.name for path in out.iterdir()] == [NAME]
-    (step,) = [int(found[1]) for line in messages if (found := re.search(r"continues from step (\d+)", line))] or [
-        300 if "was complete" in messages[0] else 0
-    ]
-    return step
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("every", [0.0, 1e9])
-def test_a_disk_that_is_full_at_any_byte_takes_back_no_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: float
-) -> None:
-    """With a checkpoint after each chunk and with none: an older state fits where the last one does not."""
+@pytest.mark.parametrize(
+    ("how", "every"), [("full", 0.0), ("full once", 0.0), ("full once", 1e9), ("power", 0.0), ("power", 1e9)]
+)
+def test_a_fault_at_any_operation_takes_back_no_checkpoint(tmp_path: Path, how: str, every: float) -> None:
+    """With a checkpoint after each chunk of 23 steps, and with none; what a checkpoint claims had been flushed."""
     expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
-    size = (tmp_path / "whole" / NAME / "series.parquet").stat().st_size
-    steps, claims = [], []
-    for room in range(0, size, size // 20):
-        with monkeypatch.context() as patch:
-            disk = Disk(patch, room)
-            with pytest.raises(RunError, match="no space left"):
-                run_experiment(small(), tmp_path / f"{room}", RunOptions(checkpoint_every=every))
-        steps.append(resumed_from(tmp_path / f"{room}", expected))
-        claims.append(disk.claimed)
-        assert steps[-1] >= claims[-1], f"with room for {room} bytes it went back to step {steps[-1]}"
-    assert steps == sorted(steps)
-    assert steps[-1] > 200
-    assert max(claims) > 200
+    steps = set()
+    for at in itertools.count(1, 7 if every == 0.0 else 3):
+        out = tmp_path / f"{at}"
+        out.mkdir()
+        disk, messages = Disk(out, at, how), list[str]()
 
+        def life(disk: Disk = disk, out: Path = out) -> None:
+            disk.install()
+            run_experiment(small(), out, RunOptions(checkpoint_every=every))
 
-@pytest.mark.slow
-@pytest.mark.parametrize("forever", [True, False])
-def test_a_disk_that_is_full_at_any_flush_or_rename_takes_back_no_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, forever: bool
-) -> None:
-    expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
-    seen = set()
-    for calls in itertools.count(int(forever), 3):
-        out = tmp_path / f"{calls}"
-        with monkeypatch.context() as patch:
-            disk = Disk(patch, calls=calls, forever=forever)
-            said = failure(out)
-        if not disk.refused:
+        code, done = in_fork(life), disk.operations()
+        assert code == (0 if len(done) < at else -9 if how == "power" else 99)
+        if len(done) < at:
             break
-        assert "no space left on the device" in said
-        if (found := stored_run(out / NAME)) is not None and not found.interrupted:
-            assert content(out / NAME) == expected
-            assert said.endswith("the finished run is in its place")
-            continue
-        assert ("nothing was" in said) == (not any(out.iterdir()))
-        step = resumed_from(out, expected)
-        assert step >= disk.claimed, f"with {calls} flushes and renames it went back to step {step}"
-        seen.add(step)
-    assert calls > 40
-    assert len(seen) > 5
+        finished = stored_run(out / NAME)
+        if finished is None or finished.interrupted:
+            claimed = 23 * done[: at - 1].count("replace checkpoint.npz")
+            resumed = run_experiment(small(), out, RunOptions(resume=True, on_message=messages.append))
+            found = [int(match[1]) for line in messages if (match := re.search(r"continues from step (\d+)", line))]
+            steps.add(step := found[0] if found else 300 if "was complete" in str(messages) else 0)
+            assert step >= claimed, f"{how} at {done[-1]}: went back from step {claimed} to {step}"
+            assert resumed.stored.folder == out / NAME
+        assert content(out / NAME) == expected
+        assert [path.name for path in out.iterdir()] == [NAME]
+    assert at > 25
+    assert len(steps) > (5 if every == 0.0 else 1)
 
 
 @pytest.mark.slow

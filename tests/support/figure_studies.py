@@ -16,12 +16,12 @@ import yaml
 from matplotlib.figure import Figure
 
 from conftest import ROOT
+from drawn_artists import drawn
 from sweep_rows import write_rows
 from topcli.figures import period
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.figure import Request
+from topcli.figures.figure import Loaded, Request
 from topcli.figures.growth import SCHEMES
-from topcli.figures.picture import draw
 from topcli.studies.stress.cases import CASES
 from topcli.studies.stress.trials import chosen
 
@@ -193,9 +193,13 @@ PREPARE: dict[str, Callable[[pytest.MonkeyPatch, Path], None]] = {
 """How the results of figures are made up. Figures without an entry are made from their own results."""
 
 
-def figure_named(name: str, results: Path, patch: pytest.MonkeyPatch, **options: object) -> Figure:
-    """A figure of the catalogue; results that take minutes are made up."""
+def loaded_named(name: str, results: Path, patch: pytest.MonkeyPatch, **options: object) -> Loaded:
+    """What a figure of the catalogue loads; results that take minutes are made up."""
     if name in PREPARE:
         PREPARE[name](patch, results)
-    loaded = FIGURES[name].load(Request(results, ROOT / "configs", **options))  # type: ignore[arg-type]
-    return draw(loaded.panels, loaded.data(), loaded.layout)
+    return FIGURES[name].load(Request(results, ROOT / "configs", **options))  # type: ignore[arg-type]
+
+
+def figure_named(name: str, results: Path, patch: pytest.MonkeyPatch) -> Figure:
+    """The figure of what it loads."""
+    return drawn(loaded_named(name, results, patch))

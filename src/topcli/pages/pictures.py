@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -62,13 +63,17 @@ def svg_of(picture: Picture) -> str:
 
 
 def element(figure: Figure, name: str, label: str) -> str:
-    """SVG element of a matplotlib figure on a transparent ground; ``label`` describes it to those who do not see it."""
+    """SVG element of a matplotlib figure on a transparent ground; ``label`` describes it to those who do not see it.
+
+    A letter that no font has is drawn as a box, without a warning.
+    """
     import matplotlib as mpl
 
     for part in (figure, *figure.axes):
         part.patch.set_visible(False)
     sink = io.StringIO()
-    with mpl.rc_context(fname=STYLE), mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": name}):
+    options = {"svg.fonttype": "path", "svg.hashsalt": name}
+    with mpl.rc_context(fname=STYLE), mpl.rc_context(options), warnings.catch_warnings(action="ignore"):
         figure.savefig(sink, format="svg", metadata=_NO_METADATA)
     text = _UNUSED.sub("", sink.getvalue())
     head = _HEAD.search(text)

@@ -227,12 +227,15 @@ class Study:
 
 
 def stored_result(data: Data) -> Result:
-    """Result from its plain data; the series may be missing."""
+    """Result from its plain data; the series may be missing, or no numbers in a damaged file."""
     import numpy as np
 
     series = data.get("series")
     columns = series if isinstance(series, dict) else {}
-    return Result(data, {name: np.array(values, dtype=float) for name, values in columns.items()})
+    try:
+        return Result(data, {name: np.array(values, dtype=float) for name, values in columns.items()})
+    except (TypeError, ValueError):
+        return Result(data, {})
 
 
 def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
