@@ -216,7 +216,7 @@ def test_markup_is_data_in_the_progress_bar(monkeypatch: pytest.MonkeyPatch, cap
     times = iter([0.0, 0.0, 10.0, 11.0, 12.0, 13.0])
     teller = output.ProgressDisplay(1, False, lambda: next(times))
     teller.begin("[link=http://evil]a[/link]:boom:\x1b[31m\x9b")
-    teller(5, 10)
+    teller(5, 10, "4 failed")
     shown = teller._bar.get_renderable()
     from rich.console import Console
 
@@ -225,6 +225,7 @@ def test_markup_is_data_in_the_progress_bar(monkeypatch: pytest.MonkeyPatch, cap
     teller.close()
     out = capsys.readouterr().out + captured.get()
     assert r"[link=http://evil]a[/link]:boom:\x1b[31m\x9b" in out
+    assert "4 failed" in out
 
 
 def test_yaml_of_exclamation_marks_is_read_in_linear_time(tmp_path: Path) -> None:

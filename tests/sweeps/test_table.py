@@ -241,6 +241,7 @@ def test_failed_rows_are_marked_and_counted(tmp_path: Path) -> None:
     assert (none.summary, none.count, cell_text(none, "median")) == (None, 0, "no_convergence")
     assert not last.incomplete
     assert (other.count, other.rows, other.outcomes, other.incomplete) == (2, 3, {}, True)
+    assert cell_text(other, "median").endswith("*"), "a value is missing, although all runs completed"
     assert notes(found) == [
         "3 to 4 rows in each cell",
         "* 6 of 23 values are of runs that did not complete: 1 blew_up, 1 left_motion, 3 no_convergence, 1 failed",
