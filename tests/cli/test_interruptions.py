@@ -172,9 +172,9 @@ def clock() -> Clock:
 def shown_over(clock: Clock, display: ProgressDisplay, done: Iterator[int], total: int, note: str = "") -> None:
     """Show the progress at each second."""
     display.begin("long")
-    for second, count in enumerate(done):
-        clock.now = 1000.0 + second
+    for count in done:
         display(count, total, note)
+        clock.now += 1.0
 
 
 def test_progress_in_a_log_is_sparse_and_tells_rate_and_time_left(clock: Clock, capsys) -> None:
@@ -191,11 +191,15 @@ def test_progress_in_a_log_is_sparse_and_tells_rate_and_time_left(clock: Clock, 
 
 def test_the_rate_follows_the_machine(clock: Clock, capsys) -> None:
     """A machine that slows down: the time left follows from the last half minute."""
-    done = itertools.accumulate([1000] * 100 + [100] * 100)
-    shown_over(clock, ProgressDisplay(2, False, clock), done, 1_000_000)
+    display = ProgressDisplay(2, False, clock)
+    shown_over(clock, display, itertools.accumulate([1000] * 100 + [100] * 100), 1_000_000)
     last = capsys.readouterr().err.splitlines()[-1]
     assert "[1/2] long: " in last
     assert "100 steps/s" in last
+    shown_over(clock, display, itertools.accumulate([10] * 20), 1_000)
+    (first,) = capsys.readouterr().err.splitlines()
+    assert first.startswith("[2/2] long: ")
+    assert ", 10 steps/s" in first, "of this run alone"
 
 
 def test_progress_of_a_sweep_has_rows_and_failures(clock: Clock, capsys) -> None:
