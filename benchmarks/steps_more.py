@@ -31,8 +31,8 @@ from topcli.config.load import load_experiment  # noqa: E402
 from topcli.config.models import Experiment  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine.loop import loop_of  # noqa: E402
-from topcli.studies.copies import roundoff_study  # noqa: E402
 from topcli.studies.entries import under_scheme  # noqa: E402
+from topcli.studies.roundoff_copies import roundoff_study  # noqa: E402
 
 BAR = 1.1
 SAME_ROUNDING = "gcc -ffp-contract=off"

@@ -112,7 +112,7 @@ def rows_of(data: dict[str, Any]) -> list[Any]:
 
 def through(backend: Any, rows: list[Any], workers: int, scale: int) -> Callable[[], None]:
     """Function that evaluates ``rows`` in the batches that a sweep makes."""
-    from topcli.sweeps.evaluate import Work, batches
+    from topcli.sweeps.row_results import Work, batches
 
     def run() -> None:
         found = backend(batches(iter(rows), workers, scale), Work(MEASURES), lambda: False)
@@ -126,10 +126,10 @@ def one_task_a_row(client: Any, rows: list[Any]) -> Callable[[], None]:
     """Function that evaluates ``rows`` by ``dask.delayed``."""
     import dask
 
-    from topcli.sweeps.evaluate import evaluate_batch
+    from topcli.sweeps.row_results import results_of_rows
 
     def run() -> None:
-        task = dask.delayed(evaluate_batch, pure=False)
+        task = dask.delayed(results_of_rows, pure=False)
         found = client.gather(client.compute([task([row], MEASURES) for row in rows]))
         if sum(sum(results.done) for results in found) != len(rows):
             raise RuntimeError("rows are missing")
@@ -143,10 +143,10 @@ def joblib_task_a_row(rows: list[Any]) -> Callable[[], None] | None:
         import joblib
     except ImportError:
         return None
-    from topcli.sweeps.evaluate import evaluate_batch
+    from topcli.sweeps.row_results import results_of_rows
 
     def run() -> None:
-        found = joblib.Parallel(n_jobs=2)(joblib.delayed(evaluate_batch)([row], MEASURES) for row in rows)
+        found = joblib.Parallel(n_jobs=2)(joblib.delayed(results_of_rows)([row], MEASURES) for row in rows)
         if sum(sum(results.done) for results in found) != len(rows):
             raise RuntimeError("rows are missing")
 

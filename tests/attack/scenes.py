@@ -26,7 +26,7 @@ from topcli.engine import run
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store import series
-from topcli.sweeps import evaluate, journal
+from topcli.sweeps import journal, row_results
 from topcli.sweeps import run as sweep_run
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -53,7 +53,7 @@ def small_pieces() -> None:
     run.CHUNK_STEPS = 100
     run.PRECISE_STEPS = 10
     series.ROW_GROUP = 350
-    evaluate.PER_WORKER = 12
+    row_results.PER_WORKER = 12
     sweep_run.TABLE_SECONDS = 0.0
     journal.SYNC_SECONDS = 0.0
 

@@ -24,7 +24,7 @@ from topcli.figures.catalogue import FIGURES
 from topcli.runs.report import INVARIANTS, ensemble_table, report_markdown
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import all_schemes
-from topcli.studies import checks, find_study
+from topcli.studies import find_study, health
 from topcli.studies.bench import measure as bench
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.studies.stress.cases import CASES
@@ -446,7 +446,7 @@ def test_doctor_shows_what_it_found(cli: Cli, monkeypatch: pytest.MonkeyPatch) -
     cache = {"folder": "/nowhere", "entries": 123, "bytes": 45678, "kept between processes": False}
     plugins = [{"name": "first", "state": "registers one"}, {"name": "second", "state": "failed: no good"}]
     found = {"environment": environment, "cache": cache, "threads": 91, "plugins": plugins, "problems": ["a", "b"]}
-    monkeypatch.setattr(checks, "diagnosis", lambda: {**found, "problems": list(found["problems"])})
+    monkeypatch.setattr(health, "diagnosis", lambda: {**found, "problems": list(found["problems"])})
     document = cli("doctor", "--json").json()
     assert {key: document[key] for key in found} == found
     assert [cells_of(line) for line in cli("doctor").out.splitlines()] == [

@@ -17,7 +17,7 @@ from topcli.config.load import load_experiment
 from topcli.config.schema import config_schema
 from topcli.contracts import Stepper, Top
 from topcli.schemes import registry
-from topcli.studies.comparison import compare_schemes
+from topcli.studies.compare_runs import compare_schemes
 from topcli.studies.entries import under_scheme
 
 HK = CONFIGS / "kowalevski_hk.yaml"

@@ -33,7 +33,7 @@ from topcli.figures.scenes import scene_figure
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.runs.run import run_experiment
 from topcli.schemes.kowalevski import hk
-from topcli.studies import copies, ladders
+from topcli.studies import order_ladders, roundoff_copies
 from topcli.studies.bench import measure
 from topcli.studies.bench.result import pareto_front
 from topcli.studies.stress import checks, trials
@@ -213,12 +213,12 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
 HK_STEP = hk.hk_kowalevski_change
 SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
     "order": (
-        lambda: ladders.order_source(ladders.ladders(["hk", "rk4"])),
+        lambda: order_ladders.order_source(order_ladders.ladders(["hk", "rk4"])),
         [
             HK_STEP,
-            ladders.order_study,
-            ladders._row,
-            ladders._Ladder.rungs,
+            order_ladders.order_study,
+            order_ladders._row,
+            order_ladders._Ladder.rungs,
             analysis_of_orders.convergence,
             analysis_of_orders.observed_order,
             measure.explore,
@@ -240,10 +240,10 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
             HK_STEP,
             growth.turned_step,
             growth.bs_change,
-            copies.sampling_of,
-            copies.copies_followed,
-            copies._followed,
-            copies._copies,
+            roundoff_copies.sampling_of,
+            roundoff_copies.copies_followed,
+            roundoff_copies._followed,
+            roundoff_copies._copies,
             roundoff.BlockMeans.add,
             roundoff.block_weights,
             roundoff.doubling_lags,
@@ -256,7 +256,9 @@ SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
 }
 """Digest of what each study depends on, and functions whose results are in its data."""
 CONSTANTS: dict[str, list[tuple[Any, str, Any]]] = {
-    "order": [(ladders, name, value) for name, value in (("SECONDS", 6.0), ("INTERVALS", 21), ("DURATION", 11.0))],
+    "order": [
+        (order_ladders, name, value) for name, value in (("SECONDS", 6.0), ("INTERVALS", 21), ("DURATION", 11.0))
+    ],
     "roundoff": [(growth, "STEPS", 1 << 18)],
     "integrable": [(growth, "ENERGY_H", 0.06), (growth, "ENERGY_STEPS", 1 << 19)],
     "torus-points": [(torus, "THICKNESS", 0.02)],

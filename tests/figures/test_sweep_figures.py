@@ -25,7 +25,7 @@ from topcli.figures.catalogue import FIGURES
 from topcli.figures.curves import cell_edges, symlog_ticks
 from topcli.figures.figure import Request
 from topcli.figures.sweep import Choice, scale_of, sweep_figure, sweep_notes
-from topcli.studies.ladders import SCHEMA_VERSION
+from topcli.studies.order_ladders import SCHEMA_VERSION
 from topcli.sweeps.rows import read_rows
 from topcli.sweeps.run import SWEEP_FILE
 
@@ -383,8 +383,8 @@ def test_the_figure_of_orders_is_drawn_from_the_stored_study(tmp_path: Path, mon
         runs.append(what)
         return study()
 
-    monkeypatch.setattr("topcli.studies.ladders.order_study", measured)
-    monkeypatch.setattr("topcli.studies.ladders.order_source", lambda what: code[-1])
+    monkeypatch.setattr("topcli.studies.order_ladders.order_study", measured)
+    monkeypatch.setattr("topcli.studies.order_ladders.order_source", lambda what: code[-1])
     for force, other, count in ((False, "code", 1), (False, "code", 1), (False, "other", 2), (True, "other", 3)):
         code.append(other)
         loaded = FIGURES["order"].load(Request(tmp_path, force=force))

@@ -16,7 +16,7 @@ from topcli.config.load import load_experiment
 from topcli.engine.fingerprint import own_code
 from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes, find_scheme, scheme
-from topcli.sweeps.evaluate import forget
+from topcli.sweeps.row_results import forget
 from topcli.tops import TOPS
 
 FILES = read_page(ROOT / "docs" / "own-scheme.md").files()

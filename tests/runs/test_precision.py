@@ -17,7 +17,7 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
-from topcli.studies.comparison import compare_schemes
+from topcli.studies.compare_runs import compare_schemes
 
 EULER = ("precision=rational", "h=1/10", "N=12")
 

@@ -22,7 +22,7 @@ from topcli.schemes.kowalevski.backlund import BacklundOptions
 from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, lengths, longest_back, longest_composition
 from topcli.schemes.kowalevski.backlund_step import motion, substeps_of
 from topcli.schemes.registry import find_scheme
-from topcli.studies.copies import forms_of
+from topcli.studies.roundoff_copies import forms_of
 from topcli.tops.kowalevski import Kowalevski
 
 CONFIG = {"top": "kowalevski", "initial": {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}}

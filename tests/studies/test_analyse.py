@@ -16,7 +16,7 @@ from topcli.config.models import Experiment
 from topcli.errors import UsageError
 from topcli.runs.run import run_experiment
 from topcli.store.foreign import ForeignSeries
-from topcli.studies.series import analyse_series, column_map
+from topcli.studies.analyse_series import analyse_series, column_map
 from topcli.studies.study import Result
 
 SYMMETRIC: dict[str, Any] = {

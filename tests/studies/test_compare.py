@@ -16,7 +16,7 @@ from conftest import ROOT
 from reading_html import read_html
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
-from topcli.studies.comparison import compare_schemes
+from topcli.studies.compare_runs import compare_schemes
 from topcli.studies.study import Result
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"

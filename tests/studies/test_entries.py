@@ -11,7 +11,7 @@ import topcli
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.errors import UsageError
-from topcli.studies.comparison import compare_ensemble, compare_schemes
+from topcli.studies.compare_runs import compare_ensemble, compare_schemes
 from topcli.studies.entries import Entry, read_entries
 from topcli.studies.study import Result
 

@@ -25,8 +25,8 @@ from topcli.engine.run import Run
 from topcli.errors import UsageError
 from topcli.schemes import registry
 from topcli.schemes.registry import find_scheme
-from topcli.studies.ladders import DEFAULT, ladders, order_source, order_study
 from topcli.studies.order import FALSE
+from topcli.studies.order_ladders import DEFAULT, ladders, order_source, order_study
 from topcli.studies.scheme_page import operations_of
 from topcli.tops.kowalevski import Kowalevski
 
@@ -159,7 +159,7 @@ def fake_study(*arguments: object) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_only_the_default_study_is_stored(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topcli.studies.ladders.order_study", fake_study)
+    monkeypatch.setattr("topcli.studies.order_ladders.order_study", fake_study)
     for arguments in (("hk",), ("--duration", "5"), ("--h", "0.1"), ("--steps", "100"), ("--top", "kowalevski")):
         assert cli("order", *arguments).code == 0
         assert not Path("results").exists()
@@ -177,7 +177,7 @@ def test_only_the_default_study_is_stored(cli: Callable[..., Any], monkeypatch: 
 
 def test_failures_and_changed_sizes_are_reported(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     study = fake_study()
-    monkeypatch.setattr("topcli.studies.ladders.order_study", lambda *arguments: study)
+    monkeypatch.setattr("topcli.studies.order_ladders.order_study", lambda *arguments: study)
     said = cli("order", "hk", "--h", "0.03", "--h", "0.05")
     assert said.err == "h = 0.03 becomes 0.0294118, which divides the time between comparisons\n"
     study["schemes"][0]["failed"] = [{"h": 0.2, "reason": "fails at step 3 of 50"}]

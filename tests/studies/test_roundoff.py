@@ -16,7 +16,7 @@ from topcli.contracts import Ending, Floats, Invariant, Outcome, StepFunction, S
 from topcli.errors import UsageError
 from topcli.figures.growth import growth_columns, growth_data, loaded_roundoff
 from topcli.figures.picture import draw
-from topcli.studies.copies import Copies, Sampling, _rows, forms_of, roundoff_experiment, roundoff_study
+from topcli.studies.roundoff_copies import Copies, Sampling, _rows, forms_of, roundoff_experiment, roundoff_study
 from topcli.studies.study import Result
 
 SIZE = 1e-16

@@ -53,7 +53,7 @@ def _orders(patch: pytest.MonkeyPatch, folder: Path) -> None:
         ]
         return {"schema_version": 1, "name": "kowalevski_generic_hk", "duration": 10.0, "schemes": rows}
 
-    patch.setattr("topcli.studies.ladders.order_study", study)
+    patch.setattr("topcli.studies.order_ladders.order_study", study)
 
 
 def _spaced(values: Any) -> list[Any]:

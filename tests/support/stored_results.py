@@ -10,8 +10,8 @@ from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.runs.run import run_experiment
 from topcli.studies.compare import COMPARE
-from topcli.studies.comparison import compare_schemes
-from topcli.studies.ladders import ladders, order_study
+from topcli.studies.compare_runs import compare_schemes
+from topcli.studies.order_ladders import ladders, order_study
 from topcli.studies.stress.trials import stress, stress_data
 from topcli.sweeps.run import SweepOptions, run_sweep
 

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.contracts import Array
-from topcli.sweeps.batch import Batch
-from topcli.sweeps.batch_run import BatchRun, evaluate
+from topcli.sweeps.batch import Batch, evaluate
+from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.measures import resolve_measures
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 

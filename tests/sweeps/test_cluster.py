@@ -37,7 +37,7 @@ from topcli.sweeps.cluster import (
     require_dask,
     run_on_cluster,
 )
-from topcli.sweeps.evaluate import Results, Work, forget
+from topcli.sweeps.row_results import Results, Work, forget
 from topcli.sweeps.run import SweepOptions, run_sweep
 
 LONG = {

@@ -21,7 +21,7 @@ from injected import in_fork
 from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
-from topcli.studies.checks import check_all
+from topcli.studies.health import check_all
 from topcli.sweeps.journal import FinishedRows, Journal, damaged_lines
 from topcli.sweeps.plan import survey
 

@@ -21,9 +21,8 @@ from topcli.engine.run import Endings
 from topcli.engine.tile import Piece
 from topcli.errors import RunError
 from topcli.runs.references import REFERENCES
-from topcli.studies.comparison import compare_ensemble
-from topcli.sweeps.batch import BatchRecorder
-from topcli.sweeps.batch_run import evaluate
+from topcli.studies.compare_runs import compare_ensemble
+from topcli.sweeps.batch import BatchRecorder, evaluate
 from topcli.sweeps.measures import MEASURES, measure, resolve_measures
 from topcli.tops.euler import field
 

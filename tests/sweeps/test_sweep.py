@@ -23,10 +23,10 @@ from topcli.config.sweep import load_sweep
 from topcli.config.text import parse_yaml
 from topcli.errors import RunError, UsageError
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.sweeps import evaluate as seam
+from topcli.sweeps import row_results
 from topcli.sweeps.batch_run import BatchRun
-from topcli.sweeps.evaluate import KeptRuns, Pace, Results, Work, batches, evaluate_batch
 from topcli.sweeps.measures import resolve_measures
+from topcli.sweeps.row_results import KeptRuns, Pace, Results, Work, batches, results_of_rows
 from topcli.sweeps.run import SweepOptions, in_threads, planned, run_sweep
 from topcli.tops import top_class
 
@@ -202,8 +202,8 @@ def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monk
                 raise RunError("no luck")
             return super().finished(initial)
 
-    whole = evaluate_batch(rows, ["deviation.energy"])
-    found = evaluate_batch(rows, ["deviation.energy"], pace=Pace(first_piece=count), kept=KeptRuns(Broken))
+    whole = results_of_rows(rows, ["deviation.energy"])
+    found = results_of_rows(rows, ["deviation.energy"], pace=Pace(first_piece=count), kept=KeptRuns(Broken))
     pieces = {3: [1, 2], 40: [40]}[count]  # so few as 3 are not stepped side by side: the first piece is one row
     assert batch_of == [*pieces, *[1] * pieces[-1]]
     assert found.done == [True] * count
@@ -278,8 +278,8 @@ class Small(BatchRun):
 )
 def test_rows_do_not_depend_on_their_batch(options: dict[str, Any]) -> None:
     rows = list(RowReader(load_sweep(MANY)).rows())
-    usual = evaluate_batch(rows, MANY["measure"])
-    other = evaluate_batch(rows[::-1], MANY["measure"], **options)
+    usual = results_of_rows(rows, MANY["measure"])
+    other = results_of_rows(rows[::-1], MANY["measure"], **options)
     for name, values in usual.values.items():
         assert np.array_equal(values, other.values[name][::-1], equal_nan=True)
     assert usual.message == other.message[::-1]
@@ -298,7 +298,7 @@ def test_batches_hold_every_row_once_and_are_bounded() -> None:
 def test_larger_batches_hold_that_many_times_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     data = {**MANY, "grid": {"scheme": ["hk"]}, "random": {**MANY["random"], "count": 4000}}
     rows = list(RowReader(load_sweep(data)).rows())
-    monkeypatch.setattr("topcli.sweeps.evaluate.PER_WORKER", 1)
+    monkeypatch.setattr("topcli.sweeps.row_results.PER_WORKER", 1)
     sizes = {scale: max(len(batch) for batch in batches(iter(rows), 1, scale)) for scale in (1, 3)}
     assert sizes == {1: 1024, 3: 3072}
 
@@ -345,9 +345,9 @@ def test_columns_of_keys_have_the_type_of_their_values(tmp_path: Path) -> None:
 
 
 def test_rows_name_the_processor_that_computed_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(seam, "_cpu", lambda: "Abacus 9")
+    monkeypatch.setattr(row_results, "_cpu", lambda: "Abacus 9")
     sweep(tmp_path, with_grid(h=[0.01]))
-    monkeypatch.setattr(seam, "_cpu", lambda: "Abacus 10")
+    monkeypatch.setattr(row_results, "_cpu", lambda: "Abacus 10")
     sweep(tmp_path, with_grid(h=[0.01, 0.02]))
     assert [(row["h"], row["cpu"]) for row in table(tmp_path) if row["scheme"] == "hk"] == [
         (0.01, "Abacus 9"),

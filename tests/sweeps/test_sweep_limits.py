@@ -20,9 +20,9 @@ from topcli.errors import RunError
 from topcli.runs import references
 from topcli.runs.references import SharedReferences, reference_of
 from topcli.sweeps import batch as recording
-from topcli.sweeps import evaluate as seam
+from topcli.sweeps import row_results
 from topcli.sweeps.batch_run import BatchRun
-from topcli.sweeps.evaluate import KeptRuns, Results, Work, evaluate_batch, unfinished
+from topcli.sweeps.row_results import KeptRuns, Results, Work, results_of_rows, unfinished
 from topcli.tops.kowalevski import Kowalevski
 
 ERRORS = {**DATA, "grid": {"initial.omega1": [0.25, 0.5, 0.75]}, "measure": ["error.max", "steps"]}
@@ -36,7 +36,7 @@ def rows_of(data: dict[str, Any]) -> list[Row]:
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The clock of the sweep, in seconds, which nothing but the test advances."""
     now = [100.0]
-    monkeypatch.setattr(seam.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(row_results.time, "perf_counter", lambda: now[0])
     monkeypatch.setattr(recording, "REFERENCES", SharedReferences())
     return now
 
@@ -57,7 +57,7 @@ def slow_reference(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> list[
 
 def test_a_reference_beyond_the_time_limit_is_a_missing_value(slow_reference: list[float]) -> None:
     """Each reference has 20 s for itself, and the three rows together have 60 s for their steps."""
-    found = evaluate_batch(rows_of(ERRORS), ERRORS["measure"], time_limit=20.0)
+    found = results_of_rows(rows_of(ERRORS), ERRORS["measure"], time_limit=20.0)
     assert found.outcome == ["completed"] * 3
     assert found.done == [True] * 3
     assert np.isnan(found.values["error.max"]).tolist() == [False, True, False]
@@ -71,7 +71,7 @@ def test_a_reference_beyond_the_time_limit_is_a_missing_value(slow_reference: li
 
 
 def test_a_stop_during_a_reference_leaves_the_row_unfinished(slow_reference: list[float]) -> None:
-    found = evaluate_batch(rows_of(ERRORS), ERRORS["measure"], 50.0, lambda: slow_reference[0] > 130.0)
+    found = results_of_rows(rows_of(ERRORS), ERRORS["measure"], 50.0, lambda: slow_reference[0] > 130.0)
     assert found.done == [True, False, False]
     assert slow_reference[0] == 131.0
 
@@ -92,7 +92,7 @@ def test_a_measure_beyond_the_time_limit_stops_its_row_alone(clock: list[float])
                 check_stop()
             return super().one_step(states, h)
 
-    found = evaluate_batch(rows_of(ERRORS), ("reversal",), time_limit=20.0, kept=KeptRuns(Slow))
+    found = results_of_rows(rows_of(ERRORS), ("reversal",), time_limit=20.0, kept=KeptRuns(Slow))
     assert found.outcome == ["completed", "interrupted", "completed"]
     assert found.message[1] == "stopped; the time limit is 20 s"
     assert np.isnan(found.values["reversal"]).tolist() == [False, True, False]
@@ -103,13 +103,13 @@ def test_finished_rows_do_not_wait_for_those_of_a_slow_batch(
     tmp_path: Path, clock: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each row takes 0.9 s: a call hands over three, and the rest of its batch is called again."""
-    finished = seam.BatchRun.finished
+    finished = row_results.BatchRun.finished
 
     def slow(self: Any, initial: Any) -> Any:
         clock[0] += 0.9 * len(initial)
         return finished(self, initial)
 
-    monkeypatch.setattr(seam.BatchRun, "finished", slow)
+    monkeypatch.setattr(row_results.BatchRun, "finished", slow)
     data = {**ERRORS, "grid": {"initial.omega1": [0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5]}, "measure": ["steps"]}
     rows = rows_of(data)
     found = Work(("steps",))(rows)

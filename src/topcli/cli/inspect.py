@@ -149,7 +149,7 @@ def schema() -> None:
 def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
     """Report versions, CPU, compilation cache and plugins."""
     from topcli.errors import UsageError
-    from topcli.studies.checks import diagnosis
+    from topcli.studies.health import diagnosis
 
     broken = []
     for path in scheme_files or ():

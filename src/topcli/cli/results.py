@@ -27,7 +27,7 @@ def verify(
     For an unfinished run, verify the checkpoint and the rows that it can be continued from; for an unfinished sweep,
     its journal. Exits with status 0 if all files are intact, with 1 if a file is damaged.
     """
-    from topcli.studies.checks import check_all
+    from topcli.studies.health import check_all
 
     checked = [result for run in runs for result in check_all(run, out)]
     if as_json:

@@ -25,7 +25,7 @@ from topcli.figures.scenes import scene_config
 from topcli.figures.style import MARKERS, REFERENCE, Styles, looks
 from topcli.studies.bench.contest import SCENES
 from topcli.studies.bench.result import DECADES, SETUP, pareto_front, points_of, ranking, stored_benches
-from topcli.studies.comparison import compare_schemes
+from topcli.studies.compare_runs import compare_schemes
 from topcli.studies.entries import under_scheme
 from topcli.studies.study import Result
 

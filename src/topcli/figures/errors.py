@@ -26,7 +26,7 @@ from topcli.figures.style import Styles, looks
 from topcli.runs.identity import method_fingerprint
 from topcli.runs.report import finite
 from topcli.store.provenance import environment
-from topcli.studies import ladders, order
+from topcli.studies import order, order_ladders
 from topcli.studies.bench.contest import Problem
 from topcli.studies.bench.measure import Effort, SchemeCompetitor, as_rows, explore, time_all
 from topcli.studies.entries import scheme_with
@@ -196,7 +196,7 @@ def loaded_order(result: Result) -> Loaded:
 
 def load_order(request: Request) -> Loaded:
     """Load the default study of ``topcli order``, run if it is missing, out of date or forced."""
-    what = ladders.ladders(())
-    source, measured = ladders.order_source(what), partial(ladders.order_study, what)
-    study = current_study(request, order.FILE, ladders.SCHEMA_VERSION, "topcli order", source, measured)
+    what = order_ladders.ladders(())
+    source, measured = order_ladders.order_source(what), partial(order_ladders.order_study, what)
+    study = current_study(request, order.FILE, order_ladders.SCHEMA_VERSION, "topcli order", source, measured)
     return loaded_order(Result(study, source=lambda: source))

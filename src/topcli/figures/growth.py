@@ -27,8 +27,8 @@ from topcli.figures.figure import Loaded, Request, code_of
 from topcli.figures.picture import Grid, Line, Panel, caption, halo
 from topcli.figures.style import MARKERS, Styles
 from topcli.schemes.layout import stepper
-from topcli.studies.copies import copies_followed, sampling_of
 from topcli.studies.entries import under_scheme
+from topcli.studies.roundoff_copies import copies_followed, sampling_of
 from topcli.studies.study import Result
 
 if TYPE_CHECKING:

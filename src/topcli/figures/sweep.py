@@ -27,7 +27,7 @@ from topcli.sweeps.table_text import left_out
 
 if TYPE_CHECKING:
     from topcli.config.rows import Row
-    from topcli.sweeps.evaluate import Results, Work
+    from topcli.sweeps.row_results import Results, Work
 
 LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
 """Time between the swings of the Kowalevski top at the distance eps from a homoclinic orbit."""

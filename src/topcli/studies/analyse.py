@@ -54,7 +54,7 @@ def measure(
     """
     from topcli.config.load import load_experiment
     from topcli.store.foreign import ForeignSeries
-    from topcli.studies.series import analyse_series, column_map
+    from topcli.studies.analyse_series import analyse_series, column_map
 
     experiment = load_experiment(config, overrides, any_precision=isinstance(config, Mapping))
     watch.begin("analyse", experiment)

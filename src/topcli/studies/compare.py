@@ -79,7 +79,7 @@ def measure(
     from topcli.config.files import is_config
     from topcli.config.load import load
     from topcli.config.models import Experiment
-    from topcli.studies.comparison import compare_ensemble, compare_schemes
+    from topcli.studies.compare_runs import compare_ensemble, compare_schemes
     from topcli.studies.entries import scheme_options
 
     if not entries:

@@ -102,7 +102,7 @@ def measure(
     >>> report.errors.shape
     (3, 2)
     """
-    from topcli.studies.ladders import ladders, order_source, order_study
+    from topcli.studies.order_ladders import ladders, order_source, order_study
 
     plan = ladders(schemes, top=top, config=config, sets=overrides, sizes=sizes, duration=duration, steps=steps)
     file = FILE if plan == ladders(()) else None

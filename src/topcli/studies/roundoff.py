@@ -62,7 +62,7 @@ def measure(
     >>> sorted(set(report.table["sums"]))
     ['compensated', 'plain']
     """
-    from topcli.studies.copies import roundoff_experiment, roundoff_study
+    from topcli.studies.roundoff_copies import roundoff_experiment, roundoff_study
 
     if not 1.0 <= steps <= 1e12 or steps != int(steps):
         raise UsageError(f"--steps {steps:g}: must be a whole number from 1 to 1e12")

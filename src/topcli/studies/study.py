@@ -5,9 +5,9 @@ that names them; ``STUDIES`` of this folder lists it. Its command has an option 
 takes the help from the docstring; the Python function has the same parameters; ``--json``, the chapter of a page and
 the DataFrames show the same data.
 
-The module imports what measures only within ``measure`` (``order`` from ``ladders``, ``roundoff`` from ``copies``,
-``compare`` from ``comparison``, ``analyse`` from ``series``, ``lax`` from ``lax_checks``), so that the help of the
-command is quick.
+The module imports what measures only within ``measure``, so that the help of the command is quick. That is in a module
+of its own, whose name begins with that of the study: ``order_ladders``, ``roundoff_copies``, ``compare_runs``,
+``analyse_series``, ``lax_checks``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Batches of finished runs that differ only in their initial states, and what is recorded of them for measures.
+"""Batches of finished runs that differ only in their initial states: what is recorded of them, and their measures.
 
 Only what the measures need is recorded. Sums over rows do not depend on the pieces in which the rows come, nor the
 figures of a run on the other runs of its batch: a batch has the bits of its single runs.
@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +22,16 @@ from topcli.analysis.order import probe_rows
 from topcli.analysis.reference import distances
 from topcli.analysis.tally import BLOCKS, InvariantTally
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Outcome
+from topcli.contracts import Array, Outcome, StopAsked, check_stop
 from topcli.engine.run import CODES, Endings
 from topcli.engine.tile import Piece
-from topcli.errors import RunError, UsageError
+from topcli.errors import RunError, TopcliError, UsageError
 from topcli.runs.references import REFERENCES, reference_of
+from topcli.schemes.plugins import users_error
 from topcli.sweeps.measures import DEVIATION, DRIFT, END_ERROR, ERROR, PROBES, RECORDED, STATES, Measure, integrals_of
 
+OnFault = Callable[[int, str, str], None]
+"""Called with the number of a run in its batch, the name of a measure and the reason why it has no value."""
 WHOLE = (CODES[Outcome.COMPLETED], CODES[Outcome.LEFT_MOTION])
 """Codes of the outcomes of runs that took all their steps."""
 MAX_RUN_BYTES = 1 << 31
@@ -272,3 +276,78 @@ def _columns(needs: set[str]) -> list[str]:
 def _named(needs: set[str], what: str) -> list[str]:
     """Names of the integrals that ``needs`` holds as ``what.NAME``."""
     return sorted(need.removeprefix(f"{what}.") for need in needs if need.startswith(f"{what}."))
+
+
+def _ignore(run: int, name: str, reason: str) -> None:
+    """Leave a missing value unexplained."""
+
+
+def evaluate(measures: Sequence[Measure], batch: Batch, on_fault: OnFault = _ignore) -> dict[str, Array]:
+    """Return the values (runs,) of ``measures`` for a batch of finished runs, by name.
+
+    Parameters
+    ----------
+    measures : sequence of Measure
+        Measures, as ``resolve_measures`` returns them, for which the batch has been recorded.
+    batch : Batch
+        Finished runs, which may have failed.
+    on_fault : callable, optional
+        ``on_fault(run, name, reason)`` is called for every value that could not be computed although the run took all
+        its steps.
+
+    Returns
+    -------
+    dict of str to ndarray of float, shape (runs,)
+        nan for a run that failed, unless the measure is declared ``of_failed``, and where ``on_fault`` was called.
+    """
+    everything = np.arange(len(batch))
+    whole = np.flatnonzero(batch.whole)
+    complete = batch if len(whole) == len(batch) else batch.of(whole)
+    columns = {}
+    for measure in measures:
+        name = measure.name
+        which, rows = (everything, batch) if measure.of_failed else (whole, complete)
+        columns[name] = np.full(len(batch), np.nan)
+        if len(which):
+            columns[name][which] = _values(
+                measure, rows, lambda i, reason, name=name, which=which: on_fault(int(which[i]), name, reason)
+            )
+        for need in (need for need in (ERROR, END_ERROR) if need in measure.needs):
+            for i in whole.tolist():
+                if batch.faults[need][i]:
+                    columns[name][i] = np.nan
+                    on_fault(i, name, batch.faults[need][i])
+    return columns
+
+
+def _values(measure: Measure, batch: Batch, on_fault: Callable[[int, str], None]) -> Array:
+    """Values of a measure; if it fails, run by run, so that only the runs that make it fail have none."""
+    check_stop()
+    try:
+        return _checked(measure, measure.evaluate(batch), len(batch))
+    except StopAsked:
+        raise
+    except Exception as error:
+        if len(batch) > 1:
+            return np.concatenate(
+                [
+                    _values(measure, batch.of(np.array([i])), lambda _, reason, i=i: on_fault(i, reason))
+                    for i in range(len(batch))
+                ]
+            )
+        known = error if isinstance(error, TopcliError) else users_error(error)
+        if known is None:
+            raise
+        on_fault(0, str(known))
+        return np.full(1, np.nan)
+
+
+def _checked(measure: Measure, values: Any, count: int) -> Array:
+    """``values`` of a measure as an array (count,). Raises UsageError for anything else."""
+    try:
+        made = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        made = np.empty(0)
+    if made.shape != (count,):
+        raise UsageError(f"measure {measure.name!r}: its function must return an array of one number for each run")
+    return made

@@ -30,7 +30,7 @@ from topcli.config.sweep import Sweep
 from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.plugins import reason_of
 from topcli.schemes.registry import loaded_scheme_files
-from topcli.sweeps.evaluate import FAILED, Results, Work, unfinished
+from topcli.sweeps.row_results import FAILED, Results, Work, unfinished
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Plan of a sweep: which rows have to run and why, by comparison with its journal, and the table of finished rows.
+"""Plan of a sweep: which rows have to run and why, by comparison with its journal.
 
 A plan has 26 bytes for each row: digests and codes, no configs. The rows themselves are read again, one after the
 other, when they run.
@@ -6,14 +6,11 @@ other, when they run.
 
 from __future__ import annotations
 
-import itertools
 import json
 from array import array
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,13 +21,9 @@ from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep
 from topcli.errors import TopcliError, UnknownNameError
 from topcli.runs.identity import method_fingerprint
-from topcli.store.files import json_text
-from topcli.store.manifest import SWEEP, sealed_manifest
-from topcli.store.provenance import Commit, environment, now
-from topcli.sweeps.evaluate import Shared, shared_experiment
-from topcli.sweeps.journal import DIGEST, JOURNAL, Index, Journal, Names, short_digest
+from topcli.sweeps.journal import DIGEST, Index, Names, short_digest
 from topcli.sweeps.measures import NoCounterError, resolve_measures
-from topcli.sweeps.rows import METADATA, ROWS_FILE
+from topcli.sweeps.row_results import Shared, shared_experiment
 from topcli.tops import TOPS
 
 DONE, NEW, CODE, MEASURE, RETRY, REPEATED = range(6)
@@ -207,136 +200,3 @@ def _leaves(data: Mapping[str, Any], prefix: str = "") -> Any:
         else:
             text = json.dumps(value)
             yield f"{prefix}{key}", text if len(text) <= 60 else f"{text[:57]}..."
-
-
-TABLE_ROW_GROUP = 1 << 14
-DRAWN = "drawn."
-"""Beginning of the columns of drawn values, which keys may vary the centre of."""
-Columns = dict[str, list[Any]]
-
-
-def metadata(sweep: Sweep) -> dict[str, Any]:
-    """Description of the table: names of varied keys, measures and drawn values, logarithmically spaced keys."""
-    return {
-        "name": sweep.name,
-        "keys": list(sweep.keys),
-        "measures": list(sweep.measures),
-        "log": sweep.log,
-        "drawn": [DRAWN + name for name in sweep.drawn],
-        "digest": sweep.digest,
-    }
-
-
-def write_rows(path: Path, plan: Plan, journal: Journal) -> dict[str, int]:
-    """Write the table of finished rows to ``path``; return the numbers of its current rows by outcome.
-
-    ``plan`` is that of the journal as it is. Rows that no longer belong to the sweep come last and are not current;
-    rows of earlier code, or without one of the measures, are left out until they have run again. Raises OSError.
-    """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    sweep = plan.survey.sweep
-    fields = [pa.field("row", pa.int64())]
-    fields += [pa.field(key, pa.type_for_alias(plan.survey.types[key])) for key in sweep.keys]
-    fields += [pa.field(DRAWN + name, pa.float64()) for name in sweep.drawn]
-    fields += [pa.field("outcome", pa.string()), pa.field("message", pa.string())]
-    fields += [pa.field(name, pa.float64()) for name in sweep.measures]
-    fields += [pa.field("digest", pa.string()), pa.field("cpu", pa.string()), pa.field("current", pa.bool_())]
-    schema = pa.schema(fields, metadata={METADATA: json.dumps(metadata(sweep))})
-    outcomes: Counter[str] = Counter()
-    index = journal.index()
-    with pq.ParquetWriter(path, schema, write_page_checksum=True) as writer:
-        for columns in itertools.chain(_current(plan, journal, index), _left(plan, journal, index)):
-            for kind in schema:
-                if kind.type == pa.string() and kind.name in sweep.keys:
-                    columns[kind.name] = [None if value is None else str(value) for value in columns[kind.name]]
-            writer.write_table(pa.table(columns, schema=schema))
-            outcomes.update(
-                outcome for outcome, current in zip(columns["outcome"], columns["current"], strict=True) if current
-            )
-    return dict(outcomes)
-
-
-def _current(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
-    """Yield the finished rows of the plan, in its order."""
-    sweep = plan.survey.sweep
-    names = ("row", *sweep.keys, *(DRAWN + name for name in sweep.drawn))
-    at = index.find(plan.survey.digests)  # a row that repeats one that is not finished has no entry
-    finished = np.isin(plan.status, (DONE, REPEATED)) & (at >= 0)
-    rows = (row for row in RowReader(sweep, labels_only=True).rows() if finished[row.number])
-    while group := list(itertools.islice(rows, TABLE_ROW_GROUP)):
-        values = [(row.number, *row.keys, *_drawn(row, sweep.drawn)) for row in group]
-        columns: Columns = {name: [row[i] for row in values] for i, name in enumerate(names)}
-        entries = index.rows[at[columns["row"]]]
-        yield columns | _results(sweep, journal, entries) | {"current": [True] * len(group)}
-
-
-def _drawn(row: Row, names: Sequence[str]) -> tuple[float | None, ...]:
-    """Values of ``names``, which ``Sweep.drawn`` gives, in a row; None for one that its top does not have."""
-    if not names:
-        return ()
-    state = dict(zip(TOPS[row.form].components, row.initial, strict=True))
-    of = {"initial": state, "top": json.loads(row.top)}
-    return tuple([of[section].get(name) for section, _, name in (name.partition(".") for name in names)])
-
-
-def _results(sweep: Sweep, journal: Journal, entries: NDArray[np.void]) -> Columns:
-    """Columns of results of the rows at these ``entries`` of the index."""
-    columns: Columns = {name: [] for name in ("outcome", "message", *sweep.measures, "digest", "cpu")}
-    for number, place in entries[["block", "place"]].tolist():
-        block = journal.block(number)
-        columns["outcome"].append(block.outcome[place])
-        columns["message"].append(block.message[place])
-        columns["digest"].append(block.digest[place])
-        columns["cpu"].append(block.cpu)
-        for name in sweep.measures:
-            columns[name].append(block.values[name][place] if name in block.values else float("nan"))
-    return columns
-
-
-def _left(plan: Plan, journal: Journal, index: Index) -> Iterator[Columns]:
-    """Yield the finished rows that no longer belong to the sweep, with the values of those keys that they had."""
-    sweep = plan.survey.sweep
-    others = index.rows[~np.isin(index.rows["digest"], plan.survey.digests)] if plan.left else index.rows[:0]
-    others = np.sort(others, order=("block", "place"))
-    for start in range(0, len(others), TABLE_ROW_GROUP):
-        entries = others[start : start + TABLE_ROW_GROUP]
-        columns: Columns = {"row": [-1] * len(entries)}
-        for key in sweep.keys:
-            kind = plan.survey.types[key]
-            had = [journal.block(number).keys.get(key) for number in entries["block"].tolist()]
-            places = entries["place"].tolist()
-            columns[key] = [
-                _fitting(None if values is None else values[place], kind)
-                for values, place in zip(had, places, strict=True)
-            ]
-        columns |= {DRAWN + name: [None] * len(entries) for name in sweep.drawn}
-        yield columns | _results(sweep, journal, entries) | {"current": [False] * len(entries)}
-
-
-def _fitting(value: Any, kind: str) -> Any:
-    """``value`` if a column of this type can hold it, otherwise None."""
-    if value is None or kind == "string":
-        return value
-    if kind == "int64":
-        return value if isinstance(value, int) else None
-    return float(value) if isinstance(value, (int, float)) else None
-
-
-def manifest_text(
-    folder: Path, sweep: Sweep, outcomes: dict[str, int], started: str, seconds: float, commit: Commit
-) -> str:
-    """Manifest of a finished sweep as JSON."""
-    content = {
-        "kind": SWEEP,
-        **metadata(sweep),
-        "rows": sum(outcomes.values()),
-        "outcomes": outcomes,
-        "started": started,
-        "ended": now(),
-        "seconds": seconds,
-        "environment": environment(),
-        **commit.read(),
-    }
-    return json_text(sealed_manifest(folder, content, dict.fromkeys([ROWS_FILE, "sweep.yaml", JOURNAL])))

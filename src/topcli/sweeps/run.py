@@ -28,10 +28,11 @@ from topcli.store.files import io_failure, require_writable, sync, write_whole
 from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.parts import LOCK, owner, take_lock
 from topcli.store.provenance import Commit, now
-from topcli.sweeps.evaluate import Results, Work, batches, unfinished
 from topcli.sweeps.journal import COMPLETED, JOURNAL, FinishedRows, Journal
-from topcli.sweeps.plan import REASONS, Plan, Survey, changes, manifest_text, plan_sweep, survey, write_rows
+from topcli.sweeps.plan import REASONS, Plan, Survey, changes, plan_sweep, survey
+from topcli.sweeps.row_results import Results, Work, batches, unfinished
 from topcli.sweeps.rows import ROWS_FILE
+from topcli.sweeps.rows_file import manifest_text, write_rows
 
 SWEEP_FILE = "sweep.yaml"
 SERIES = "series"

@@ -21,7 +21,7 @@ from topcli.errors import TopcliError, UsageError
 from topcli.schemes.plugins import SchemeFile
 from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.store.provenance import cpu_name, installed
-from topcli.sweeps.evaluate import Results, Work, forget
+from topcli.sweeps.row_results import Results, Work, forget
 
 Versions = dict[str, str]
 

@@ -25,8 +25,8 @@ from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import environment
 from topcli.studies.bench.contest import Problem, Rung, choose
 from topcli.studies.bench.measure import Effort, Measurements, SchemeCompetitor, explore
-from topcli.studies.copies import GENERIC, SCENES
 from topcli.studies.entries import scheme_with
+from topcli.studies.roundoff_copies import GENERIC, SCENES
 from topcli.studies.study import LADDER_STEPS
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")

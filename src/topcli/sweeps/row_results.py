@@ -1,4 +1,4 @@
-"""The seam of a sweep: ``evaluate_batch`` takes rows as plain data and returns their results as columns.
+"""From rows of a sweep, as plain data, to their results, as columns: ``results_of_rows``, or ``Work`` as an object.
 
 It has no state besides caches, and its arguments and results can be sent to another process: the local sweep calls it
 in threads, another back end on its workers. The result of a row does not depend on the other rows of its batch, except
@@ -27,7 +27,8 @@ from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
 from topcli.errors import TopcliError
 from topcli.schemes.plugins import users_error
 from topcli.store.provenance import cpu_name
-from topcli.sweeps.batch_run import BatchRun, Limit, evaluate
+from topcli.sweeps.batch import evaluate
+from topcli.sweeps.batch_run import BatchRun, Limit
 from topcli.sweeps.measures import Measure, resolve_measures
 from topcli.tops import TOPS
 
@@ -79,7 +80,7 @@ class Results:
     cpu: str = ""
 
 
-def evaluate_batch(
+def results_of_rows(
     rows: Sequence[Row],
     measures: Sequence[str],
     time_limit: float = 0.0,
@@ -139,7 +140,7 @@ def evaluate_batch(
 
 @dataclass(frozen=True)
 class Work:
-    """``evaluate_batch`` with its options, as plain data that can be sent to another process; ``work(rows)`` calls it.
+    """``results_of_rows`` with its options, as plain data that can be sent to another process; ``work(rows)`` calls it.
 
     So that finished rows need not wait for others, it hands over what it has after some seconds; ``unfinished`` rows
     have to be sent again. Schemes and measures of plugin files must have been loaded there before.
@@ -150,7 +151,7 @@ class Work:
 
     def __call__(self, rows: Sequence[Row], stop: Callable[[], bool] = lambda: False) -> Results:
         """Evaluate rows."""
-        return evaluate_batch(rows, self.measures, self.time_limit, stop, PIECE_SECONDS)
+        return results_of_rows(rows, self.measures, self.time_limit, stop, PIECE_SECONDS)
 
 
 def unfinished(rows: Sequence[Row], results: Results) -> list[Row]:

@@ -24,7 +24,8 @@ from topcli.runs.report import EndingTally, finite, left_motion
 from topcli.runs.simulate import trajectory_of
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
 from topcli.studies.study import Result
-from topcli.sweeps.batch_run import MAX_RUNS, BatchRun, evaluate
+from topcli.sweeps.batch import evaluate
+from topcli.sweeps.batch_run import MAX_RUNS, BatchRun
 from topcli.sweeps.measures import Measure, names_of, resolve_measures
 
 if TYPE_CHECKING:
