@@ -42,18 +42,18 @@ follow_precision(__name__, caps=("ROUNDS",), LIMIT=1, ROOTED=0.5)
 
 @pytest.mark.parametrize(
     ("constant", "value"),
-    [
-        (0.1, Fraction(1, 10)),
-        (1.0 / 6.0, Fraction(1, 6)),
-        (-0.8, Fraction(-4, 5)),
-        (2.0**-52, Fraction(1, 2**52)),
-        (1e-16, Fraction(1, 10**16)),
-        (0.39216144400731415, Fraction("0.3921614440073142")),
-        (0.0, Fraction(0)),
-    ],
+    table_of("""
+0.1                    1/10
+0.16666666666666666    1/6
+-0.8                   -4/5
+2.220446049250313e-16  1/4503599627370496
+1e-16                  1/10000000000000000
+0.39216144400731415    0.3921614440073142
+0.0                    0
+"""),
 )
-def test_constants_stand_for_what_was_meant(constant: float, value: Fraction) -> None:
-    assert meaning(constant) == value
+def test_constants_stand_for_what_was_meant(constant: float, value: str) -> None:
+    assert meaning(constant) == Fraction(str(value))
 
 
 def test_short_binary_fractions_mix_and_other_doubles_are_refused() -> None:
@@ -99,16 +99,17 @@ def test_rational_roots_of_squares_only() -> None:
 
 @pytest.mark.parametrize(
     ("value", "digits", "text"),
-    [
-        (Fraction(-1, 8), 3, "-1.25e-1"),
-        (Fraction(2, 3), 5, "6.6667e-1"),
-        (Fraction(99999, 10), 3, "1.00e+4"),
-        (Fraction(10**25), 2, "1.0e+25"),
-        (Fraction(1, 10**40), 1, "1.e-40"),
-        (Fraction(0), 4, "0.000e+0"),
-    ],
+    table_of("""
+-1/8     3  '-1.25e-1'
+2/3      5  '6.6667e-1'
+99999/10  3  '1.00e+4'
+1e25     2  '1.0e+25'
+1e-40    1  '1.e-40'
+0        4  '0.000e+0'
+"""),
 )
-def test_decimal_texts_are_rounded_correctly(value: Fraction, digits: int, text: str) -> None:
+def test_decimal_texts_are_rounded_correctly(value: str, digits: int, text: str) -> None:
+    value = Fraction(str(value))
     assert decimal_text(value, digits) == text
     assert abs(Fraction(text) - value) <= abs(value) * Fraction(1, 2 * 10 ** (digits - 1))
 

@@ -68,24 +68,24 @@ def test_every_scheme_resumes_bit_for_bit(scheme: Scheme) -> None:
     assert resumed.report() == whole_tally.report()
 
 
-RESUMED = {
-    "increments": ("kowalevski_hk", "parquet", "N=100"),
-    "carried phase": ("kowalevski_hybrid_xi", "csv", "N=100"),
-    "iterative with counters": ("kowalevski_hybrid_sym", "parquet", "N=100"),
-    "interpreted": ("kowalevski_dop853", "csv", "N=70"),
-    "closed form": ("euler_exact", "parquet", "N=100"),
-    "chart": ("kowalevski_bohlin_a", "parquet", "N=100"),
-    "attitude": ("kowalevski_hk", "csv", "N=300", "output.attitude=quaternion", "output.every=3"),
-    "attitude of a series": ("kowalevski_taylor", "parquet", "N=100", "output.attitude=quaternion", "output.every=3"),
-    "digits": ("euler_hk", "csv", "N=24", "h=1/10", "precision=40", "output.digits=20"),
-    "rational": ("euler_hk", "parquet", "N=24", "h=1/10", "precision=rational"),
-}
+RESUMED = """
+increments: kowalevski_hk parquet N=100
+carried phase: kowalevski_hybrid_xi csv N=100
+iterative with counters: kowalevski_hybrid_sym parquet N=100
+interpreted: kowalevski_dop853 csv N=70
+closed form: euler_exact parquet N=100
+chart: kowalevski_bohlin_a parquet N=100
+attitude: kowalevski_hk csv N=300 output.attitude=quaternion output.every=3
+attitude of a series: kowalevski_taylor parquet N=100 output.attitude=quaternion output.every=3
+digits: euler_hk csv N=24 h=1/10 precision=40 output.digits=20
+rational: euler_hk parquet N=24 h=1/10 precision=rational
+"""
 
 
-@pytest.mark.parametrize("kind", RESUMED)
+@pytest.mark.parametrize("kind", RESUMED.strip().split("\n"))
 def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, kind: str) -> None:
     """Stopped after one chunk, twice or three times on and stopped again."""
-    scene, suffix, *overrides = RESUMED[kind]
+    scene, suffix, *overrides = kind.partition(": ")[2].split()
     experiment = load_experiment(scene, [f"output.format={suffix}", *overrides], any_precision=True)
     expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
     out, messages, steps = tmp_path / "out", list[str](), list[int]()
