@@ -113,22 +113,6 @@ def test_blow_up_is_reported_and_its_rows_kept(cli, in_tmp: Path, settings: tupl
     assert (in_tmp / "results" / "far" / "series.parquet").is_file()
 
 
-def test_another_experiment_of_a_name_is_told_by_the_keys_that_differ(cli) -> None:
-    words = ("run", HK, "--name", "same", "--set", "N=50")
-    assert cli(*words).code == 0
-    for more in ((), ("--dry-run",)):
-        said = cli(*words, "--set", "scheme=hybrid", "--set", "h=0.002", *more)
-        first, advice = said.err.splitlines()
-        assert said.code == 2
-        assert first.startswith("error: results/same: holds a different experiment (")
-        for text in ("scheme.name: hk there, hybrid here", "h: 0.001 there, 0.002 here"):
-            assert text in first
-        assert first.endswith("); nothing was written")
-        assert "digest" not in first
-        assert advice.startswith("choose another name with --name")
-    assert "the existing different run is renamed" in cli(*words, "--set", "h=0.1", "--dry-run", "--force").out
-
-
 @pytest.mark.slow
 def test_run_and_show_name_a_changed_run_by_its_digest(cli) -> None:
     name = load_named("kowalevski_hk", ["h=0.01", "N=20"]).name
