@@ -317,7 +317,7 @@ def test_a_run_continues_by_its_name(cli: Callable[..., Any], in_tmp: Path, how:
     if how == "killed":
         left = killed(out, small("name=mine"), 5)
         assert stored_runs(out) == []
-        (left / ".checkpoint.npz").write_bytes(b"half a checkpoint")
+        (left / ".checkpoint.7.npz").write_bytes(b"half a checkpoint")
         with (left / "series.parquet").open("ab") as file:
             file.write(b"half a row group")
     else:

@@ -115,11 +115,11 @@ def require_new(path: Path, force: bool, option: str = "--out") -> None:
 def write_text(text: str, path: Path, option: str = "--out") -> None:
     """Write a file whole or not at all, and its folder if there is none. Raises UsageError."""
     from topcli.errors import UsageError
-    from topcli.store.files import write_whole
+    from topcli.store import files
 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        files.write_text(path, text)
     except OSError as error:
         raise UsageError(f"{option} {path}".lstrip() + f": cannot be written ({error.strerror})") from None
 

@@ -14,7 +14,8 @@ from topcli.cli.output import ProgressDisplay, emit, print_json, print_message
 from topcli.cli.results import Aggregate, Where
 
 if TYPE_CHECKING:
-    from topcli.figures.figure import Figure
+    from topcli.errors import TopcliError
+    from topcli.figures.figure import Figure, MadeFigure, Request
 
 OVERLAY = "exact"
 SWEEP = "sweep"
@@ -175,29 +176,17 @@ def plot(
     the changed experiment in its name.
     """
     from topcli.engine.ensemble import default_threads
-    from topcli.errors import ExitCode, TopcliError, UsageError, shortened
-    from topcli.figures.catalogue import FIGURES
-    from topcli.figures.figure import NothingMeasuredError, Request, make_figures
-    from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS
+    from topcli.errors import ExitCode
+    from topcli.figures.figure import Request
+    from topcli.figures.picture import DEFAULT_FORMATS
     from topcli.figures.style import read_style
 
-    if bool(names) == every:
-        raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
-    wrong = [name for name in formats or () if name not in IMAGE_FORMATS]
-    if wrong:
-        raise UsageError(f"--format {shortened(wrong[0])}: unknown format; use png, pdf or svg")
-    if overlay not in (None, OVERLAY):
-        raise UsageError(f"--overlay {shortened(overlay)}: unknown overlay; use {OVERLAY}")
-    if configs is not None and not os.path.isdir(configs):
-        raise UsageError(f"--configs {configs}: no such folder")
-    chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
+    _require_options(names or [], every, formats or [], overlay, configs)
     looks = read_style(style) if style else {}
     options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
     with hint_instead(names or [], lambda name: plot_hint(name, results)):
         figures = _chosen(names or [], options, where or [])
     _require(figures, bool(sets), overlay is not None)
-    count = jobs or (default_threads() if every else 1)
-    watch = _Watch(figures, count, as_json)
     request = Request(
         results=results,
         configs=configs or Path("configs"),
@@ -208,13 +197,55 @@ def plot(
         overlay=overlay is not None,
         style=looks,
     )
-    made, failed = {}, []
+    chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
+    drawn, failed = _draw(figures, request, out, chosen, jobs or (default_threads() if every else 1), as_json)
+    if as_json:
+        items = [
+            {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn
+        ]
+        print_json("plot", {"figures": items})
+    if failed:
+        print_message(f"{len(failed)} of {len(figures)} figures failed")
+        raise typer.Exit(ExitCode.PARTLY_FAILED if drawn else failed[0].exit_code)
+
+
+def _require_options(
+    names: list[str], every: bool, formats: list[str], overlay: str | None, configs: Path | None
+) -> None:
+    """Raise UsageError for options that are wrong whatever is drawn."""
+    from topcli.errors import UsageError, shortened
+    from topcli.figures.catalogue import FIGURES
+    from topcli.figures.picture import IMAGE_FORMATS
+
+    if bool(names) == every:
+        raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
+    wrong = [name for name in formats if name not in IMAGE_FORMATS]
+    if wrong:
+        raise UsageError(f"--format {shortened(wrong[0])}: unknown format; use png, pdf or svg")
+    if overlay not in (None, OVERLAY):
+        raise UsageError(f"--overlay {shortened(overlay)}: unknown overlay; use {OVERLAY}")
+    if configs is not None and not os.path.isdir(configs):
+        raise UsageError(f"--configs {configs}: no such folder")
+
+
+def _draw(
+    figures: list[Figure], request: Request, out: Path, formats: tuple[str, ...], jobs: int, quiet: bool
+) -> tuple[list[MadeFigure], list[TopcliError]]:
+    """Draw figures and report on each; the files of those that were drawn, in the order given, and the errors.
+
+    Raises the error of a single figure. Of all figures, those without stored results are skipped.
+    """
+    from topcli.errors import TopcliError
+    from topcli.figures.figure import NothingMeasuredError, make_figures
+
+    watch = _Watch(figures, jobs, quiet)
+    drawn, failed = {}, []
     with contextlib.ExitStack() as stack:
         stack.callback(watch.display.close)
-        outcomes = stack.enter_context(contextlib.closing(make_figures(figures, request, out, chosen, count, watch)))
+        outcomes = stack.enter_context(contextlib.closing(make_figures(figures, request, out, formats, jobs, watch)))
         for figure, outcome in outcomes:
             watch.end(figure.name)
-            if isinstance(outcome, NothingMeasuredError) and every:
+            if isinstance(outcome, NothingMeasuredError) and request.stored_only:
                 print_message(f"{figure.name}: skipped: {outcome}")
             elif isinstance(outcome, TopcliError):
                 if len(figures) == 1:
@@ -225,15 +256,7 @@ def plot(
                 for line in others:
                     print_message(line)
             else:
-                made[figure.name] = outcome
-                if not as_json:
+                drawn[figure.name] = outcome
+                if not quiet:
                     emit(f"{outcome.name}: {outcome.status}: {', '.join(str(path) for path in outcome.files)}")
-    if as_json:
-        drawn = [made[figure.name] for figure in figures if figure.name in made]
-        items = [
-            {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn
-        ]
-        print_json("plot", {"figures": items})
-    if failed:
-        print_message(f"{len(failed)} of {len(figures)} figures failed")
-        raise typer.Exit(ExitCode.PARTLY_FAILED if made else failed[0].exit_code)
+    return [drawn[figure.name] for figure in figures if figure.name in drawn], failed

@@ -166,7 +166,7 @@ def sweep(
     was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
     """
     from topcli.config.sweep import load_sweep
-    from topcli.sweeps.run import SweepOptions, run_sweep
+    from topcli.sweeps.run import SweepOptions
 
     if dask is not None and threads is not None:
         raise UsageError("--threads does not go with --dask: each worker has its own number of threads")
@@ -178,36 +178,42 @@ def sweep(
     if dry_run:
         _dry_run(loaded, out, options, as_json)
         return
-    count = itertools.count(1)
-
-    def on_failure(row: Row, outcome: str, message: str) -> None:
-        """Print the first failures when they happen; all are in the table."""
-        if (number := next(count)) <= SHOWN_FAILURES:
-            print_message(f"error: row {row.number} ({shortened(_values(loaded, row), 200)}): {message}")
-        elif number == SHOWN_FAILURES + 1:
-            print_message("further failures are only counted; the messages of all are in the table")
-
-    display = ProgressDisplay(1, quiet, unit="rows")
-    display.begin(loaded.name)
-    with Interruption() as interruption:
-        options = replace(options, stop=interruption, on_progress=display, on_failure=on_failure)
-        if not quiet:
-            options = replace(options, on_message=print_message)
-        try:
-            if dask is None:
-                result = run_sweep(loaded, out, options)
-            else:
-                from topcli.sweeps.cluster import run_on_cluster
-
-                result = run_on_cluster(dask, loaded, out, options)
-        finally:
-            display.close()
+    result = _carried_out(loaded, out, options, dask, quiet)
     if as_json:
         print_json("sweep", _result_data(loaded, result))
     elif not quiet:
         _report(loaded, result)
     if code := exit_code(result):
         raise typer.Exit(code)
+
+
+def _carried_out(sweep: Sweep, out: Path, options: SweepOptions, dask: str | None, quiet: bool) -> SweepResult:
+    """Run a sweep in this process or on a cluster, with progress, messages and the first failures."""
+    from topcli.sweeps.run import run_sweep
+
+    count = itertools.count(1)
+
+    def on_failure(row: Row, outcome: str, message: str) -> None:
+        """Print the first failures when they happen; all are in the table."""
+        if (number := next(count)) <= SHOWN_FAILURES:
+            print_message(f"error: row {row.number} ({shortened(_values(sweep, row), 200)}): {message}")
+        elif number == SHOWN_FAILURES + 1:
+            print_message("further failures are only counted; the messages of all are in the table")
+
+    display = ProgressDisplay(1, quiet, unit="rows")
+    display.begin(sweep.name)
+    with Interruption() as interruption:
+        options = replace(options, stop=interruption, on_progress=display, on_failure=on_failure)
+        if not quiet:
+            options = replace(options, on_message=print_message)
+        try:
+            if dask is None:
+                return run_sweep(sweep, out, options)
+            from topcli.sweeps.cluster import run_on_cluster
+
+            return run_on_cluster(dask, sweep, out, options)
+        finally:
+            display.close()
 
 
 def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,11 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.store.files import sync
+from topcli.store.files import write_whole
 from topcli.store.series import SeriesMark
 
 CHECKPOINT = "checkpoint.npz"
-TEMPORARY = f".{CHECKPOINT}"
 VERSION = 2
 _ABOUT = {
     "digest": str,
@@ -75,19 +73,12 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
         **{f"tally_{name}": values for name, values in checkpoint.tally.items()},
         **{f"held_{i}": values for i, values in enumerate(checkpoint.series.held.values())},
     }
-    made = io.BytesIO()
-    np.savez(made, **arrays)
-    temporary = folder / TEMPORARY
+    content = io.BytesIO()
+    np.savez(content, **arrays)
+    content.write(hashlib.sha256(content.getbuffer()).digest())
     try:
-        with temporary.open("wb") as file:
-            file.write(made.getbuffer())
-            file.write(hashlib.sha256(made.getbuffer()).digest())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        sync(folder)
+        write_whole(path, lambda temporary: temporary.write_bytes(content.getbuffer()))
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         error.filename = str(path)
         raise
 

@@ -56,6 +56,11 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a file with this text atomically. Raises OSError."""
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
 def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this run") -> RunError:
     """Error message for a failed write to ``path`` that says what was ``kept``.
 
@@ -147,7 +152,7 @@ def write_study(path: Path, data: Mapping[str, Any], source: str | None) -> Path
         complete = {**data, "source": source, "written": now(), **commit.read()}
     text = json_text(sealed(json.loads(json.dumps(complete, allow_nan=False))))
     try:
-        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_text(path, text)
     except OSError as error:
         raise io_failure(error, path, "nothing was written") from error
     return path

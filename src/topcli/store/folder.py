@@ -19,7 +19,7 @@ from typing import Any
 
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.store.checkpoint import CHECKPOINT, Checkpoint, read_checkpoint
-from topcli.store.files import DamagedError, io_failure, json_text, named, require_writable, sync, write_whole
+from topcli.store.files import DamagedError, io_failure, json_text, named, require_writable, sync, write_text
 from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, check_file, read_run, sealed_manifest, stored_run
 from topcli.store.parts import (
     LOCK,
@@ -294,7 +294,7 @@ class RunWriter:
         complete = sealed_manifest(self.folder, manifest, {name: self.sha256.get(name) for name in files})
         for name in files:
             sync(self.folder / name)
-        write_whole(self.folder / MANIFEST, lambda path: path.write_text(json_text(complete), encoding="utf-8"))
+        write_text(self.folder / MANIFEST, json_text(complete))
         return self.put_in_place(complete)
 
     def put_in_place(self, manifest: dict[str, Any]) -> StoredRun:

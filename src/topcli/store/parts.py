@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from topcli.store.checkpoint import CHECKPOINT, TEMPORARY
+from topcli.store.checkpoint import CHECKPOINT
 from topcli.store.files import DamagedError, read_json
 from topcli.store.manifest import MANIFEST
 
@@ -33,7 +33,7 @@ RESERVED = 1 << 18
 _PART = re.compile(r"\.(.+)\.part-(\d+)-[0-9a-f]{8}")
 _RESULTS = re.compile(r"(series|trajectories|points)\.(parquet|csv)|report\.(json|md)|config\.yaml")
 _OURS = frozenset([MANIFEST, CHECKPOINT, LOCK, RESERVE])
-TEMPORARIES = re.compile(rf"\.manifest\.\d+\.json|{re.escape(TEMPORARY)}|\.{LOCK}")
+TEMPORARIES = re.compile(rf"\.manifest\.\d+\.json|\.checkpoint\.\d+\.npz|\.{LOCK}")
 """Names of files that a killed process may leave half-written."""
 
 

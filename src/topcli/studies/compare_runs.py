@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -133,27 +133,19 @@ def compare_schemes(
 
     finest = max((entry.experiment for entry in asked), key=lambda each: each.N // each.output.every)
     finest_rows = reference_rows(finest, finest.output.every)  # first, because it may be refused
-    compared, methods, trajectories, failed = [], [], [], []
+    runs: list[_EntryRun] = []
+    failed: list[Failed] = []
     for entry in asked:
         with users_code(failed, entry.label):
-            method, trajectory = entry.experiment.method(), trajectory_of(entry.experiment)
-            compared.append(entry)
-            methods.append(method)
-            trajectories.append(trajectory)
-    if not compared:
+            runs.append(_EntryRun(entry, entry.experiment.method(), trajectory_of(entry.experiment)))
+    if not runs:
         raise failed[0].error
     probes = finest_rows[probe_rows(len(finest_rows))]
-    timed = nanoseconds_per_step(
-        [(top, method, experiment.y0, entry.experiment.h) for entry, method in zip(compared, methods, strict=True)],
-        steps=min(max(experiment.N, 1000), 50_000),
-    )
-    if experiment.written is not None:
-        timed = [1e9 * each.run_seconds / max(each.ending.step, 1) for each in trajectories]
-    swing, first = top.components.index(top.swing), compared[0]
+    swing, first = top.components.index(top.swing), runs[0].entry
     t = np.arange(0, first.experiment.N + 1, first.stride) * first.experiment.h
     series = {"t": t, "swing:reference": reference_rows(first.experiment, first.stride)[:, swing]}
     rows = []
-    for entry, method, trajectory, nanoseconds in zip(compared, methods, trajectories, timed, strict=True):
+    for (entry, method, trajectory), nanoseconds in zip(runs, _step_times(experiment, runs), strict=True):
         states = trajectory.states[:: entry.rows_apart]
         error = distances(states, reference_rows(entry.experiment, entry.stride)[: len(states)])
         rows.append(_figures(entry, method, trajectory, error, probes, nanoseconds))
@@ -171,12 +163,30 @@ def compare_schemes(
                     "swing_spacing": swing_spacing(times, finest_rows[:, swing]),
                 },
                 "rows": len(t),
-                "few_rows": few_rows(compared, experiment),
+                "few_rows": few_rows([run.entry for run in runs], experiment),
                 "schemes": rows,
                 "failed": [failure.as_dict() for failure in failed],
             }
         ),
         series,
+    )
+
+
+class _EntryRun(NamedTuple):
+    """One entry, its method and its run."""
+
+    entry: Entry
+    method: Method
+    trajectory: Trajectory
+
+
+def _step_times(experiment: Experiment, runs: Sequence[_EntryRun]) -> list[float]:
+    """Nanoseconds a step of each run; in another precision than double from the run itself."""
+    if experiment.written is not None:
+        return [1e9 * run.trajectory.run_seconds / max(run.trajectory.ending.step, 1) for run in runs]
+    return nanoseconds_per_step(
+        [(experiment.top, run.method, experiment.y0, run.entry.experiment.h) for run in runs],
+        steps=min(max(experiment.N, 1000), 50_000),
     )
 
 

@@ -24,7 +24,7 @@ from topcli.config.sweep import Sweep, load_sweep
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
 from topcli.runs.decision import require_no_link
-from topcli.store.files import io_failure, require_writable, sync, write_whole
+from topcli.store.files import io_failure, require_writable, sync, write_text, write_whole
 from topcli.store.manifest import MANIFEST, stored_run
 from topcli.store.parts import LOCK, owner, take_lock
 from topcli.store.provenance import Commit, now
@@ -343,7 +343,7 @@ class _Runner:
     def _write(self, name: str, text: str) -> None:
         path = self.folder / name
         try:
-            write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+            write_text(path, text)
         except OSError as error:
             raise io_failure(error, path, "finished rows are kept") from None
 
