@@ -21,16 +21,12 @@ from topcli.engine.loop import loop_of
 from topcli.engine.native import native
 from topcli.engine.run import Run
 from topcli.runs.recorder import run_of
+from topcli.tops import TOPS
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
 
 INITIAL = {
-    "kowalevski": {"omega": list(GEN[:3]), "gamma": list(GEN[3:])},
-    "heavy": {"omega": list(GEN[:3]), "gamma": list(GEN[3:])},
-    "lagrange": {"omega": list(GEN[:3]), "gamma": list(GEN[3:])},
-    "lagrange/inertial": {"m": list(GEN[:3]), "a": list(GEN[3:])},
-    "euler": {"omega": list(GEN[:3])},
-    "euler+gamma": {"omega": list(GEN[:3]), "gamma": list(GEN[3:])},
+    form: {name: list(GEN[start:stop]) for name, (start, stop) in cls.vectors.items()} for form, cls in TOPS.items()
 }
 TURNS = {"attitude": "quaternion"}
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import topcli
+from cases import table_of
 from conftest import ROOT, random_states
 from resuming import after
 from topcli.analysis.tally import DEVIATIONS, invariant_report, quantiles
@@ -236,18 +237,18 @@ def test_a_grid_over_parameters_and_a_failure() -> None:
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [
-        ({}, "no initial states"),
-        ({"states": [[1.0, 2.0]]}, "has 6 components, not 2"),
-        ({"states": [1.0]}, "of shape"),
-        ({"states": [["x"] * 6]}, "array of numbers"),
-        ({"states": [[1, 0, 0, 1, 0, float("nan")]]}, "finite"),
-        ({"states": [[1, 0, 0, 1, 0, 0], [1, 0, 0, 1, 1, 0]]}, r"states\[1\]: gamma must be a unit vector"),
-        ({"states": [[1, 0, 0, 1, 0, 0]], "ensemble": {"grid": {"omega1": [1]}}}, "keep one"),
-        ({"states": [[1, 0, 0, 1, 0, 0]], "ensemble": {"stor": "final"}}, "did you mean 'store'"),
-        ({"ensemble": {"random": {"count": 1e6, "gamma": "sphere"}}, "N": 10**6}, "do not fit in memory"),
-        ({"states": [[1, 0, 0, 1, 0, 0]], "threads": 0}, "threads must be at least 1"),
-    ],
+    table_of(r"""
+{}  no initial states
+{'states': [[1.0, 2.0]]}  has 6 components, not 2
+{'states': [1.0]}  of shape
+{'states': [['x', 'x', 'x', 'x', 'x', 'x']]}  array of numbers
+{'states': [[1, 0, 0, 1, 0, 1e999]]}  finite
+{'states': [[1, 0, 0, 1, 0, 0], [1, 0, 0, 1, 1, 0]]}  states\[1\]: gamma must be a unit vector
+{'states': [[1, 0, 0, 1, 0, 0]], 'ensemble': {'grid': {'omega1': [1]}}}  keep one
+{'states': [[1, 0, 0, 1, 0, 0]], 'ensemble': {'stor': 'final'}}  did you mean 'store'
+{'ensemble': {'random': {'count': 1e6, 'gamma': 'sphere'}}, 'N': 1000000}  do not fit in memory
+{'states': [[1, 0, 0, 1, 0, 0]], 'threads': 0}  threads must be at least 1
+"""),
 )
 def test_mistakes_from_python(options: dict[str, Any], said: str) -> None:
     with pytest.raises(UsageError, match=said):

@@ -37,8 +37,8 @@ MANY = {
 }
 
 
-def sweep(out: Path, data: dict[str, Any] = DATA, **options: Any) -> SweepResult:
-    return run_sweep(load_sweep(data), out, SweepOptions(**options))
+def sweep(out: Path, data: dict[str, Any] = DATA, backend: Any = None, **options: Any) -> SweepResult:
+    return run_sweep(load_sweep(data), out, SweepOptions(**options), backend)
 
 
 def table(out: Path, name: str = "study") -> list[dict[str, Any]]:

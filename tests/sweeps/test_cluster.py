@@ -9,7 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,6 @@ from topcli.sweeps.cluster import (
     run_on_cluster,
 )
 from topcli.sweeps.row_results import Results, Work, forget
-from topcli.sweeps.run import SweepOptions, run_sweep
 
 LONG = {
     **MANY,
@@ -146,14 +145,26 @@ def test_a_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> N
         require_dask()
 
 
+def at_first(act: Callable[[], object]) -> tuple[list[int], Callable[..., None]]:
+    """Numbers of rows done, and what is told of them, which first acts."""
+    done: list[int] = []
+
+    def progress(count: int, *more: int) -> None:
+        if not done:
+            act()
+        done.append(count)
+
+    return done, progress
+
+
 @pytest.mark.slow
 def test_rows_are_those_of_a_local_sweep_and_few_are_in_flight(cluster: Processes, tmp_path: Path) -> None:
     sweep(tmp_path / "here", MANY)
     flying: list[int] = []
     with connected(cluster.address) as found:
         assert found.threads == 2
-        many_batches = SweepOptions(threads=12, on_progress=lambda *counts: flying.append(len(found._flying)))
-        result = run_sweep(load_sweep(MANY), tmp_path / "there", many_batches, found)
+        note = {"on_progress": lambda *counts: flying.append(len(found._flying))}
+        result = sweep(tmp_path / "there", MANY, found, threads=12, **note)
     assert result.ran == 160
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
     assert len(flying) > 4 * IN_FLIGHT
@@ -165,16 +176,9 @@ def test_rows_are_those_of_a_local_sweep_and_few_are_in_flight(cluster: Processe
 def test_a_worker_that_is_killed_loses_no_row(cluster: Processes, tmp_path: Path) -> None:
     sweep(tmp_path / "here", LONG)
     _, victim, _ = cluster.running
-    done: list[int] = []
-
-    def progress(count: int, total: int, failed: int) -> None:
-        if not done:
-            victim.kill()
-        done.append(count)
-
-    options = SweepOptions(threads=4, on_progress=progress)
+    done, progress = at_first(victim.kill)
     with connected(cluster.address) as found:
-        result = run_sweep(load_sweep(LONG), tmp_path / "there", options, found)
+        result = sweep(tmp_path / "there", LONG, found, threads=4, on_progress=progress)
     assert victim.wait(SECONDS) == -signal.SIGKILL
     assert done[0] < 160 == done[-1] == result.ran, "it was killed during the sweep, and each row came once"
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
@@ -191,7 +195,7 @@ def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_
             worker.kill()
         new = cluster.worker()
         wait_until(lambda: list(found.client.nthreads().values()) == [1], "the new worker does not join")
-        run_sweep(load_sweep(OF_FILE), tmp_path / "there", backend=found)
+        sweep(tmp_path / "there", OF_FILE, found)
         assert new.poll() is None
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here")), "messages name the same file"
     first = [row["deviation.m_sq"] for row in table(tmp_path / "here")]
@@ -230,7 +234,7 @@ def test_workers_with_other_versions_are_refused_by_name(cluster: Processes, tmp
         other = cluster.worker(tmp_path / "site")
         wait_until(lambda: len(found.client.nthreads()) == 3, "the other worker does not join")
         with pytest.raises(UsageError, match=r"worker tcp://127\.0\.0\.1:\d+: numba is 0\.0\.1 there and"):
-            run_sweep(load_sweep(MANY), tmp_path, SweepOptions(threads=12), backend=found)
+            sweep(tmp_path, MANY, found, threads=12)
     with (
         pytest.raises(UsageError, match=r"worker tcp://127\.0\.0\.1:\d+: numba is 0\.0\.1 there and"),
         connected(cluster.address),
@@ -258,18 +262,15 @@ def test_replaced_workers_of_this_machine_compute_the_rest(
     from distributed.core import Status
 
     monkeypatch.setattr("topcli.sweeps.cluster.RESTART_SECONDS", 1.0)
-    done: list[int] = []
     with connected("local:1") as found:
         local: Any = found.client.cluster
 
-        def progress(count: int, total: int, failed: int) -> None:
-            if not done:
-                (nanny,) = local.workers.values()
-                nanny.status = Status.starting
-                os.kill(nanny.pid, signal.SIGKILL)
-            done.append(count)
+        def kill() -> None:
+            (nanny,) = local.workers.values()
+            nanny.status = Status.starting
+            os.kill(nanny.pid, signal.SIGKILL)
 
-        result = run_sweep(load_sweep(MANY), tmp_path, SweepOptions(threads=12, on_progress=progress), found)
+        result = sweep(tmp_path, MANY, found, threads=12, on_progress=at_first(kill)[1])
         assert len(local.worker_spec) > 1
     assert (result.ran, result.outcomes) == (160, {"completed": 160})
 
@@ -286,14 +287,13 @@ def test_a_sweep_that_is_stopped_keeps_what_is_finished_and_frees_the_workers(
 ) -> None:
     with connected(cluster.address) as found:
         client = found.client
-        stopped = SweepOptions(stop=once(lambda: any(client.processing().values()), "no row is computed"))
-        result = run_sweep(load_sweep(ENDLESS), tmp_path / "endless", stopped, found)
+        stop = once(lambda: any(client.processing().values()), "no row is computed")
+        result = sweep(tmp_path / "endless", ENDLESS, found, stop=stop)
         assert (result.interrupted, result.finished) == (True, 0)
         wait_until(lambda: not any(client.processing().values()), "the workers do not become free")
-    done: list[int] = []
-    options = SweepOptions(threads=12, on_progress=lambda count, *_: done.append(count), stop=lambda: bool(done))
+    done, progress = at_first(lambda: None)
     with connected(cluster.address) as found:
-        result = run_sweep(load_sweep(MANY), tmp_path, options, found)
+        result = sweep(tmp_path, MANY, found, threads=12, on_progress=progress, stop=lambda: bool(done))
     assert result.interrupted
     assert 0 < result.finished < 160
     rest = run_on_cluster(cluster.address, load_sweep(MANY), tmp_path)
@@ -302,18 +302,12 @@ def test_a_sweep_that_is_stopped_keeps_what_is_finished_and_frees_the_workers(
 
 @pytest.mark.slow
 def test_a_lost_scheduler_is_reported_and_finished_rows_are_kept(cluster: Processes, tmp_path: Path) -> None:
-    done: list[int] = []
-
-    def progress(count: int, total: int, failed: int) -> None:
-        if not done:
-            cluster.running[0].kill()
-        done.append(count)
-
+    kill = at_first(cluster.running[0].kill)[1]
     with (
         pytest.raises(RunError, match="connection to the scheduler was lost; finished rows are kept"),
         connected(cluster.address) as found,
     ):
-        run_sweep(load_sweep(LONG), tmp_path, SweepOptions(threads=4, on_progress=progress), found)
+        sweep(tmp_path, LONG, found, threads=4, on_progress=kill)
     assert 0 < sweep(tmp_path, LONG).ran < 160
 
 
