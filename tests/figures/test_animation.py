@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from cases import table_of
 from conftest import Said
 from topcli.errors import RunError
 from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, palette, planned, turns
@@ -152,23 +153,6 @@ def test_durations_of_a_gif_are_whole_ticks() -> None:
     assert gif_durations(2, 50.0) == [20, 20]
 
 
-def test_a_failed_animation_keeps_the_earlier_file(
-    tmp_path: Path, motion: BodyMotion, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "a.gif"
-    path.write_bytes(b"earlier")
-    film = planned(motion, 10.0, 0.5, 240, None, None)
-
-    def broken(self: Stage, index: int) -> Any:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Stage, "frame", broken)
-    with pytest.raises(RunError, match="no space left on the device; no animation was written"):
-        animate(motion, film, path)
-    assert path.read_bytes() == b"earlier"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_a_missing_encoder_is_said_first(
     folder: Path, monkeypatch: pytest.MonkeyPatch, cli: Callable[..., Said]
 ) -> None:
@@ -216,12 +200,23 @@ def test_frames_reach_the_encoder(tmp_path: Path, motion: BodyMotion, monkeypatc
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_what_the_encoder_says_is_reported(tmp_path: Path, motion: BodyMotion, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("suffix", "message"),
+    [("mp4", "the encoder failed: no such codec"), ("gif", "no space left on the device; no animation was written")],
+)
+def test_a_failed_animation_keeps_the_earlier_file(
+    tmp_path: Path, motion: BodyMotion, monkeypatch: pytest.MonkeyPatch, suffix: str, message: str
+) -> None:
+    def full(self: Stage, index: int) -> Any:
+        raise OSError(28, "No space left on device")
+
     fake_encoder(tmp_path, monkeypatch, fails=True)
+    if suffix == "gif":
+        monkeypatch.setattr(Stage, "frame", full)
     (tmp_path / "out").mkdir()
-    path = tmp_path / "out" / "a.mp4"
+    path = tmp_path / "out" / f"a.{suffix}"
     path.write_bytes(b"earlier")
-    with pytest.raises(RunError, match="the encoder failed: no such codec"):
+    with pytest.raises(RunError, match=message):
         animate(motion, planned(motion, 10.0, 0.3, 240, None, None), path)
     assert path.read_bytes() == b"earlier"
     assert list(path.parent.iterdir()) == [path]
@@ -245,21 +240,19 @@ def test_mp4_is_playable(tmp_path: Path, motion: BodyMotion) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
-    [
-        (("--out", "a.webm"), "--out a.webm: must end in .gif or .mp4"),
-        (("--out", "a.gif", "--fps", "60"), "--fps 60: a GIF has at most 50 frames per second; write an .mp4"),
-        (("--out", "a.gif", "--seconds", "200"), "a GIF has at most 2500 frames, not 5000; write an .mp4"),
-        (("--out", "a.gif", "--seconds", "4.4", "--size", "3840"), "1081344000 pixels in all frames of a GIF"),
-        (("--out", "a.gif", "--stop", "9"), "--stop 9: the run is from t = 0 to 4"),
-        (("--out", "a.gif", "--start", "-1"), "--start -1: the run is from t = 0 to 4"),
-        (("--out", "a.gif", "--start", "2", "--stop", "2"), "are both 2"),
-        (("--out", "a.gif", "--size", "10"), "--size"),
-    ],
+    table_of("""
+--out a.webm                           --out a.webm: must end in .gif or .mp4
+--out a.gif --fps 60                   --fps 60: a GIF has at most 50 frames per second; write an .mp4
+--out a.gif --seconds 200              a GIF has at most 2500 frames, not 5000; write an .mp4
+--out a.gif --seconds 4.4 --size 3840  1081344000 pixels in all frames of a GIF
+--out a.gif --stop 9                   --stop 9: the run is from t = 0 to 4
+--out a.gif --start -1                 --start -1: the run is from t = 0 to 4
+--out a.gif --start 2 --stop 2         are both 2
+--out a.gif --size 10                  --size
+"""),
 )
-def test_wrong_options_are_refused(
-    folder: Path, cli: Callable[..., Said], arguments: tuple[str, ...], expected: str
-) -> None:
-    said = cli("animate", str(folder), *arguments)
+def test_wrong_options_are_refused(folder: Path, cli: Callable[..., Said], arguments: str, expected: str) -> None:
+    said = cli("animate", str(folder), *arguments.split())
     assert said.code == 2
     assert expected in said.err
     assert not Path("a.gif").exists()

@@ -13,6 +13,7 @@ import pytest
 from matplotlib.colors import same_color, to_rgb
 from matplotlib.figure import Figure
 
+from cases import table_of
 from drawn_artists import data_of, drawn, drawn_from, explained, in_sight, labelled, look, series_of
 from figure_studies import (
     ORDERED,
@@ -235,9 +236,17 @@ def test_changes_of_the_integrals_have_an_inset_of_their_values(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.001, "10^{-3}"), (0.01, "0.01"), (-1e-8, "-10^{-8}"), (2.5e-4, r"2.5\times 10^{-4}"), (3.0, "3"),
-     (99999.0, "99999"), (1e5, "10^{5}"), (0.0, "0")],
-)  # fmt: skip
+    table_of(r"""
+0.001    10^{-3}
+0.01     "0.01"
+-1e-8    -10^{-8}
+2.5e-4   2.5\times 10^{-4}
+3.0      "3"
+99999.0  "99999"
+1e5      10^{5}
+0.0      "0"
+"""),
+)
 def test_numbers_are_written_as_powers_of_ten(value: float, text: str) -> None:
     assert number_text(value) == text
 

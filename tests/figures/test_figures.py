@@ -16,7 +16,7 @@ from matplotlib.figure import Figure as Drawn
 
 import topcli
 from conftest import ROOT
-from drawn_artists import drawn_from, table_of
+from drawn_artists import columns_of, drawn_from
 from figure_studies import PREPARE
 from sweep_rows import write_rows
 from topcli.analysis import order as analysis_of_orders
@@ -52,7 +52,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_figures_of_the_paper_show_what_they_should(made: Path) -> None:
     """E runs from 4.99968 to 5.00416 over t in [0, 50]: not "almost constant"."""
-    hk, bohlin, secular, hybrid = (table_of(made / "figures" / f"fig{i}.parquet") for i in (1, 2, 3, 4))
+    hk, bohlin, secular, hybrid = (columns_of(made / "figures" / f"fig{i}.parquet") for i in (1, 2, 3, 4))
     assert np.abs(hk["gamma1"] - hybrid["gamma1"]).max() < 0.01
     assert np.abs(hk["gamma1"] - bohlin["gamma1"]).max() > 1.5
     assert secular["energy"].min() == pytest.approx(4.99968, abs=1e-5)
@@ -103,12 +103,12 @@ def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_pat
 def test_packaged_scenes_serve_where_there_are_no_configs(made: Path, tmp_path: Path) -> None:
     """The columns beside the picture are those of the packaged scene, in the order of the panels."""
     drawn = make_figure(FIGURES["fig3"], Request(made, tmp_path / "none"), tmp_path, ["png"]).files[-1]
-    run, columns = topcli.simulate("kowalevski_bohlin_a"), table_of(drawn)
+    run, columns = topcli.simulate("kowalevski_bohlin_a"), columns_of(drawn)
     assert list(columns) == ["t", "energy", "two_l"]
     for name, values in columns.items():
         np.testing.assert_array_equal(values, run[name])
     components = [f"{vector}{i}" for vector in ("gamma", "omega") for i in (1, 2, 3)]
-    assert list(table_of(made / "figures" / "fig1.parquet")) == ["t", *components]
+    assert list(columns_of(made / "figures" / "fig1.parquet")) == ["t", *components]
 
 
 def test_the_manifest_names_what_the_figure_was_made_from(made: Path) -> None:
@@ -206,7 +206,7 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
     assert [status("wave") for _ in range(2)] == [{"wave": "drawn"}, {"wave": "up to date"}]
     Path("results/figures/wave.pdf").unlink()
     assert status("wave") == {"wave": "drawn"}
-    short = table_of(Path("results/figures/wave.parquet"))["y"]
+    short = columns_of(Path("results/figures/wave.parquet"))["y"]
     assert (np.isnan(short) == (np.arange(20) >= 5)).all()
 
 

@@ -12,8 +12,9 @@ import pytest
 from matplotlib.colors import same_color
 from matplotlib.figure import Figure
 
+from cases import table_of
 from conftest import ROOT
-from drawn_artists import data_of, table_of
+from drawn_artists import columns_of, data_of
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
@@ -39,7 +40,7 @@ def test_overrides_change_the_run_and_keep_the_figure_of_the_scene(cli: Callable
     assert first["name"] == f"fig1-{digits}"
     assert first["files"] == [f"results/figures/fig1-{digits}.{suffix}" for suffix in ("png", "parquet")]
     assert Path(f"results/kowalevski_hk-{digits}/manifest.json").is_file()
-    assert len(table_of(Path(first["files"][1]))["t"]) == 301
+    assert len(columns_of(Path(first["files"][1]))["t"]) == 301
     again = cli("plot", "fig1", "--set", "N=300", "--format", "png", "--json").json()["figures"][0]
     assert again["status"] == "up to date"
     own = cli("plot", "fig1", "--set", "h=0.001", "--json").json()["figures"][0]
@@ -70,19 +71,19 @@ def test_overrides_reach_every_scene_of_a_figure_and_comparisons(
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (("swings", "--set", "h=1"), "--set: swings is not drawn from runs of one config; use it with fig1, fig2"),
-        (("fig1", "stress", "--overlay", "exact"), "--overlay exact: stress is not drawn from runs of one config"),
-        (("fig1", "--overlay", "reference"), "--overlay reference: unknown overlay; use exact"),
-        (("fig1", "--format", "gif"), "--format gif: unknown format; use png, pdf or svg"),
-        (("fig1", "--set", "hh=1"), "did you mean 'h'"),
-        (("fig1", "--style", "none.mplstyle"), "--style none.mplstyle: No such file"),
-    ],
+    table_of("""
+swings --set h=1              --set: swings is not drawn from runs of one config; use it with fig1, fig2
+fig1 stress --overlay exact   --overlay exact: stress is not drawn from runs of one config
+fig1 --overlay reference      --overlay reference: unknown overlay; use exact
+fig1 --format gif             --format gif: unknown format; use png, pdf or svg
+fig1 --set hh=1               did you mean 'h'
+fig1 --style none.mplstyle    --style none.mplstyle: No such file
+"""),
 )
 def test_options_that_do_not_fit_are_refused_before_anything_is_run(
-    cli: Callable[..., Any], arguments: tuple[str, ...], message: str
+    cli: Callable[..., Any], arguments: str, message: str
 ) -> None:
-    said = cli("plot", *arguments)
+    said = cli("plot", *arguments.split())
     assert (said.code, said.out) == (2, "")
     assert message in said.err
     assert not Path("results/figures").exists() or not list(Path("results/figures").iterdir())
@@ -170,20 +171,17 @@ def test_a_style_replaces_the_print_style_and_the_figure_is_drawn_again(tmp_path
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [
-        ("font.size: 9\nfont.sise: 3\n", ":2: matplotlib has no parameter 'font.sise'; did you mean 'font.size'"),
-        ("\n\nlines.linewidth: broad", ":3: lines.linewidth: Could not convert 'broad' to float"),
-        ("qwxyz: 1", ":1: matplotlib has no parameter 'qwxyz'; see matplotlib.rcParams for all"),
-        ("font.size 9", ":1: 'font.size 9' is not a line KEY: VALUE, as in font.size: 9"),
-        ("backend: agg", ":1: backend is not part of a style; remove the line"),
-        ("figure.figsize: 3", ":1: figure.figsize: Expected 2 values"),
-        ("axes.prop_cycle: cycler('linestyle', ['-', ':'])", ":1: axes.prop_cycle: a cycle without colours"),
-        (
-            "font.family: DejaVu Sanz",
-            ":1: font.family: no font 'DejaVu Sanz' on this machine; did you mean 'DejaVu Sans'",
-        ),
-        ("axes.prop_cycle: cycler('color', [", ":1: axes.prop_cycle: "),
-    ],
+    table_of(r"""
+"font.size: 9\nfont.sise: 3\n"     :2: matplotlib has no parameter 'font.sise'; did you mean 'font.size'
+"\n\nlines.linewidth: broad"       :3: lines.linewidth: Could not convert 'broad' to float
+qwxyz: 1                           :1: matplotlib has no parameter 'qwxyz'; see matplotlib.rcParams for all
+font.size 9                        :1: 'font.size 9' is not a line KEY: VALUE, as in font.size: 9
+backend: agg                       :1: backend is not part of a style; remove the line
+figure.figsize: 3                  :1: figure.figsize: Expected 2 values
+axes.prop_cycle: cycler('linestyle', ['-', ':'])  :1: axes.prop_cycle: a cycle without colours
+font.family: DejaVu Sanz           :1: font.family: no font 'DejaVu Sanz' on this machine; did you mean 'DejaVu Sans'
+axes.prop_cycle: cycler('color', [  ":1: axes.prop_cycle: "
+"""),
 )
 def test_a_style_that_matplotlib_refuses_is_named_with_its_line(
     cli: Callable[..., Any], tmp_path: Path, text: str, message: str

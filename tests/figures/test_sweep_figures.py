@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import re
 import statistics
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from cases import table_of
 from drawn_artists import data_of, drawn, explained, labelled
 from sweep_rows import write_rows
 from topcli.errors import UsageError
@@ -187,37 +189,38 @@ def test_orders_are_drawn_over_names(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "scale"),
-    [
-        ([1.0, 99.0], ("linear", 0.0)),
-        ([1.0, 101.0], ("log", 0.0)),
-        ([0.0, 1.0, 101.0, NAN], ("log", 0.0)),
-        ([-1.0, 99.0], ("linear", 0.0)),
-        ([-1.0, 101.0], ("symlog", 1.0)),
-        ([-1e-20, 5.0], ("symlog", 5e-10)),
-        ([-1.0, -101.0], ("symlog", 1.0)),
-        ([0.0, NAN], ("linear", 0.0)),
-        ([1.0, math.inf], ("linear", 0.0)),
-    ],
+    ("values", "scale", "width"),
+    table_of("""
+[1.0, 99.0]              linear  0.0
+[1.0, 101.0]             log     0.0
+[0.0, 1.0, 101.0, None]  log     0.0
+[-1.0, 99.0]             linear  0.0
+[-1.0, 101.0]            symlog  1.0
+[-1e-20, 5.0]            symlog  5e-10
+[-1.0, -101.0]           symlog  1.0
+[0.0, None]              linear  0.0
+[1.0, 1e999]             linear  0.0
+"""),
 )
-def test_scales_follow_the_magnitudes(values: list[float], scale: tuple[str, float]) -> None:
-    assert scale_of(np.array(values)) == scale
+def test_scales_follow_the_magnitudes(values: list[Any], scale: str, width: float) -> None:
+    assert scale_of(np.array(values, dtype=float)) == (scale, width)
 
 
 @pytest.mark.parametrize(
     ("sizes", "log", "scale"),
-    [
-        ([0.1, 0.05, 0.025], [], "log"),
-        ([0.1, 0.05, 0.02], [], "linear"),
-        ([0.1, 0.05, 0.02], ["h"], "log"),
-        ([1.0, 1.9, 20.0], [], "log"),
-        ([1.0, 1.9, 19.9], [], "linear"),  # a range of less than 20
-        ([1.0, 1.98, 20.0], [], "linear"),  # gaps of less than 1 : 20
-        ([1.0, 51.0, 101.0], [], "linear"),  # evenly spaced
-        ([0.0, 1.0, 1000.0], ["h"], "linear"),
-    ],
+    table_of("""
+[0.1, 0.05, 0.025]   []     log
+[0.1, 0.05, 0.02]    []     linear
+[0.1, 0.05, 0.02]    ["h"]  log
+[1.0, 1.9, 20.0]     []     log
+[1.0, 1.9, 19.9]     []     linear
+[1.0, 1.98, 20.0]    []     linear
+[1.0, 51.0, 101.0]   []     linear
+[0.0, 1.0, 1000.0]   ["h"]  linear
+"""),
 )
 def test_a_key_is_logarithmic_if_its_range_was(tmp_path: Path, sizes: list[float], log: list[str], scale: str) -> None:
+    """Or over a range of 20 and more, with gaps of 1 : 20 and more, that are not even."""
     folder = write_rows(tmp_path / "x", {"h": sizes}, {"v": [1.0, 2.0, 3.0]}, log=log)
     (axes,) = figure_of(folder, Choice("h", "v")).axes
     assert axes.get_xscale() == scale
@@ -288,26 +291,24 @@ def test_edges_of_cells_lie_between_their_centres() -> None:
 
 @pytest.mark.parametrize(
     ("choice", "message"),
-    [
-        (Choice("h", "error.max", "scheme"), "up to 3 values fall into one point, because seed still varies"),
-        (Choice("h", "scheme", colour="error.max"), "up to 3 values fall into one point"),
-        (Choice("hh", "error.max"), "--x: unknown key 'hh'; did you mean 'h'"),
-        (Choice("h", "error"), r"--y: unknown measure 'error'; did you mean 'error.max'"),
-        (Choice("h", "scheme"), "--y: 'scheme' is a key; give a measure"),
-        (Choice("h", "error.max", colour="drift.energy"), "--y: 'error.max' is a measure; give a varied key"),
-        (
-            Choice("h", "scheme", colour="drift.enrgy"),
-            r"--colour: unknown measure 'drift.enrgy'; did you mean 'drift.energy'",
-        ),
-        (Choice("h", "scheme", "seed", colour="error.max"), "--colour and --by do not go together"),
-        (Choice("h", "error.max", "h"), "key 'h' is used twice"),
-        (Choice("h", "error.max", "sceme"), "--by: unknown key 'sceme'; did you mean 'scheme'"),
-        (Choice("h", "error.max", aggregate="avg"), "--aggregate 'avg': unknown aggregate"),
-    ],
+    table_of("""
+x=h y=error.max by=scheme                up to 3 values fall into one point, because seed still varies
+x=h y=scheme colour=error.max            up to 3 values fall into one point
+x=hh y=error.max                         --x: unknown key 'hh'; did you mean 'h'
+x=h y=error                              --y: unknown measure 'error'; did you mean 'error.max'
+x=h y=scheme                             --y: 'scheme' is a key; give a measure
+x=h y=error.max colour=drift.energy      --y: 'error.max' is a measure; give a varied key
+x=h y=scheme colour=drift.enrgy          --colour: unknown measure 'drift.enrgy'; did you mean 'drift.energy'
+x=h y=scheme by=seed colour=error.max    --colour and --by do not go together
+x=h y=error.max by=h                     key 'h' is used twice
+x=h y=error.max by=sceme                 --by: unknown key 'sceme'; did you mean 'scheme'
+x=h y=error.max aggregate=avg            --aggregate 'avg': unknown aggregate
+"""),
 )
-def test_wrong_choices_are_named(folder: Path, choice: Choice, message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        sweep_figure(read_rows(folder), choice).load(Request())
+def test_wrong_choices_are_named(folder: Path, choice: str, message: str) -> None:
+    given = dict(word.split("=") for word in choice.split())
+    with pytest.raises(UsageError, match=re.escape(message)):
+        sweep_figure(read_rows(folder), Choice(**given)).load(Request())
 
 
 @pytest.mark.slow
@@ -333,17 +334,17 @@ def test_the_command_draws_stores_and_repeats_nothing(cli: Callable[..., Any], f
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (("sweep",), "name one folder"),
-        (("sweep", "a", "b"), "name one folder"),
-        (("sweep", "nowhere", "--x", "h"), "no sweep is stored here"),
-        (("fig1", "--x", "h"), "--x belongs to sweeps"),
-        (("order", "--where", "h=1"), "--where belongs to sweeps"),
-        (("--all", "--aggregate", "max"), "--aggregate belongs to sweeps"),
-    ],
+    table_of("""
+sweep                  name one folder
+sweep a b              name one folder
+sweep nowhere --x h    no sweep is stored here
+fig1 --x h             --x belongs to sweeps
+order --where h=1      --where belongs to sweeps
+--all --aggregate max  --aggregate belongs to sweeps
+"""),
 )
-def test_wrong_commands_are_named(cli: Callable[..., Any], arguments: tuple[str, ...], message: str) -> None:
-    said = cli("plot", *arguments)
+def test_wrong_commands_are_named(cli: Callable[..., Any], arguments: str, message: str) -> None:
+    said = cli("plot", *arguments.split())
     assert (said.code, said.out) == (2, "")
     assert message in said.err
 

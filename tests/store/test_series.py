@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from cases import table_of
 from topcli.errors import RunError, UsageError
 from topcli.store import series
 from topcli.store.envelope import envelope, thinned
@@ -224,23 +225,23 @@ def test_parquet_is_known_by_its_content(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [
-        ("", "is empty"),
-        (" \n\n", "is empty"),
-        (b"t,a\n0,\0\n", "neither CSV nor Parquet (it holds binary data)"),
-        (b"t,\xff\n0,1\n", "neither CSV nor Parquet (byte 0xff is not UTF-8 text)"),
-        (b"PAR1 and no more", "damaged Parquet"),
-        ("hello\nworld\n", "no column names separated by commas, semicolons or tabs"),
-        ("0,1\n0.5,2\n", "first line holds numbers; expected the names of the columns"),
-        ("t,a,t\n0,1,0\n", "two columns are called 't'"),
-        ("t,a\n0,1\n0.5,two\n", "row 2: a is not a number: 'two'"),
-        ("t,a\n0,1\n0.5,\n", "row 2: a is empty"),
-        ("t,a\n0,1\n0.5\n", "row 2: has 1 columns; expected 2"),
-        ("t,a\n0,1\n0.5,2,3\n", "row 2: has 3 columns; expected 2"),
-        ("t,a\n0,1\n1,2\n0.5,nan\n", "row 3: a is not finite (nan)"),
-        ("t,a\n0,1\n1,-inf\n", "row 2: a is not finite (-inf)"),
-        (b"t,a\n0,1\n1,\xff\n", "is neither CSV nor Parquet (byte 0xff is not UTF-8 text)"),
-    ],
+    table_of(r"""
+""                          is empty
+" \n\n"                     is empty
+b"t,a\n0,\0\n"              neither CSV nor Parquet (it holds binary data)
+b"t,\xff\n0,1\n"            neither CSV nor Parquet (byte 0xff is not UTF-8 text)
+b"PAR1 and no more"         damaged Parquet
+"hello\nworld\n"            no column names separated by commas, semicolons or tabs
+"0,1\n0.5,2\n"              first line holds numbers; expected the names of the columns
+"t,a,t\n0,1,0\n"            two columns are called 't'
+"t,a\n0,1\n0.5,two\n"       row 2: a is not a number: 'two'
+"t,a\n0,1\n0.5,\n"          row 2: a is empty
+"t,a\n0,1\n0.5\n"           row 2: has 1 columns; expected 2
+"t,a\n0,1\n0.5,2,3\n"       row 2: has 3 columns; expected 2
+"t,a\n0,1\n1,2\n0.5,nan\n"  row 3: a is not finite (nan)
+"t,a\n0,1\n1,-inf\n"        row 2: a is not finite (-inf)
+b"t,a\n0,1\n1,\xff\n"       is neither CSV nor Parquet (byte 0xff is not UTF-8 text)
+"""),
 )
 def test_wrong_content_is_named(tmp_path: Path, content: str | bytes, words: str) -> None:
     path = written(tmp_path, content)

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from cases import table_of
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.errors import UsageError
@@ -175,11 +176,11 @@ def test_steps_decide_the_round_off_bound(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("place", "value", "message"),
-    [
-        (4, 0.3, "row 5: t = 0.3 repeats that of row 4; times must differ"),
-        (4, 0.25, "row 5: t = 0.25 after 0.3; times must be sorted (here: increase)"),
-        (0, 0.1, "row 2: t = 0.1 repeats that of row 1; times must differ"),
-    ],
+    table_of("""
+4  0.3   row 5: t = 0.3 repeats that of row 4; times must differ
+4  0.25  row 5: t = 0.25 after 0.3; times must be sorted (here: increase)
+0  0.1   row 2: t = 0.1 repeats that of row 1; times must differ
+"""),
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_wrong_times_are_named(tmp_path: Path, place: int, value: float, message: str, sign: float) -> None:
@@ -236,14 +237,14 @@ def test_columns_are_renamed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [
-        ("omega1", "--columns 'omega1': write NAME=COLUMN, such as omega1=w_x"),
-        ("omga1=w", "--columns 'omga1=w': unknown name 'omga1'; did you mean 'omega1' or 'omega3'?"),
-        ("t=a,t=b", "--columns 't=b': t is given twice"),
-        ("omega1=w", "--columns omega1=w: {path} has no column 'w'; known: omega1, omega2, omega3, t"),
-        ("omega1=omega2", "{path}: column 'omega2' is taken for omega1 and omega2; rename with --columns omega1=..."),
-        ("n=omega1", "{path}: column 'omega1' is taken for omega1 and n; rename with --columns omega1=..."),
-    ],
+    table_of("""
+omega1         --columns 'omega1': write NAME=COLUMN, such as omega1=w_x
+omga1=w        --columns 'omga1=w': unknown name 'omga1'; did you mean 'omega1' or 'omega3'?
+t=a,t=b        --columns 't=b': t is given twice
+omega1=w       --columns omega1=w: {path} has no column 'w'; known: omega1, omega2, omega3, t
+omega1=omega2  {path}: column 'omega2' is taken for omega1 and omega2; rename with --columns omega1=...
+n=omega1       {path}: column 'omega1' is taken for omega1 and n; rename with --columns omega1=...
+"""),
 )
 def test_wrong_renaming_is_named(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "x.parquet"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import topcli
+from cases import table_of
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.errors import UsageError
@@ -60,20 +61,19 @@ def test_entries_of_the_same_step_keep_the_rows_of_the_experiment() -> None:
 
 @pytest.mark.parametrize(
     ("texts", "every", "strides", "recorded"),
-    [
-        (("hk", "hk:h=0.02"), 1, [2, 1], [2, 1]),
-        (("hk", "hk:h=0.02", "hk:h=0.04"), 1, [4, 2, 1], [4, 2, 1]),
-        # 400 rows are wanted; 250 and 500 divide both numbers of steps, and 250 are few
-        (("hk", "hk:h=0.02"), 5, [4, 2], [4, 2]),
-        (("hk", "hk:h=0.05"), 1000, [1000, 200], [1000, 200]),
-        # 2000 and 400 * 3 = 1200 steps share 400; 2000 and 1875 share 125, fewer than 300: rows between
-        (("hk", f"hk:h={20 / 1200!r}"), 1, [5, 3], [5, 3]),
-        (("hk", f"hk:h={20 / 1875!r}"), 1, [16, 15], [4, 5]),
-        (("hk", f"hk:h={20 / 1999!r}"), 1, [2000, 1999], [5, 1]),
-    ],
+    table_of("""
+hk hk:h=0.02             1     [2, 1]        [2, 1]
+hk hk:h=0.02 hk:h=0.04   1     [4, 2, 1]     [4, 2, 1]
+hk hk:h=0.02             5     [4, 2]        [4, 2]
+hk hk:h=0.05             1000  [1000, 200]   [1000, 200]
+hk hk:h=0.016666666666666666   1  [5, 3]        [5, 3]
+hk hk:h=0.010666666666666666   1  [16, 15]      [4, 5]
+hk hk:h=0.010005002501250625   1  [2000, 1999]  [5, 1]
+"""),
 )
-def test_rows_are_recorded_at_common_times(texts, every, strides, recorded) -> None:
-    found = entries(*texts, sets=(f"output.every={every}",))
+def test_rows_are_recorded_at_common_times(texts: str, every: int, strides: list[int], recorded: list[int]) -> None:
+    """300 rows or more: 2000 steps share 400 with 1200, but only 125 with 1875, so that there are rows between."""
+    found = entries(*texts.split(), sets=(f"output.every={every}",))
     assert [one.stride for one in found] == strides
     assert [one.experiment.output.every for one in found] == recorded
     times = [np.arange(0, one.experiment.N + 1, one.stride) * one.experiment.h for one in found]
@@ -84,24 +84,24 @@ def test_rows_are_recorded_at_common_times(texts, every, strides, recorded) -> N
 
 @pytest.mark.parametrize(
     ("texts", "message"),
-    [
-        (["hk:h=0.03"], "hk:h=0.03: T/h = 20/0.03 = 666.666667 is not a whole number of steps; nearest: h = "),
-        (["hybrid:brunch=sign"], "hybrid:brunch=sign: scheme 'hybrid' has no option 'brunch'; did you mean 'branch'?"),
-        (["hybrid:branch=sing"], "hybrid:branch=sing: scheme.branch: must be 'nearest' or 'sign'"),
-        (["hkk:h=0.02"], "hkk:h=0.02: unknown scheme 'hkk'; did you mean 'hk'?"),
-        (["hk:h"], "hk:h: 'h': expected key=value, such as h=0.01"),
-        (["hk:h=0.02,h=0.04"], "hk:h=0.02,h=0.04: sets h twice; set it once"),
-        (["hk:h=0"], "hk:h=0: h must be a finite number other than zero, not 0"),
-        (["hk:h=-0.02"], "hk:h=-0.02: h = -0.02 must have the sign of 0.01, the step of the experiment"),
-        (["hk", "hk:h=1e-2"], "hk:h=0.01: computes the same as hk; keep one of them"),
-        (["hybrid:branch=nearest", "hybrid"], "hybrid: computes the same as hybrid:branch=nearest; keep one of them"),
-        (["hk:h=0.02", "HK:h=2e-2"], "hk:h=0.02 is named twice"),
-        (["hk", "HK"], "scheme 'hk' is named twice"),
-    ],
+    table_of("""
+hk:h=0.03                     "hk:h=0.03: T/h = 20/0.03 = 666.666667 is not a whole number of steps; nearest: h = "
+hybrid:brunch=sign            hybrid:brunch=sign: scheme 'hybrid' has no option 'brunch'; did you mean 'branch'?
+hybrid:branch=sing            hybrid:branch=sing: scheme.branch: must be 'nearest' or 'sign'
+hkk:h=0.02                    hkk:h=0.02: unknown scheme 'hkk'; did you mean 'hk'?
+hk:h                          hk:h: 'h': expected key=value, such as h=0.01
+hk:h=0.02,h=0.04              hk:h=0.02,h=0.04: sets h twice; set it once
+hk:h=0                        hk:h=0: h must be a finite number other than zero, not 0
+hk:h=-0.02                    hk:h=-0.02: h = -0.02 must have the sign of 0.01, the step of the experiment
+hk hk:h=1e-2                  hk:h=0.01: computes the same as hk; keep one of them
+hybrid:branch=nearest hybrid  hybrid: computes the same as hybrid:branch=nearest; keep one of them
+hk:h=0.02 HK:h=2e-2           hk:h=0.02 is named twice
+hk HK                         scheme 'hk' is named twice
+"""),
 )
-def test_errors_name_the_entry(texts: list[str], message: str) -> None:
+def test_errors_name_the_entry(texts: str, message: str) -> None:
     with pytest.raises(UsageError) as refused:
-        entries(*texts)
+        entries(*texts.split())
     assert str(refused.value).startswith(message)
 
 
@@ -282,15 +282,15 @@ def test_every_line_of_the_table_shows_its_measure(cli: Any) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (("hk", "--plot"), "error: --plot draws one trajectory, and kowalevski_ensemble is an ensemble of 1000"),
-        (("hk", "hk:h=0.03"), "error: hk:h=0.03: T/h = 100/0.03"),
-        (("hk", "hkk"), "unknown scheme 'hkk'; did you mean 'hk'?"),
-        (("hk", "--set", "scheme.brunch=sign"), "--set scheme.brunch: none of the schemes has this option"),
-    ],
+    table_of("""
+hk --plot                    error: --plot draws one trajectory, and kowalevski_ensemble is an ensemble of 1000
+hk hk:h=0.03                 error: hk:h=0.03: T/h = 100/0.03
+hk hkk                       unknown scheme 'hkk'; did you mean 'hk'?
+hk --set scheme.brunch=sign  --set scheme.brunch: none of the schemes has this option
+"""),
 )
-def test_mistakes_are_refused_before_anything_runs(cli: Any, arguments: tuple[str, ...], message: str) -> None:
-    said = cli("compare", *arguments, "--config", "kowalevski_ensemble")
+def test_mistakes_are_refused_before_anything_runs(cli: Any, arguments: str, message: str) -> None:
+    said = cli("compare", *arguments.split(), "--config", "kowalevski_ensemble")
     assert (said.code, said.out) == (2, "")
     assert message in said.err
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cases import table_of
 from conftest import GEN, Said
 from topcli.analysis.order import convergence, judge_order
 from topcli.analysis.reference import reference_states
@@ -44,18 +45,18 @@ def test_the_default_is_the_generic_motion_under_six_schemes() -> None:
 
 @pytest.mark.parametrize(
     ("schemes", "form"),
-    [
-        (["hk"], "kowalevski"),
-        (["bs"], "lagrange/inertial"),
-        (["HK", "bohlin-a"], "kowalevski"),
-        (["hk", "bs"], "euler"),
-        (["hk+kahan-li8"], "kowalevski"),
-    ],
+    table_of("""
+hk             kowalevski
+bs             lagrange/inertial
+HK bohlin-a    kowalevski
+hk bs          euler
+hk+kahan-li8   kowalevski
+"""),
 )
-def test_the_scene_is_that_of_a_top_which_all_schemes_fit(schemes: list[str], form: str) -> None:
-    what = ladders(schemes)
+def test_the_scene_is_that_of_a_top_which_all_schemes_fit(schemes: str, form: str) -> None:
+    what = ladders(schemes.split())
     assert what.problem.top.form == form
-    assert names(what) == [name.lower() for name in schemes]
+    assert names(what) == schemes.lower().split()
 
 
 @pytest.mark.slow
@@ -72,22 +73,21 @@ def test_top_and_config_choose_the_scene_and_the_duration() -> None:
 
 @pytest.mark.parametrize(
     ("schemes", "options", "message"),
-    [
-        (["hkk"], {}, "unknown scheme 'hkk'; did you mean 'hk'"),
-        (["bs"], {"top": "kowalevski"}, "scheme 'bs' does not fit top 'kowalevski'"),
-        (["hk"], {"top": "eulr"}, "--top: no scene for the top 'eulr'; did you mean 'euler'"),
-        (["hk"], {"top": "euler", "config": "euler_hk"}, "--top and --config both choose the scene"),
-        (["dop853"], {}, "no scheme with an order to observe: dop853: its steps follow a tolerance, not h"),
-        (["hk", "hk"], {}, "scheme 'hk' is named twice"),
-        (["hk"], {"sizes": [0.6]}, "--h 0.6: must be positive and at most 0.5"),
-        (["hk"], {"sizes": [math.nan]}, "--h nan: must be positive"),
-        (["hk"], {"duration": -1.0}, "the duration -1 must be positive"),
-        (["hk"], {"config": "kowalevski_hk", "sets": ["h=-0.1"]}, "must be positive; give another with --duration"),
-    ],
+    table_of("""
+hkk     {}  unknown scheme 'hkk'; did you mean 'hk'
+bs      {"top": "kowalevski"}  scheme 'bs' does not fit top 'kowalevski'
+hk      {"top": "eulr"}  --top: no scene for the top 'eulr'; did you mean 'euler'
+hk      {"top": "euler", "config": "euler_hk"}  --top and --config both choose the scene
+dop853  {}  no scheme with an order to observe: dop853: its steps follow a tolerance, not h
+hk hk   {}  scheme 'hk' is named twice
+hk      {"sizes": [0.6]}  --h 0.6: must be positive and at most 0.5
+hk      {"duration": -1.0}  the duration -1 must be positive
+hk      {"config": "kowalevski_hk", "sets": ["h=-0.1"]}  must be positive; give another with --duration
+"""),
 )
-def test_wrong_choices_are_named(schemes: list[str], options: dict[str, Any], message: str) -> None:
+def test_wrong_choices_are_named(schemes: str, options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        ladders(schemes, **options)
+        ladders(schemes.split(), **options)
 
 
 def test_a_scheme_without_an_order_is_left_out_beside_others() -> None:

@@ -35,10 +35,10 @@ def drawn_from(name: str, folder: Path, changes: Mapping[str, list[str]] | list[
 
 def series_of(folder: Path, scene: str) -> dict[str, np.ndarray]:
     """The columns of a run, read without the help of topcli."""
-    return table_of(folder / "r" / scene / "series.parquet")
+    return columns_of(folder / "r" / scene / "series.parquet")
 
 
-def table_of(path: Path) -> dict[str, np.ndarray]:
+def columns_of(path: Path) -> dict[str, np.ndarray]:
     """The columns of a file."""
     table = pq.read_table(path)
     return {name: table.column(name).to_numpy() for name in table.column_names}
