@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cases import table_of
 from resuming import NAME, after, content, killed, small
+from stored_results import store_comparison, store_ensemble, store_sweep
 from topcli.engine.run import Run
 from topcli.errors import RunError, UsageError
 from topcli.runs.decision import RunOptions
@@ -28,6 +30,7 @@ from topcli.store.parts import LOCK, owner, remove_own, remove_remains, take_loc
 from topcli.store.provenance import Commit, cpu_name
 from topcli.store.series import read_series
 from topcli.store.verify import check_run
+from topcli.studies.checks import check_all
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
@@ -170,21 +173,40 @@ def test_verify_finished_and_unfinished_runs(cli, in_tmp: Path) -> None:
     assert [file["name"] for file in damaged] == ["series.parquet", "series.parquet"]
 
 
+def interrupted(out: Path) -> Path:
+    return run_experiment(small(), out, RunOptions(stop=after(7))).stored.folder
+
+
+def compared(out: Path) -> Path:
+    return store_comparison(out / "compared.json")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["manifest", "missing", "longer", "checkpoint"])
-def test_verify_names_every_damaged_file(cli, in_tmp: Path, kind: str) -> None:
-    folder = run_experiment(small(), in_tmp, RunOptions(stop=after(7))).stored.folder
-    name = {"manifest": MANIFEST, "missing": "report.md", "longer": "config.yaml", "checkpoint": CHECKPOINT}[kind]
-    if kind == "missing":
-        (folder / name).unlink()
-    elif kind == "longer":
-        (folder / name).write_text((folder / name).read_text() + "#")
-    else:
-        flip(folder / name, 3)
-    said = cli("verify", str(folder))
-    assert said.code == 1
-    assert said.err.startswith(f"error: {folder / name}: damaged: ")
-    assert len(said.err.splitlines()) == 1
+@pytest.mark.parametrize("store", [interrupted, store_ensemble, store_sweep, compared])
+def test_verify_names_every_damaged_file(cli, in_tmp: Path, store: Callable[[Path], Path]) -> None:
+    """One that has a bit flipped, is cut or is missing, of every kind of result."""
+    place = store(in_tmp)
+    files = [place] if place.is_file() else [path for path in sorted(place.iterdir()) if path.name != LOCK]
+    for path in files:
+        data = path.read_bytes()
+        for damaged in (data[:3] + bytes([data[3] ^ 1]) + data[4:], data[:-1], None):
+            path.unlink() if damaged is None else path.write_bytes(damaged)
+            if damaged is None and path.name in (MANIFEST, place.name):
+                continue  # then nothing says that there is a finished result
+            said = cli("verify", str(place))
+            assert (said.code, len(said.err.splitlines())) == (1, 1), said.err
+            assert said.err.startswith(f"error: {path}: damaged: ")
+        path.write_bytes(data)
+    assert cli("verify", str(place)).code == 0
+
+
+@pytest.mark.parametrize("change", [{"manifest_version": 99}, {"files": []}])
+def test_a_sweep_whose_manifest_is_not_understood_is_damaged(tmp_path: Path, change: dict[str, object]) -> None:
+    folder = store_sweep(tmp_path)
+    path = folder / MANIFEST
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    (checked,) = check_all(str(folder), tmp_path)
+    assert [file.name for file in checked.files if file.damaged] == [MANIFEST]
 
 
 def test_verify_of_nothing_is_a_usage_error(cli, in_tmp: Path) -> None:
@@ -231,24 +253,7 @@ def test_the_text_of_a_manifest_is_compared(tmp_path: Path) -> None:
 DEEP = '{"a":' * 100_000
 
 
-def with_entry(key: str, value: Any) -> Callable[[dict[str, Any]], str]:
-    """The text of a manifest with one entry changed; ``key`` is a path with dots, ``None`` removes the entry."""
-
-    def text(manifest: dict[str, Any]) -> str:
-        *path, last = key.split(".")
-        inner = manifest
-        for name in path:
-            inner = inner[name]
-        if value is None:
-            del inner[last]
-        else:
-            inner[last] = value
-        return json.dumps(manifest)
-
-    return text
-
-
-HOSTILE: dict[str, Callable[[dict[str, Any]], str]] = {
+HOSTILE = {
     "empty": lambda manifest: "",
     "half": lambda manifest: json.dumps(manifest)[:200],
     "null": lambda manifest: "null",
@@ -256,37 +261,57 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], str]] = {
     "deep inside": lambda manifest: json.dumps(manifest)[:-1] + ', "x": ' + "[" * 100_000 + "]" * 100_000 + "}",
     "long number": lambda manifest: json.dumps(manifest)[:-1] + ', "x": ' + "9" * 10_000 + "}",
     "no UTF-8": lambda manifest: json.dumps(manifest).replace("kowalevski", "\udcff"),
-    "no files": with_entry("files", {}),
-    "files a list": with_entry("files", []),
-    "file elsewhere": with_entry("files", {"../../x": 3, "series.parquet": 3}),
-    "file size text": with_entry("files", {"series.parquet": "3"}),
-    "file hash short": with_entry("files", {"series.parquet": {"size": 3, "sha256": "../x"}}),
-    "digest path": with_entry("digest", "../../x"),
-    "digest gone": with_entry("digest", None),
-    "code a list": with_entry("code", [1]),
-    "series elsewhere": with_entry("series", "../other/series.parquet"),
-    "series hidden": with_entry("series", ".ssh"),
-    "outcome unknown": with_entry("outcome", "splendid"),
-    "N nan": with_entry("config.N", float("nan")),
-    "N huge": with_entry("config.N", 10**300),
-    "h text": with_entry("config.h", "small"),
-    "scheme text": with_entry("config.scheme", "hk"),
-    "step text": with_entry("step", "x"),
-    "file name of escapes": with_entry("files", {"\x1b[31mred": 3, "series.parquet": 3}),
-    "version": with_entry("manifest_version", 99),
-    "long words": with_entry("ended", "x" * 100_000),
 }
+ENTRIES = table_of(r"""
+files             {}
+files             []
+files             {"../../x": 3, "series.parquet": 3}
+files             {"series.parquet": "3"}
+files             {"series.parquet": {"size": 3, "sha256": "../x"}}
+files             {"\x1b[31mred": 3, "series.parquet": 3}
+digest            ../../x
+digest            None
+code              [1]
+series            ../other/series.parquet
+series            .ssh
+outcome           splendid
+config.N          nan
+config.N          1e300
+config.h          small
+config.scheme     hk
+step              x
+manifest_version  99
+""")
+"""Entries of a manifest, and values that they never have; without a value the entry is missing."""
 
 
-@pytest.mark.parametrize("kind", HOSTILE)
-def test_a_damaged_manifest_is_no_run(tmp_path: Path, kind: str) -> None:
-    folder = run_experiment(small(), tmp_path).stored.folder
-    text = HOSTILE[kind](json.loads((folder / MANIFEST).read_text()))
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The manifest of a run."""
+    folder = run_experiment(small(), tmp_path_factory.mktemp("whole")).stored.folder
+    return json.loads((folder / MANIFEST).read_text())
+
+
+def assert_no_run(folder: Path, text: str) -> None:
     (folder / MANIFEST).write_bytes(text.encode("utf-8", "surrogateescape"))
     found = read_run(folder)
     assert isinstance(found, DamagedRun)
     assert len(found.reason) < 300
     assert found.reason.isprintable()
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_a_damaged_manifest_is_no_run(tmp_path: Path, whole: dict[str, Any], kind: str) -> None:
+    assert_no_run(tmp_path, HOSTILE[kind](whole))
+
+
+@pytest.mark.parametrize(("key", "value"), [*ENTRIES, ("ended", "x" * 100_000)])
+def test_a_manifest_with_a_hostile_entry_is_no_run(
+    tmp_path: Path, whole: dict[str, Any], key: str, value: object
+) -> None:
+    section, _, last = key.rpartition(".")
+    inner = {**(whole[section] if section else whole), last: value}
+    assert_no_run(tmp_path, json.dumps({**whole, section: inner} if section else inner))
 
 
 def test_a_damaged_manifest_is_reported_and_kept(cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -312,21 +337,19 @@ def test_a_named_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -
     assert read_run(tmp_path) == DamagedRun(tmp_path, f"{MANIFEST}: no regular file")
 
 
-LOCKS = {
-    "deep": DEEP,
-    "list": "[]",
-    "pid text": '{"pid": "x"}',
-    "pid nan": '{"pid": NaN}',
-    "pid huge": '{"pid": 1e400}',
-    "pid negative": '{"pid": -1}',
-    "pid large": '{"pid": 99999999999999999999999}',
-    "binary": "\udcff\udcfe",
-}
+LOCKS = table_of("""
+[]
+{"pid": "x"}
+{"pid": NaN}
+{"pid": 1e400}
+{"pid": -1}
+{"pid": 99999999999999999999999}
+""")
 
 
-@pytest.mark.parametrize("kind", LOCKS)
-def test_damaged_lock_is_ignored(tmp_path: Path, kind: str) -> None:
-    (tmp_path / LOCK).write_bytes(LOCKS[kind].encode("utf-8", "surrogateescape"))
+@pytest.mark.parametrize("text", [*LOCKS, DEEP, "\udcff\udcfe"])
+def test_damaged_lock_is_ignored(tmp_path: Path, text: object) -> None:
+    (tmp_path / LOCK).write_bytes(str(text).encode("utf-8", "surrogateescape"))
     assert owner(tmp_path) == {}
     lock = take_lock(tmp_path)
     assert lock is not None

@@ -182,17 +182,6 @@ def test_every_order_that_options_give_takes_part(form: str) -> None:
         assert sorted(map(str, orders)) == sorted(str(scheme_with(name, form).order) for name in names)
 
 
-def test_exact_nodes_take_part_with_their_option() -> None:
-    (generic,) = bench_problems(("kowalevski-generic",), ())
-    (exact,) = [scheme for scheme in choose(generic, ()).schemes if scheme.name == "backlund:nodes=exact"]
-    plain = find_scheme("backlund", "kowalevski")
-    assert exact.order is None
-    assert exact.options().model_dump() == plain.options().model_dump() | {"nodes": "exact"}
-    longer = exact.build(generic.top, exact.options())
-    assert isinstance(longer, Stepper)
-    assert longer.width > plain.build(generic.top, plain.options()).width  # type: ignore[union-attr]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["kowalevski-generic", "euler", "lagrange"])
 def test_compositions_of_every_promising_base_take_part(scene: str) -> None:

@@ -69,13 +69,6 @@ def test_errors_are_against_an_independent_reference(paper: Result) -> None:
     assert of(paper, "hk")["max_error"] == np.nanmax(paper.arrays["error:hk"])
 
 
-def test_speed_and_series_are_reported(paper: Result) -> None:
-    for scheme in FIVE:
-        assert {"nanoseconds_per_step", "compile_seconds"} <= of(paper, scheme).keys()
-        assert len(paper.arrays[f"error:{scheme}"]) == len(paper.arrays["t"]) == 50_001
-    json.dumps(paper.data, allow_nan=False)
-
-
 @pytest.mark.slow
 def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
     experiment = load_experiment(
@@ -104,7 +97,8 @@ def test_modified_integrals_differ_from_the_physical_by_a_term_of_the_order_of_t
     """The coefficient of h^p hardly depends on h, while the integral itself stays at round-off: at h and at h/4."""
     coefficients = []
     for h in (0.02, 0.005):
-        comparison = compare_schemes(load_experiment(scene, [f"h={h}", "N=4000"]), [scheme])
+        comparison = compare_schemes(load_experiment(scene, [f"h={h}", "N=4000"]), [scheme, "rk4"])
+        assert of(comparison, "rk4")["modified"] == []  # it has no integrals of its own
         rows = of(comparison, scheme)["modified"]
         assert all(row["verdict"] == "exact" for row in rows)
         corrections = [row["correction"] for row in rows if "correction" in row]
@@ -112,12 +106,6 @@ def test_modified_integrals_differ_from_the_physical_by_a_term_of_the_order_of_t
         assert {one["power"] for one in corrections} == {power}
         coefficients.append([one["coefficient"] for one in corrections])
     assert coefficients[0] == pytest.approx(coefficients[1], rel=0.1)
-
-
-def test_a_scheme_without_integrals_of_its_own_has_none() -> None:
-    comparison = compare_schemes(load_experiment("euler_hk", ["N=100"]), ["hk", "bs"])
-    assert of(comparison, "hk")["modified"]
-    assert of(comparison, "bs")["modified"] == []
 
 
 @pytest.mark.slow

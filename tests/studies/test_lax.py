@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cases import table_of
 from conftest import ROOT, random_states
 from declared import random_heavy_tops
 from steppers import RK2
@@ -28,7 +29,7 @@ from topcli.analysis.lax import (
     spectral_drift,
 )
 from topcli.analysis.reference import reference_states
-from topcli.contracts import EulerPoisson
+from topcli.contracts import EulerPoisson, Floats
 from topcli.engine.run import Run
 from topcli.errors import UsageError
 from topcli.schemes.any_top.hk_midpoint import midpoint
@@ -79,16 +80,19 @@ def test_rates_are_the_tops_field() -> None:
             assert top.field(tuple(state), top.constants()) == pytest.approx(slope, rel=1e-13, abs=1e-14)
 
 
-def test_which_forms_a_top_has() -> None:
-    def names(moments, gravity) -> list[str]:
-        return [form.name for form in lax_forms(EulerPoisson(moments, gravity))]
-
-    assert names((3.0, 2.0, 1.0), (0.0, 0.0, 0.0)) == ["manakov", "block"]
-    assert names((2.0, 2.0, 1.5), (0.0, 0.0, 1.0)) == ["lagrange", "block"]
-    assert names((2.0, 2.0, 1.0), (1.0, 0.0, 0.0)) == ["kowalevski", "block"]
-    assert names((2.0, 2.0, 1.0), (0.0, 0.0, 0.0)) == ["manakov", "lagrange", "kowalevski", "block"]
-    assert names((2.0, 2.0, 1.5), (1.0, 0.0, 0.0)) == ["block"]
-    assert names((3.0, 2.0, 1.0), (0.0, 0.0, 1.0)) == ["block"]
+@pytest.mark.parametrize(
+    ("moments", "gravity", "names"),
+    table_of("""
+(3.0, 2.0, 1.0)  (0.0, 0.0, 0.0)  manakov block
+(2.0, 2.0, 1.5)  (0.0, 0.0, 1.0)  lagrange block
+(2.0, 2.0, 1.0)  (1.0, 0.0, 0.0)  kowalevski block
+(2.0, 2.0, 1.0)  (0.0, 0.0, 0.0)  manakov lagrange kowalevski block
+(2.0, 2.0, 1.5)  (1.0, 0.0, 0.0)  block
+(3.0, 2.0, 1.0)  (0.0, 0.0, 1.0)  block
+"""),
+)
+def test_which_forms_a_top_has(moments: Floats, gravity: Floats, names: str) -> None:
+    assert [form.name for form in lax_forms(EulerPoisson(moments, gravity))] == names.split()
 
 
 @each_form
