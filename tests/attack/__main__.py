@@ -27,7 +27,6 @@ from attack.damage import damage_cache, damage_run, stored
 from attack.fuzz import fuzz
 from attack.judge import Finding
 from attack.kills import kill, starts
-from attack.odd import film, rational
 from attack.pages import page, places
 from attack.sandbox import Tried, try_all
 from attack.scenes import Scenes, prepare, small_pieces, wait
@@ -53,7 +52,6 @@ PARTS = {
     "sweeps": Part((damaged, forged, together, edited, damaged), 100),
     "series": Part(tuple(map(series, (csv, parquet, csv, parquet, bomb))), 120),
     "pages": Part((page,), 60, places),
-    "odd": Part((rational, film), 40),
 }
 NOTES = ("slow",)
 """Kinds that are printed and are no fault: some configs ask for hours of honest work, which a signal ends."""

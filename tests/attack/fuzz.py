@@ -92,7 +92,7 @@ def wrong_run(experiment: Experiment, said: Said, out: Path) -> str:
         return f"recorded the steps {rows['n'].tolist()[:20]}"
     if any(rows[name][0] != experiment.y0[top.components.index(name)] for name in names):
         return "the first row is not the initial state"
-    if outcome != "completed":
+    if outcome != "completed" or experiment.precision != "double":
         return ""
     if not isinstance(method, Stepper):
         return next((f"{name} is not finite" for name in names if not np.isfinite(rows[name]).all()), "")

@@ -346,7 +346,7 @@ def test_markup_in_a_page_is_seen() -> None:
     [
         (["pieces"], "no such part: pieces"),
         (["--only", "1"], "--only wants"),
-        (["kills", "odd", "--only", "1"], "--only wants"),
+        (["kills", "pages", "--only", "1"], "--only wants"),
     ],
 )
 def test_wrong_usage_is_refused(

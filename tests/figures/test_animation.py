@@ -249,6 +249,17 @@ def test_mp4_is_playable(tmp_path: Path, motion: BodyMotion) -> None:
 --out a.gif --start -1                 --start -1: the run is from t = 0 to 4
 --out a.gif --start 2 --stop 2         are both 2
 --out a.gif --size 10                  --size
+--out a.gif --size -1                  --size
+--out a.gif --size 1000000000          --size
+--out a.gif --size x                   --size
+--out a.gif --fps nan                  --fps
+--out a.gif --fps inf                  --fps
+--out a.gif --fps 0                    --fps
+--out a.gif --seconds nan              --seconds
+--out a.gif --seconds 1e300            --seconds
+--out a.gif --start nan                --start nan
+--out a.gif --stop inf                 --stop inf
+--out a                                --out a: must end in .gif or .mp4
 """),
 )
 def test_wrong_options_are_refused(folder: Path, cli: Callable[..., Said], arguments: str, expected: str) -> None:

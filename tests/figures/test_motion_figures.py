@@ -64,22 +64,6 @@ def test_regions_are_those_of_the_order_of_the_roots() -> None:
     assert regions(np.array([1.88]), np.array([0.015]), 1.85 / 2, 1.0)[0] == 5 == region_of(1.88, 0.015, 1.85)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("two_l", [0.3, 1.85])
-def test_regions_of_states_exist_and_no_state_is_outside(two_l: float) -> None:
-    random = np.random.default_rng(2)
-    gamma = random.normal(size=(4000, 3))
-    gamma /= np.linalg.norm(gamma, axis=1, keepdims=True)
-    omega = random.normal(size=(4000, 3)) * 10 ** random.uniform(-1, 0.6, size=(4000, 1))
-    along = gamma * [2.0, 2.0, 1.0]
-    omega += along * ((two_l - (omega * along).sum(axis=1)) / (along**2).sum(axis=1))[:, None]
-    E, _, k_sq = np.array([integrals(y) for y in np.hstack([omega, gamma])]).T
-    found = regions(E, k_sq, two_l / 2, 1.0)
-    assert found.min() > 0
-    expected = [region_of(*values, two_l) for values in zip(E.tolist(), k_sq.tolist(), strict=True)]
-    assert found.tolist() == expected
-
-
 def test_two_roots_coincide_on_the_curves_and_only_there() -> None:
     for two_l, window in ((0.3, (-0.9, 2.9)), (1.288, (-0.9, 4.9)), (4.0, (3.0, 12.5))):
         kinds = set()

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import same_color
+from matplotlib.lines import Line2D
 from scipy.spatial.transform import Rotation
 
 from drawn_artists import arrows, data_of, drawn_from, in_two_parts, seen_from, series_of, texts_of, vector
@@ -34,6 +35,16 @@ SPHERES = {
 }
 
 
+def assert_curve(axes: Axes, seen: np.ndarray, near: str, far: str, dot: int = 0) -> Line2D:
+    """A curve has these points in front and behind, in these colours, and a dot at one of them; the dot."""
+    drawn, front = in_two_parts(axes, near, far)
+    np.testing.assert_allclose(drawn, seen[:, :2], atol=1e-12)
+    np.testing.assert_array_equal(front, seen[:, 2] >= 0.0)
+    (mark,) = (line for line in axes.lines if line.get_marker() == "o")
+    np.testing.assert_allclose(data_of(mark)[0], seen[dot, :2], atol=1e-12)
+    return mark
+
+
 @pytest.mark.parametrize("name", SPHERES)
 def test_traces_on_the_sphere(name: str, tmp_path: Path) -> None:
     """The trace in front and behind, the dot at its start, axes outwards with their names, the band that it fills."""
@@ -42,12 +53,8 @@ def test_traces_on_the_sphere(name: str, tmp_path: Path) -> None:
         series = series_of(tmp_path, scene)
         trace = vector(series, column)
         flat = seen_from(elevation, azimuth, trace)
-        path, near = in_two_parts(axes, "#0072B2", "#74ABD1")
-        np.testing.assert_allclose(path, flat[:, :2], atol=1e-14)
-        np.testing.assert_array_equal(near, flat[:, 2] >= 0.0)
-        (dot,) = (line for line in axes.lines if line.get_marker() == "o")
-        np.testing.assert_allclose(data_of(dot)[0], flat[0, :2], atol=1e-14)
-        assert same_color(dot.get_color(), "#0072B2" if near[0] else "#74ABD1")
+        dot = assert_curve(axes, flat, "#0072B2", "#74ABD1")
+        assert same_color(dot.get_color(), "#0072B2" if flat[0, 2] >= 0.0 else "#74ABD1")
         named = [text for text in axes.texts if text.get_text()]
         assert texts_of(axes) == [rf"$\boldsymbol{{{one}}}$" for one in directions if one]
         poles = seen_from(elevation, azimuth, np.eye(3)[[bool(one) for one in directions]])
@@ -211,11 +218,7 @@ def test_traces_are_the_vectors_of_the_runs(tmp_path: Path) -> None:
         points = attitudes(series).apply(points) if in_space else points
         points = points / np.linalg.norm(points, axis=1).max()
         expected = seen_from(24.0, 32.0, points)
-        drawn, near = in_two_parts(axes, NEAR, FAR)
-        np.testing.assert_allclose(drawn, expected[:, :2], atol=1e-12)
-        np.testing.assert_array_equal(near, expected[:, 2] >= 0.0)
-        (start,) = [line for line in axes.lines if line.get_marker() == "o"]
-        np.testing.assert_allclose(data_of(start)[0], expected[0, :2], atol=1e-12)
+        assert_curve(axes, expected, NEAR, FAR)
         (shadow,) = [line for line in axes.lines if same_color(line.get_color(), "0.80")]
         floor = np.full(len(points), min(0.0, points[:, 2].min() - 0.1))
         below = seen_from(24.0, 32.0, np.column_stack([points[:, :2], floor]))[:, :2]
@@ -223,7 +226,7 @@ def test_traces_are_the_vectors_of_the_runs(tmp_path: Path) -> None:
         assert texts_of(axes) == (["$x$", "$y$", "$z$"] if in_space else [rf"$\{column}_{i}$" for i in (1, 2, 3)])
         ends = [head for _, head in arrows(axes)]
         np.testing.assert_allclose(ends, seen_from(24.0, 32.0, 1.18 * np.eye(3))[:, :2], atol=1e-12)
-        shown = np.vstack([drawn, below, ends])
+        shown = np.vstack([expected[:, :2], below, ends])
         for values, (low, high) in zip(shown.T, (axes.get_xlim(), axes.get_ylim()), strict=True):
             assert low < values.min() < values.max() < high
 
@@ -238,11 +241,7 @@ def test_bodies_stand_as_the_runs_say(tmp_path: Path) -> None:
         path = turned.apply(axis)[: last + 1]
         view = 22.0, math.degrees(math.atan2(path[0, 1], path[0, 0])) + 70.0
         expected = seen_from(*view, path)
-        drawn, near = in_two_parts(axes, NEAR, FAR)
-        np.testing.assert_allclose(drawn, np.vstack([expected, expected[-1:]])[:, :2], atol=1e-12)
-        np.testing.assert_array_equal(near[:-1], expected[:, 2] >= 0.0)
-        (dot,) = [line for line in axes.lines if line.get_marker() == "o"]
-        np.testing.assert_allclose(data_of(dot)[0], expected[-1, :2], atol=1e-12)
+        assert_curve(axes, np.vstack([expected, expected[-1:]]), NEAR, FAR, -1)
         one = load_experiment(scene)
         body = body_of(one.top, one.y0)
         corners = np.array([seen_from(*view, turned[last].apply(face)) for face in body.faces])
