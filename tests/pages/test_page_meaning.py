@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import topcli
 from reading_html import Element, read_html, section_of
@@ -19,11 +20,12 @@ from stored_results import store_order, store_run
 from sweep_rows import write_rows
 from topcli.pages.contents import Chapter, Pictures
 from topcli.pages.page import all_chapters, rendered, report_page
+from topcli.pages.pictures import element
 from topcli.pages.results import outcome_notes, rows_table, sweep_choices, sweep_pictures
 from topcli.pages.studies import study_chapter
 from topcli.studies import find_study
 from topcli.studies.stress.study import STRESS
-from topcli.studies.study import Result
+from topcli.studies.study import Result, stored_result
 from topcli.sweeps.rows import read_rows
 
 GREEN, AMBER, RED = "green", "amber", "red"
@@ -204,3 +206,15 @@ def test_failed_trajectories_are_named_with_their_steps() -> None:
         "trajectory 3: blew_up at step 17",
         "counter near singular: 9",
     ]
+
+
+def test_series_of_a_damaged_study_that_are_no_numbers_are_left_out() -> None:
+    series = {"t": [0.0, 1.0]}
+    assert stored_result({"series": series}).arrays["t"].tolist() == series["t"]
+    assert stored_result({"series": series | {"error:hk": [0.0, "$<b>$"]}}).arrays == {}
+
+
+def test_a_letter_that_no_font_has_is_no_warning() -> None:
+    figure = Figure()
+    figure.text(0.5, 0.5, "\0")
+    assert element(figure, "name", "label").startswith("<svg")

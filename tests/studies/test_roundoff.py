@@ -149,7 +149,7 @@ def test_hk_of_kowalevski_by_long_windows() -> None:
 
 
 def test_drifts_are_root_mean_squares_and_maxima_over_the_copies() -> None:
-    """Of an exact invariant from its first value, of two copies; the other figures are handed on."""
+    """Of an exact invariant from its first value, of others from the mean of the copies, of which there are two."""
     means = np.zeros((1, 2, 16))
     means[0, 0, -1], means[0, 1, -1], means[0, 1, 5] = 3e-16, -1e-16, -7e-16
     copies = Copies(Ending(Outcome.COMPLETED, 1, 1.0), means, np.array([9e-16]), np.array([2.0]))
@@ -158,6 +158,9 @@ def test_drifts_are_root_mean_squares_and_maxima_over_the_copies() -> None:
     assert (row["max_drift"], row["max_deviation"], row["scale"]) == (7e-16, 9e-16, 2.0)
     assert row["bias"] == pytest.approx((3e-16 - 1e-16) / 2.0 / 15.0 / 20.0, rel=1e-12, abs=0.0)
     assert row["steps"] == [40, 80, 160]
+    (row,) = _rows([made_of(lambda y: y[:, 0])], False, Sampling(16, 4, 5), copies, means.mean(axis=1))
+    assert row["drift"] == pytest.approx(2e-16 * math.sqrt(2.0), rel=1e-12, abs=0.0)  # one degree of freedom
+    assert row["bias"] is None
 
 
 def test_a_picture_of_several_invariants_has_a_colour_for_each_and_dashes_for_compensated_sums() -> None:

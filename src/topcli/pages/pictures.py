@@ -72,8 +72,11 @@ def element(figure: Figure, name: str, label: str) -> str:
     for part in (figure, *figure.axes):
         part.patch.set_visible(False)
     sink = io.StringIO()
-    options = {"svg.fonttype": "path", "svg.hashsalt": name}
-    with mpl.rc_context(fname=STYLE), mpl.rc_context(options), warnings.catch_warnings(action="ignore"):
+    with (
+        mpl.rc_context(fname=STYLE),
+        mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": name}),
+        warnings.catch_warnings(action="ignore"),
+    ):
         figure.savefig(sink, format="svg", metadata=_NO_METADATA)
     text = _UNUSED.sub("", sink.getvalue())
     head = _HEAD.search(text)
