@@ -30,7 +30,7 @@ from topcli.store.parts import LOCK, owner, remove_own, remove_remains, take_loc
 from topcli.store.provenance import Commit, cpu_name
 from topcli.store.series import read_series
 from topcli.store.verify import check_run
-from topcli.studies.checks import check_all
+from topcli.studies.health import check_all
 
 pytestmark = pytest.mark.usefixtures("small_chunks")
 
