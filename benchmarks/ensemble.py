@@ -166,7 +166,7 @@ class Case:
             H,
             steps,
             steps,
-            made=lambda piece: None,
+            on_piece=lambda piece: None,
             execution=Execution(threads=threads),
         )
         for _ in run:

@@ -37,7 +37,7 @@ def together(
         kept = [(piece.n[:k].copy(), piece.states[i, :k].copy()) for i, k in enumerate(piece.kept)]
         return piece.first, kept
 
-    run = EnsembleRun(top, method, y0, h, N, every, made=made, execution=Execution(**options))
+    run = EnsembleRun(top, method, y0, h, N, every, on_piece=made, execution=Execution(**options))
     pieces: list[Rows] = [[] for _ in y0]
     for (first, rows), _ in run:
         for i, one in enumerate(rows):
@@ -142,7 +142,7 @@ def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
         def made(piece: Piece) -> tuple[int, bytes, bytes]:
             return piece.first, piece.n.tobytes(), piece.states.tobytes()
 
-        run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, made=made, execution=Execution(threads=threads))
+        run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, on_piece=made, execution=Execution(threads=threads))
         return [(*one, done) for one, done in run]
 
     one = pieces(1)
@@ -167,7 +167,7 @@ def test_wide_pieces_hold_several_tiles_with_the_same_bits(threads: int, monkeyp
         assert len(piece.states) == len(piece.kept)
         sizes.append(len(piece.kept))
 
-    for _ in EnsembleRun(Kowalevski(), method, y0, 0.01, 50, 5, made=made, execution=Execution(**options)):
+    for _ in EnsembleRun(Kowalevski(), method, y0, 0.01, 50, 5, on_piece=made, execution=Execution(**options)):
         pass
     first = [7 * TILE - 59] if threads == 1 else [3 * TILE, 3 * TILE, 5]
     later = [2 * TILE, 3 * TILE + 5] if threads == 1 else [2 * TILE, 3 * TILE, 5]
@@ -190,7 +190,7 @@ def test_error_in_one_piece_is_raised_once_and_stops_the_others(
 
     method = built("hk")
     y0, execution = random_states(4 * TILE, 2), Execution(threads=threads)
-    run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, made=made, execution=execution)
+    run = EnsembleRun(Kowalevski(), method, y0, 0.01, 50, on_piece=made, execution=execution)
     with pytest.raises(OSError, match=f"no room for tile {broken}"):
         list(run)
     assert len(begun) == len(set(begun)) <= 4  # no tile twice, and no second chunk

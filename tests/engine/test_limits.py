@@ -186,7 +186,7 @@ def test_a_trajectory_that_goes_on_by_itself_stops_when_asked(impatient: None) -
             1.0,
             1000,
             10,
-            made=lambda piece: piece.kept.tolist(),
+            on_piece=lambda piece: piece.kept.tolist(),
             execution=Execution(stop, threads=1),
         )
         single = made.code.single_loop()
@@ -315,7 +315,7 @@ def test_an_ensemble_is_interrupted_within_a_chunk(impatient: None) -> None:
         y0,
         0.1,
         10_000,
-        made=lambda piece: int(piece.kept.max()),
+        on_piece=lambda piece: int(piece.kept.max()),
         execution=Execution(stop_after(2)),
     )
     rows = [made for made, _ in run]
@@ -336,7 +336,7 @@ def test_calls_of_any_length_give_the_same_bits(monkeypatch: pytest.MonkeyPatch)
         y0 = np.array([experiment.y0, GEN])
         pieces = []
         run = EnsembleRun(
-            experiment.top, experiment.method(), y0, experiment.h, 5000, 7, made=lambda p: p.states.copy()
+            experiment.top, experiment.method(), y0, experiment.h, 5000, 7, on_piece=lambda p: p.states.copy()
         )
         pieces = [made for made, _ in run]
         return np.concatenate(pieces, axis=1)

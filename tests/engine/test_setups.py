@@ -176,7 +176,7 @@ def collected(y0: np.ndarray, threads: int) -> tuple[np.ndarray, SetupTime]:
     def made(piece: Piece) -> None:
         rows.append(piece.states[0].copy())
 
-    run = EnsembleRun(Kowalevski(), method(), y0, 0.5, 20, 5, made=made, execution=Execution(threads=threads))
+    run = EnsembleRun(Kowalevski(), method(), y0, 0.5, 20, 5, on_piece=made, execution=Execution(threads=threads))
     for _ in run:
         pass
     assert run.setup is not None

@@ -78,22 +78,22 @@ def columns(
     """
     values = values or {}
     invariants = {invariant.name: invariant for invariant in (*top.invariants(), *modified)}
-    made: dict[str, NDArray[Any]] = {}
+    data: dict[str, NDArray[Any]] = {}
     for name in names:
         if name == "n":
-            made[name] = n
+            data[name] = n
         elif name == "t":
-            made[name] = n * h
+            data[name] = n * h
         elif name in top.components:
-            made[name] = states[:, top.components.index(name)]
+            data[name] = states[:, top.components.index(name)]
         elif name in values:
-            made[name] = values[name]
+            data[name] = values[name]
         elif name in invariants:
-            made[name] = invariant_values([invariants[name]], states)[name]
+            data[name] = invariant_values([invariants[name]], states)[name]
         else:
             known = dict.fromkeys(("n", "t", *top.components, *invariants, *values))
             raise UsageError(f"no column {quoted(name)}; {nearest(name, known)}")
-    return made
+    return data
 
 
 QUATERNION = "quaternion"

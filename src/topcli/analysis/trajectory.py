@@ -88,14 +88,14 @@ class Trajectory:
         ``attitude`` is the form of the attitude, whose quaternions then follow the states of the run.
         """
         n, states, ending = run.collect()
-        made: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         if attitude:
             states, q = map(np.ascontiguousarray, np.split(states, [len(run.top.components)], axis=1))
-            made = {"attitude": q, "attitude_form": attitude}
+            fields = {"attitude": q, "attitude_form": attitude}
         ending = ending.with_left(step_of_leaving(run.top, n, states), run.h)
         seconds = run.compile_seconds, run.run_seconds
         ready = run.setup.seconds if run.setup else 0.0
-        return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, setup_seconds=ready, **made)
+        return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, setup_seconds=ready, **fields)
 
     @property
     def t(self) -> Array:

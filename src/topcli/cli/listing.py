@@ -44,15 +44,15 @@ def _listed(listing: Callable[..., Listing | None]) -> None:
 
     @wraps(listing)
     def command(as_json: bool, **options: Any) -> None:
-        made = listing(as_json=as_json, **options)
-        if made is None:
+        listed = listing(as_json=as_json, **options)
+        if listed is None:
             return
         if as_json:
-            print_json(f"list {kind}", {kind: made.items})
-        elif made.items:
-            print_cells(_table(made).cells({"items": made.items}))
+            print_json(f"list {kind}", {kind: listed.items})
+        elif listed.items:
+            print_cells(_table(listed).cells({"items": listed.items}))
         else:
-            print_message(made.nothing or f"no {kind}")
+            print_message(listed.nothing or f"no {kind}")
 
     list_app.command(cls=Command, name=kind)(command)
 

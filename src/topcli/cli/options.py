@@ -49,8 +49,8 @@ def complete_config(incomplete: str) -> list[str]:
     """Config files in the working folder's ``configs`` and the packaged scenes that begin with ``incomplete``."""
     from topcli.config.files import scene_files
 
-    near = [str(path) for path in sorted(Path("configs").glob("*.*"))]
-    return [name for name in [*near, *scene_files()] if name.startswith(incomplete)]
+    own_files = [str(path) for path in sorted(Path("configs").glob("*.*"))]
+    return [name for name in [*own_files, *scene_files()] if name.startswith(incomplete)]
 
 
 Schemes = Annotated[
@@ -184,7 +184,7 @@ def show_hint(name: str) -> str:
         return (
             f"{quoted(name)} is a top; see `topcli list schemes --top {top}`, or start with `topcli init --top {top}`"
         )
-    near = nearest(name, {*scene_files(), *(scheme.name for scheme in all_schemes())}, "topcli list")
-    if not near.startswith("did you mean"):
-        near = "see `topcli list scenes` and `topcli list schemes`"
-    return f"no packaged scene and no scheme is called {quoted(name)} (configs end in .yaml, .yml or .toml); {near}"
+    hint = nearest(name, {*scene_files(), *(scheme.name for scheme in all_schemes())}, "topcli list")
+    if not hint.startswith("did you mean"):
+        hint = "see `topcli list scenes` and `topcli list schemes`"
+    return f"no packaged scene and no scheme is called {quoted(name)} (configs end in .yaml, .yml or .toml); {hint}"

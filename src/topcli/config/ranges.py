@@ -130,8 +130,8 @@ def steps_of(T: float, h: float) -> int:
     if not ratio <= MAX_STEPS:
         raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.6g} steps; must be at most {MAX_STEPS}")
     counts = [N for N in (math.floor(ratio), math.floor(ratio) + 1) if 1 <= N <= MAX_STEPS]
-    near = " or ".join(f"T = {_shortest(N * h, lambda T, N=N: _whole(T, h) == N)} (N = {N})" for N in counts)
-    raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {near}")
+    possible = " or ".join(f"T = {_shortest(N * h, lambda T, N=N: _whole(T, h) == N)} (N = {N})" for N in counts)
+    raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {possible}")
 
 
 def steps_over(T: float, h: float) -> int:
@@ -143,8 +143,8 @@ def steps_over(T: float, h: float) -> int:
     if not 0.0 < ratio <= MAX_STEPS:
         return steps_of(T, h)
     counts = [N for N in (math.floor(ratio) + 1, math.floor(ratio)) if 1 <= N <= MAX_STEPS]
-    near = " or ".join(f"h = {_shortest(T / N, lambda h, N=N: _whole(T, h) == N)} (N = {N})" for N in counts)
-    raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {near}")
+    possible = " or ".join(f"h = {_shortest(T / N, lambda h, N=N: _whole(T, h) == N)} (N = {N})" for N in counts)
+    raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {possible}")
 
 
 def _whole(T: float, h: float) -> int | None:

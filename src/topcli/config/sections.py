@@ -77,9 +77,9 @@ def _named_section(
     if not isinstance(raw, dict):
         problems.add((section,), f"must be a name ({known}) or a section with {key!r}, not {describe(raw)}")
     elif key not in raw:
-        near = [other for other in raw if other.lower() == key]
+        misspelt = [other for other in raw if other.lower() == key]
         missing = f"{key!r} is missing; known: {known}"
-        problems.add((section,), f"{near[0]!r} should be {key!r}" if near else missing)
+        problems.add((section,), f"{misspelt[0]!r} should be {key!r}" if misspelt else missing)
     else:
         problems.add((section, key), f"must be a name ({known}), not {describe(raw[key])}")
     return None
@@ -201,10 +201,10 @@ def read_columns(
         if name is None and form:
             problems.add(("output", "columns"), f"{quoted(text)} needs output.attitude: {form}")
         elif name is None:
-            near = nearest(text, names)
-            if near.startswith("known"):
-                near = f"known: {', '.join([*plain, *(f'{known.name} ({known.symbol})' for known in integrals)])}"
-            problems.add(("output", "columns"), f"unknown column {quoted(text)}; {near}")
+            hint = nearest(text, names)
+            if hint.startswith("known"):
+                hint = f"known: {', '.join([*plain, *(f'{known.name} ({known.symbol})' for known in integrals)])}"
+            problems.add(("output", "columns"), f"unknown column {quoted(text)}; {hint}")
         elif name in chosen:
             problems.add(("output", "columns"), f"names {quoted(name)} twice")
         else:

@@ -84,8 +84,8 @@ def _content(folder: int, name: str) -> bytes:
         return file.read()
 
 
-def _key(words: str) -> str:
-    return hashlib.sha256(words.encode()).hexdigest()
+def _key(identity: str) -> str:
+    return hashlib.sha256(identity.encode()).hexdigest()
 
 
 def stored_content(name: str) -> bytes | None:
@@ -125,9 +125,9 @@ def store_content(name: str, rest: bytes) -> None:
         pass
 
 
-def stored_code(words: str, signature: str) -> ObjectCode | None:
-    """Stored object code identified by ``words``, for a function of this signature; None if absent or damaged."""
-    key = _key(words)
+def stored_code(identity: str, signature: str) -> ObjectCode | None:
+    """Stored object code with this ``identity``, for a function of this signature; None if absent or damaged."""
+    key = _key(identity)
     rest = stored_content(f"{key}{CODE}")
     if rest is None:
         return None
@@ -141,16 +141,16 @@ def stored_code(words: str, signature: str) -> ObjectCode | None:
         return None
 
 
-def store_code(words: str, made: ObjectCode) -> None:
+def store_code(identity: str, code: ObjectCode) -> None:
     """Store object code atomically; do nothing if the folder cannot be used."""
-    key = _key(words)
-    about = {"key": key, "signature": made.signature, "symbol": made.symbol, "needs": made.needs}
-    store_content(f"{key}{CODE}", json.dumps(about).encode() + b"\n" + made.code)
+    key = _key(identity)
+    about = {"key": key, "signature": code.signature, "symbol": code.symbol, "needs": code.needs}
+    store_content(f"{key}{CODE}", json.dumps(about).encode() + b"\n" + code.code)
 
 
-def stored_setup(words: str) -> bytes | None:
-    """Stored set-up of a closed form identified by ``words``; None if absent or damaged."""
-    key = _key(words)
+def stored_setup(identity: str) -> bytes | None:
+    """Stored set-up of a closed form with this ``identity``; None if absent or damaged."""
+    key = _key(identity)
     rest = stored_content(f"{key}{SETUP}")
     if rest is None:
         return None
@@ -158,9 +158,9 @@ def stored_setup(words: str) -> bytes | None:
     return data if header == key.encode() else None
 
 
-def store_setup(words: str, data: bytes) -> None:
+def store_setup(identity: str, data: bytes) -> None:
     """Store a set-up of a closed form atomically; do nothing if the folder cannot be used."""
-    key = _key(words)
+    key = _key(identity)
     store_content(f"{key}{SETUP}", key.encode() + b"\n" + data)
 
 

@@ -62,7 +62,7 @@ A multiple of GROUP * TILE, so that tiles are those of one large block."""
 TILE_FIRST_CALL = 1
 """Steps of the first call of compiled code for a tile; later calls take more while they are short."""
 
-Made = TypeVar("Made")
+Kept = TypeVar("Kept")
 
 
 _most_threads: int | None = None
@@ -146,15 +146,15 @@ class Execution:
     code: EnsembleCode | None = None
 
 
-class EnsembleRun(TileContext, Generic[Made]):
+class EnsembleRun(TileContext, Generic[Kept]):
     """Trajectories of ``method`` from the states ``y0`` (m, d): iterate, then read ``endings``.
 
     ``begin(y0)`` replaces the trajectories and keeps the code and buffers, so that a large ensemble runs block by
     block.
 
-    ``made(piece)`` is called for every piece of recorded rows, in one of the threads of the ``execution``. Iteration
-    yields (its result, trajectory-steps done so far) in an order that does not depend on the threads. The pieces of a
-    trajectory come in the order of time.
+    ``on_piece(piece)`` is called for every piece of recorded rows, in one of the threads of the ``execution``.
+    Iteration yields (its result, trajectory-steps done so far) in an order that does not depend on the threads. The
+    pieces of a trajectory come in the order of time.
 
     Afterwards ``endings`` holds an Ending for each trajectory, and ``last`` (m, d) with ``last_n`` (m,) the state at
     step N, or the last recorded one of a trajectory that ended before.
@@ -169,11 +169,11 @@ class EnsembleRun(TileContext, Generic[Made]):
         N: int,
         every: int = 1,
         *,
-        made: Callable[[Piece], Made],
+        on_piece: Callable[[Piece], Kept],
         execution: Execution = Execution(),
     ) -> None:
         self.top, self.method, self.h, self.N, self.every = top, method, float(h), N, every
-        self.made, self.stop, self.wide = made, execution.stop, execution.wide
+        self.on_piece, self.stop, self.wide = on_piece, execution.stop, execution.wide
         self.threads = execution.threads or default_threads()
         self.begin(y0)
         self.code = execution.code or EnsembleCode(top, method, execution.tile or tile_of(len(self.y0)))
@@ -215,8 +215,8 @@ class EnsembleRun(TileContext, Generic[Made]):
         """True if any trajectory was interrupted."""
         return Outcome.INTERRUPTED in self.endings.outcomes
 
-    def __iter__(self) -> Iterator[tuple[Made, int]]:
-        """Yield the result of ``made`` and the trajectory-steps done, piece by piece."""
+    def __iter__(self) -> Iterator[tuple[Kept, int]]:
+        """Yield the result of ``on_piece`` and the trajectory-steps done, piece by piece."""
         lanes = self.code.lanes
         if lanes is None:
             yield from self._one_by_one()
@@ -229,7 +229,7 @@ class EnsembleRun(TileContext, Generic[Made]):
                 group = [Tile(self, lanes, first, min(first + self.tile, m)) for first in ends]
                 yield from self._together(group, pool, start)
 
-    def _together(self, group: Sequence[Tile], pool: ThreadPoolExecutor, before: int) -> Iterator[tuple[Made, int]]:
+    def _together(self, group: Sequence[Tile], pool: ThreadPoolExecutor, before: int) -> Iterator[tuple[Kept, int]]:
         """Advance the tiles of a group to the end, a chunk at a time."""
         every, N = self.every, self.N
         count = sum(tile.count for tile in group)
@@ -239,8 +239,8 @@ class EnsembleRun(TileContext, Generic[Made]):
             until_record = every - done % every
             steps = min(N - done, PIECE_STEPS, until_record + (PIECE_ROWS - 1) * every)
 
-            def advance(tiles: Sequence[Tile], steps: int = steps, until_record: int = until_record) -> Made:
-                return self.made(advance_together(tiles, steps, until_record))
+            def advance(tiles: Sequence[Tile], steps: int = steps, until_record: int = until_record) -> Kept:
+                return self.on_piece(advance_together(tiles, steps, until_record))
 
             start = self.chunk_began = time.perf_counter()
             pieces = self._shared_out(advance, self._neighbours(living, 1 + steps // every), pool)
@@ -253,7 +253,7 @@ class EnsembleRun(TileContext, Generic[Made]):
             living = [tile for tile in living if tile.alive.any()]
         if not done:  # stopped before the first chunk: record the initial states nevertheless
             for tile in group:
-                yield self.made(tile.initial_piece()), before * N
+                yield self.on_piece(tile.initial_piece()), before * N
         for tile in group:
             tile.end()
 
@@ -263,24 +263,24 @@ class EnsembleRun(TileContext, Generic[Made]):
         A piece of few ``rows`` costs its consumer as much as one of a few hundred.
         """
         most = min(len(tiles) // self.threads, PIECE_ROWS // rows) if self.wide else 1
-        made: list[list[Tile]] = []
+        neighbours: list[list[Tile]] = []
         for tile in tiles:
-            last = made[-1] if made else []
+            last = neighbours[-1] if neighbours else []
             if last and len(last) < most and last[-1].first + self.tile == tile.first:
                 last.append(tile)
             else:
-                made.append([tile])
-        return made
+                neighbours.append([tile])
+        return neighbours
 
     def _shared_out(
-        self, advance: Callable[[list[Tile]], Made], tiles: Sequence[list[Tile]], pool: ThreadPoolExecutor
-    ) -> list[Made]:
+        self, advance: Callable[[list[Tile]], Kept], tiles: Sequence[list[Tile]], pool: ThreadPoolExecutor
+    ) -> list[Kept]:
         """Results of ``advance`` for each of ``tiles``, in their order; every thread takes the next one that is left.
 
         One task per thread instead of one per tile: with two threads a task costs as much as 500 steps of a trajectory.
         """
         left = deque(range(len(tiles)))
-        made: dict[int, Made] = {}
+        collected: dict[int, Kept] = {}
 
         def work() -> None:
             while True:
@@ -288,7 +288,7 @@ class EnsembleRun(TileContext, Generic[Made]):
                     i = left.popleft()
                 except IndexError:
                     return
-                made[i] = advance(tiles[i])
+                collected[i] = advance(tiles[i])
 
         others = [pool.submit(work) for _ in range(min(self.threads, len(tiles)) - 1)]
         try:
@@ -297,9 +297,9 @@ class EnsembleRun(TileContext, Generic[Made]):
             left.clear()  # matters after a failure only
         for other in others:
             other.result()
-        return [made[i] for i in range(len(tiles))]
+        return [collected[i] for i in range(len(tiles))]
 
-    def _one_by_one(self) -> Iterator[tuple[Made, int]]:
+    def _one_by_one(self) -> Iterator[tuple[Kept, int]]:
         """Run trajectory after trajectory in the time loop of single runs."""
         stride = math.gcd(self.every, self.N)  # so that step N is among the rows
         setup = self.method.setup if isinstance(self.method, Sampler) else None
@@ -322,7 +322,7 @@ class EnsembleRun(TileContext, Generic[Made]):
                     self.last[i], self.last_n[i] = chunk.states[at], chunk.n[at]
                 n = chunk.n[asked]
                 piece = Piece(i, n, chunk.states[asked][None], np.array([len(n)]))
-                yield self.made(piece), i * self.N + chunk.done
+                yield self.on_piece(piece), i * self.N + chunk.done
             ending = run.ending
             assert ending is not None
             self.endings.put(i, ending.outcome, ending.step, list(ending.counters.values()))

@@ -71,7 +71,7 @@ class Native:
 
 @cache
 def _machine() -> tuple[Any, str]:
-    """llvmlite's binding, ready for this CPU, and the words that identify the compiler, its settings and the CPU.
+    """llvmlite's binding, ready for this CPU, and the text that identifies the compiler, its settings and the CPU.
 
     Raises RunError where llvmlite cannot be loaded.
     """
@@ -87,7 +87,7 @@ def _machine() -> tuple[Any, str]:
         # sin, cos and the like: numpy loads libm for itself only; some C libraries contain these functions
         with suppress(RuntimeError):
             llvm.load_library_permanently("libm.so.6")
-    words = (
+    parts = (
         __version__,
         version("numba"),
         version("llvmlite"),
@@ -97,7 +97,7 @@ def _machine() -> tuple[Any, str]:
         *cpu,
         *_numba_settings(),
     )
-    return llvm, "|".join(words)
+    return llvm, "|".join(parts)
 
 
 def _compiler_missing(package: str, error: BaseException) -> RunError:
@@ -219,9 +219,9 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
     )
 
 
-def _known(words: str, signature: str, start: float) -> Native | None:
-    """Stored function identified by ``words``; ``start`` is the clock reading when the search for it began."""
-    stored = stored_code(words, signature)
+def _known(identity: str, signature: str, start: float) -> Native | None:
+    """Stored function with this ``identity``; ``start`` is the clock reading when the search for it began."""
+    stored = stored_code(identity, signature)
     if stored is None:
         return None
     try:
@@ -232,13 +232,13 @@ def _known(words: str, signature: str, start: float) -> Native | None:
 
 
 def _linked(
-    module: Any, ir: str, symbol: str, signature: str, words: str
+    module: Any, ir: str, symbol: str, signature: str, identity: str
 ) -> tuple[Callable[..., int], tuple[Any, ...]]:
     """Link the function ``symbol`` of ``module``, whose text is ``ir``, and store its code. Raises OSError."""
     made = ObjectCode(_target_machine().emit_object(module), symbol, signature, tuple(_outside(ir)))
     _require(["sin"])  # for the mathematical functions that the compiler may call without declaring them
     loaded = _load(made)
-    store_code(words, made)
+    store_code(identity, made)
     return loaded
 
 
@@ -247,10 +247,10 @@ def native_text(ir: str, symbol: str, signature: str) -> Native:
 
     Raises ValueError for a text that is no such module, OSError if something that it calls cannot be linked.
     """
-    llvm, words = _machine()
+    llvm, machine = _machine()
     start = time.perf_counter()
-    words = f"{ir}|{symbol}|{signature}|{words}"
-    known = _known(words, signature, start)
+    identity = f"{ir}|{symbol}|{signature}|{machine}"
+    known = _known(identity, signature, start)
     if known is not None:
         return known
     try:
@@ -258,7 +258,7 @@ def native_text(ir: str, symbol: str, signature: str) -> Native:
         module.verify()
     except RuntimeError as error:
         raise ValueError(f"not a module of LLVM's language: {str(error).strip().splitlines()[0]}") from error
-    call, keep = _linked(module, ir, symbol, signature, words)
+    call, keep = _linked(module, ir, symbol, signature, identity)
     return Native(call, signature, time.perf_counter() - start, False, keep)
 
 
@@ -269,17 +269,17 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
     every kernel into its caller, which is right for a step of a hundred operations and wrong for loops. Raises
     CompileError if the compiler refuses the function.
     """
-    llvm, words = _machine()  # before the clock starts: the back end's own start-up is not counted
+    llvm, machine = _machine()  # before the clock starts: the back end's own start-up is not counted
     start = time.perf_counter()
-    words = f"{fingerprint(function)}|{signature}|{inline}|{words}"
-    known = _known(words, signature, start)
+    identity = f"{fingerprint(function)}|{signature}|{inline}|{machine}"
+    known = _known(identity, signature, start)
     if known is not None:
         return known
     _ready_numba()
     from numba.core.compiler_lock import global_compiler_lock
 
     with global_compiler_lock:  # a thread that needs the same code finds it stored afterwards
-        known = _known(words, signature, start)
+        known = _known(identity, signature, start)
         if known is not None:
             return known
         try:
@@ -295,7 +295,7 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
         call, keep = prototype(compiled.address), (compiled,)
         if not _has_addresses(compiled, ir):
             with suppress(OSError):  # a symbol to link is missing here: use numba's own code, unstored
-                call, keep = _linked(llvm.parse_assembly(ir), ir, compiled.native_name, signature, words)
+                call, keep = _linked(llvm.parse_assembly(ir), ir, compiled.native_name, signature, identity)
     return Native(call, signature, time.perf_counter() - start, False, keep)
 
 

@@ -47,10 +47,10 @@ class Endings(Sequence[Ending]):
     @classmethod
     def joined(cls, parts: Sequence[Endings]) -> Endings:
         """Endings of ``parts`` in their order; all have the same step and counters."""
-        made = cls(0, parts[0].h, parts[0].counters)
+        endings = cls(0, parts[0].h, parts[0].counters)
         for name in ARRAYS:
-            setattr(made, name, np.concatenate([getattr(part, name) for part in parts]))
-        return made
+            setattr(endings, name, np.concatenate([getattr(part, name) for part in parts]))
+        return endings
 
     def put(self, where: Any, outcome: Outcome, step: int, counts: Any) -> None:
         """Store the ending of the trajectories at ``where`` (an index or several), with ``counts`` (m, counters)."""
@@ -65,10 +65,10 @@ class Endings(Sequence[Ending]):
 
     def of(self, which: NDArray[np.int64]) -> Endings:
         """Endings of the trajectories numbered ``which`` (k,) alone."""
-        made = Endings(0, self.h, self.counters)
+        endings = Endings(0, self.h, self.counters)
         for name in ARRAYS:
-            setattr(made, name, getattr(self, name)[which])
-        return made
+            setattr(endings, name, getattr(self, name)[which])
+        return endings
 
     @property
     def failed(self) -> NDArray[np.int64]:

@@ -47,8 +47,8 @@ class CurvePanel:
     plateau are open, and a dotted line is at its level. A cross at the lower edge marks a point without a value. The
     vertical scale ``symlog`` is linear up to ``threshold`` on both sides of zero and logarithmic beyond. On the scale
     ``log`` a value above ``ceiling``, as of a run that explodes, is an arrowhead at the upper edge.
-    ``words`` are the names of the values 0, 1, ... of x if they are not numbers. ``guide`` is the label of one more
-    curve, a law, drawn broad and grey behind the others. ``prefix`` distinguishes the columns of several panels. A
+    ``categories`` are the names of the values 0, 1, ... of x if they are not numbers. ``guide`` is the label of one
+    more curve, a law, drawn broad and grey behind the others. ``prefix`` distinguishes the columns of several panels. A
     panel that is not ``alone`` leaves its legend to the layout. Curves in ``flat`` have no slope:
     their x is not what limits the error.
     """
@@ -61,7 +61,7 @@ class CurvePanel:
     threshold: float = 0.0
     ceiling: float = np.inf
     band: bool = False
-    words: tuple[str, ...] = ()
+    categories: tuple[str, ...] = ()
     title: str = ""
     legend: str = ""
     guide: str = ""
@@ -83,8 +83,10 @@ class CurvePanel:
         if self.yscale == SYMLOG:
             axes.set_yticks(symlog_ticks(self.threshold, *axes.get_ylim()))
         caption(axes, self.xlabel, self.ylabel, self.title)
-        if self.words:
-            axes.set_xticks(range(len(self.words)), self.words, rotation=0 if len(self.words) < 6 else 90)
+        if self.categories:
+            axes.set_xticks(
+                range(len(self.categories)), self.categories, rotation=0 if len(self.categories) < 6 else 90
+            )
         if not self.alone:
             for name, handle in extra.items():
                 handle.set_label(name)
@@ -92,7 +94,7 @@ class CurvePanel:
             return
         handles, texts = axes.get_legend_handles_labels()
         handles, texts = [*handles, *extra.values()], [*texts, *extra]
-        if len(texts) == 1 and self.words:
+        if len(texts) == 1 and self.categories:
             return  # the vertical axis says what it is
         rows = 22
         axes.legend(
@@ -125,13 +127,13 @@ class CurvePanel:
         text = shown if found is None or found.order is None else f"{shown}: {found.order:.2f}"
         hollow = drawn & (x <= found.onset) if found and found.onset is not None else np.zeros(len(x), dtype=bool)
         colour = style["color"]
-        line = {"linestyle": "none"} if self.words else {}
+        line = {"linestyle": "none"} if self.categories else {}
         axes.plot(x[drawn], y[drawn], label=text, gid=shown, **(style | line))
         if self.band:
             low, high = (data[self.column(label, kind)][drawn] for kind in ("low", "high"))
             if ylog:
                 low, high = np.maximum(low, np.finfo(float).tiny), np.minimum(high, self.ceiling)
-            if self.words:
+            if self.categories:
                 at, ends = y[drawn], np.array([y[drawn] - low, high - y[drawn]])
                 axes.errorbar(x[drawn], at, ends, color=colour, fmt="none", elinewidth=0.9, capsize=2.0)
             else:
@@ -158,7 +160,7 @@ class KeyAxis:
 
     label: str
     log: bool = False
-    words: tuple[str, ...] = ()
+    categories: tuple[str, ...] = ()
 
 
 def cell_edges(centres: Array, log: bool) -> Array:
@@ -222,9 +224,9 @@ class HeatPanel:
             axes.plot(x[missing], y[missing], "x", color="0.35", markersize=6.0, label="no value")
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
         for axis, side in ((self.x, "x"), (self.y, "y")):
-            if axis.words:
-                turned = {"rotation": 90} if side == "x" and len(axis.words) > 5 else {}
-                getattr(axes, f"set_{side}ticks")(range(len(axis.words)), axis.words, **turned)
+            if axis.categories:
+                turned = {"rotation": 90} if side == "x" and len(axis.categories) > 5 else {}
+                getattr(axes, f"set_{side}ticks")(range(len(axis.categories)), axis.categories, **turned)
         axes.set_xlim(edges[0][0], edges[0][-1])
-        axes.set_ylim(*(edges[1][[-1, 0]] if self.y.words else edges[1][[0, -1]]))  # names from top to bottom
+        axes.set_ylim(*(edges[1][[-1, 0]] if self.y.categories else edges[1][[0, -1]]))  # names from top to bottom
         caption(axes, self.x.label, self.y.label, self.title)

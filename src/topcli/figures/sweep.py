@@ -108,7 +108,7 @@ def _axis(rows: SweepRows, key: str) -> tuple[KeyAxis, dict[Any, float]]:
     column = rows.columns[key]
     labels = key_labels(column)
     if column.dtype.kind in "OU":
-        return KeyAxis(plain(key), words=tuple(map(plain, labels.values()))), {
+        return KeyAxis(plain(key), categories=tuple(map(plain, labels.values()))), {
             value: float(i) for i, value in enumerate(labels)
         }
     numbers = np.array([value for value in labels if value is not None], dtype=float)
@@ -164,7 +164,7 @@ def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.nd
     data = {}
     band = bool(choice.aggregate and SPREADS[choice.aggregate])
     for i, (value, label) in enumerate(labels.items()):
-        beside = (i - 0.5 * (len(labels) - 1)) * min(0.12, 0.7 / len(labels)) if axis.words else 0.0
+        beside = (i - 0.5 * (len(labels) - 1)) * min(0.12, 0.7 / len(labels)) if axis.categories else 0.0
         mine = [(place[keys[0]] + beside, point) for keys, point in points.items() if not choice.by or keys[1] == value]
         mine.sort(key=lambda pair: pair[0])
         data[curve_column(label, "x")] = np.array([x for x, _ in mine])
@@ -181,7 +181,7 @@ def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.nd
         threshold,
         CEILING,
         band=band,
-        words=axis.words,
+        categories=axis.categories,
         title=_title(rows),
         legend=": ".join([one for one in (legend, "slope" * (axis.log and scale == LOG)) if one]),
         flat=_adaptive() if choice.by == "scheme" and choice.x == "h" else (),

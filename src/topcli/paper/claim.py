@@ -90,14 +90,14 @@ class Bound:
     def text(self) -> str:
         """Interval with its unit, such as ``≤ 1e-45`` or ``1.9 to 2.1``."""
         if self.low == self.high:
-            words = number_text(self.low)
+            interval = number_text(self.low)
         elif self.low in (-math.inf, 0.0) and not math.isinf(self.high):
-            words = f"≤ {number_text(self.high)}"
+            interval = f"≤ {number_text(self.high)}"
         elif math.isinf(self.high):
-            words = f"{'>' if self.open_low else '≥'} {number_text(self.low)}"
+            interval = f"{'>' if self.open_low else '≥'} {number_text(self.low)}"
         else:
-            words = f"{number_text(self.low)} to {number_text(self.high)}"
-        return f"{words} {self.unit}".rstrip()
+            interval = f"{number_text(self.low)} to {number_text(self.high)}"
+        return f"{interval} {self.unit}".rstrip()
 
 
 def number_text(value: float) -> str:

@@ -153,9 +153,9 @@ def _notes(identity: Identity, folder: Folder, options: RunOptions, source: Resu
     notes = []
     if running := _running(identity, folder):
         notes.append(f"process {running} is running this experiment too")
-    near = folder.parts or any(source.where.folder == folder.target for source in folder.sources)
+    left_here = folder.parts or any(source.where.folder == folder.target for source in folder.sources)
     fitting = [source.done for source in folder.sources if identity.same(source.about)]
-    if near and fitting:
+    if left_here and fitting:
         N = identity.config["N"]
         notes.append(f"starting from step 0; --resume would continue an unfinished run at step {max(fitting)} of {N}")
     return tuple(notes)

@@ -24,10 +24,10 @@ from topcli.store.series import SeriesWriter
 
 Columns = dict[str, np.ndarray]
 Values = Mapping[str, Array]
-Made = TypeVar("Made")
+Kept = TypeVar("Kept")
 
 
-class GroupRun(Generic[Made]):
+class GroupRun(Generic[Kept]):
     """One group of an ensemble, run block by block.
 
     ``keep(group, piece, values)`` is called for every piece of rows with the values of the invariants (rows,), by name,
@@ -39,7 +39,7 @@ class GroupRun(Generic[Made]):
         experiment: EnsembleExperiment,
         group: Group,
         offset: int,
-        keep: Callable[[GroupRun[Made], Piece, Values], Made],
+        keep: Callable[[GroupRun[Kept], Piece, Values], Kept],
         stop: Callable[[], bool],
         threads: int | None,
     ) -> None:
@@ -53,7 +53,7 @@ class GroupRun(Generic[Made]):
         self.tally = self._tally(0)
         self.names = list(first.output.columns or column_names(group.top))
 
-        def made(piece: Piece) -> Made:
+        def on_piece(piece: Piece) -> Kept:
             values = invariant_values(self.invariants, piece.states.reshape(-1, piece.states.shape[-1]))
             self.tally.add(piece.n, piece.states, values, piece.first, piece.kept)
             return keep(self, piece, values)
@@ -65,7 +65,7 @@ class GroupRun(Generic[Made]):
             first.h,
             first.N,
             first.output.every,
-            made=made,
+            on_piece=on_piece,
             # where all rows are stored, row groups are tiles
             execution=Execution(stop, threads, tile_of(group.count), wide=experiment.store != "trajectories"),
         )
@@ -73,7 +73,7 @@ class GroupRun(Generic[Made]):
     def _tally(self, count: int) -> InvariantTally:
         return InvariantTally(self.invariants, self.experiment.first.h, self.group.top, count, self._last)
 
-    def block(self, y0: Array) -> Iterator[tuple[Made, int]]:
+    def block(self, y0: Array) -> Iterator[tuple[Kept, int]]:
         """Run the next trajectories of the group, from ``y0`` (m, d): results of ``keep`` and trajectory-steps done."""
         self.offset, self._next = self._next, self._next + len(y0)
         self.tally = self._tally(len(y0))
@@ -87,8 +87,8 @@ class GroupRun(Generic[Made]):
 
         ``values`` (m,) are those of the invariants by name, if they have been evaluated before.
         """
-        made = columns(self.group.top, n, self.experiment.first.h, states, self.names, self.modified, values)
-        return {"trajectory": (which + self.offset).astype(np.int64, copy=False), **made}
+        table = columns(self.group.top, n, self.experiment.first.h, states, self.names, self.modified, values)
+        return {"trajectory": (which + self.offset).astype(np.int64, copy=False), **table}
 
     def last_rows(self) -> Columns:
         """Row of the last state of each trajectory in the block that has been started."""
@@ -99,14 +99,14 @@ class GroupRun(Generic[Made]):
         """Table of the block's trajectories: ``varied`` parameters, initial states, outcomes, deviations."""
         run, top = self.run, self.group.top
         count = len(run.endings)
-        made: Columns = {"trajectory": np.arange(self.offset, self.offset + count, dtype=np.int64)}
-        made |= {f"top.{name}": np.full(count, getattr(top, name), dtype=np.float64) for name in varied}
-        made |= {f"initial_{name}": run.y0[:, i] for i, name in enumerate(top.components)}
-        made["outcome"] = _OUTCOME_NAMES[run.endings.outcome]
-        made["n"] = run.endings.step
-        made["left_motion"] = run.endings.left
+        table: Columns = {"trajectory": np.arange(self.offset, self.offset + count, dtype=np.int64)}
+        table |= {f"top.{name}": np.full(count, getattr(top, name), dtype=np.float64) for name in varied}
+        table |= {f"initial_{name}": run.y0[:, i] for i, name in enumerate(top.components)}
+        table["outcome"] = _OUTCOME_NAMES[run.endings.outcome]
+        table["n"] = run.endings.step
+        table["left_motion"] = run.endings.left
         first = self.experiment.first
-        return made | measure_columns(self.tally, first.N, first.output.every)
+        return table | measure_columns(self.tally, first.N, first.output.every)
 
 
 _OUTCOME_NAMES = np.array([outcome.value for outcome in OUTCOMES], dtype=object)

@@ -63,8 +63,8 @@ def _sources(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> dict[st
     sources = {name: given.get(name, name) for name in ("t", *top.components)} | dict(given)
     for name, column in given.items():
         if column not in file.names:
-            near = nearest(column, file.names)
-            raise UsageError(f"--columns {name}={column}: {file.path} has no column {quoted(column)}; {near}")
+            hint = nearest(column, file.names)
+            raise UsageError(f"--columns {name}={column}: {file.path} has no column {quoted(column)}; {hint}")
     missing = [name for name, column in sources.items() if column not in file.names]
     if missing:
         hint = _other_form(file, top) or f"{nearest(missing[0], file.names)}; --columns {missing[0]}=COLUMN names it"

@@ -182,13 +182,13 @@ def _entry(experiment: Experiment, text: str, options: Mapping[str, Any]) -> Ent
         if STEP in own and experiment.written is not None:
             raise UsageError(f"entries share the step h at precision {experiment.precision}; give it with --set h=...")
         h = _step(own.pop(STEP), experiment.h) if STEP in own else experiment.h
-        made = under_scheme(experiment, name, {**options, **own})
+        changed = under_scheme(experiment, name, {**options, **own})
         N = experiment.N if h == experiment.h else steps_over(experiment.duration, h)
     if STEP in shown:
         shown[STEP] = f"{h:g}" if float(f"{h:g}") == h else repr(h)
-    label = made.scheme.name + (":" if shown else "") + ",".join(f"{key}={value}" for key, value in shown.items())
+    label = changed.scheme.name + (":" if shown else "") + ",".join(f"{key}={value}" for key, value in shown.items())
     every = experiment.output.every
-    return Entry(printable(label), tuple(shown), made.model_copy(update={"h": h, "N": N}), every)
+    return Entry(printable(label), tuple(shown), changed.model_copy(update={"h": h, "N": N}), every)
 
 
 @contextmanager
@@ -270,8 +270,8 @@ def _require_different(entries: Sequence[Entry]) -> None:
     """Raise UsageError if two entries compute the same."""
     seen: dict[tuple[str, str, float], Entry] = {}
     for entry in entries:
-        made = entry.experiment
-        earlier = seen.setdefault((made.scheme.name, made.options.model_dump_json(), made.h), entry)
+        experiment = entry.experiment
+        earlier = seen.setdefault((experiment.scheme.name, experiment.options.model_dump_json(), experiment.h), entry)
         if earlier is entry:
             continue
         if not (entry.own or earlier.own):
@@ -288,7 +288,7 @@ def _at_common_times(entries: Sequence[Entry], wanted: int) -> list[Entry]:
     count = max(divisor for divisor in divisors if divisor <= wanted)
     if count < least:
         count = min((divisor for divisor in divisors if divisor >= least), default=count)
-    made = []
+    aligned = []
     for entry in entries:
         N = entry.experiment.N
         stride = every = N // count
@@ -296,8 +296,8 @@ def _at_common_times(entries: Sequence[Entry], wanted: int) -> list[Entry]:
             between = [every for every in _divisors(stride) if min(least, N) <= N // every < MAX_COMPARED_ROWS]
             every = max(between, default=stride)
         output = entry.experiment.output.model_copy(update={"every": every})
-        made.append(replace(entry, stride=stride, experiment=entry.experiment.model_copy(update={"output": output})))
-    return made
+        aligned.append(replace(entry, stride=stride, experiment=entry.experiment.model_copy(update={"output": output})))
+    return aligned
 
 
 def _divisors(number: int) -> list[int]:

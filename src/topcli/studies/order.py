@@ -109,9 +109,9 @@ def measure(
     watch.begin("order", plan.problem.experiment, file=file)
     used = [rung.value for rung in plan.rungs]
     for size in plan.sizes:
-        near = min(used, key=lambda value: abs(value - size))
-        if abs(near - size) > 1e-9 * size:
-            watch.message(f"h = {size:g} becomes {near:.6g}, which divides the time between comparisons")
+        taken = min(used, key=lambda value: abs(value - size))
+        if abs(taken - size) > 1e-9 * size:
+            watch.message(f"h = {size:g} becomes {taken:.6g}, which divides the time between comparisons")
     return Result(order_study(plan, watch), source=lambda: order_source(plan), file=file)
 
 

@@ -139,7 +139,7 @@ class BatchRun:
             experiment.h,
             experiment.N,
             experiment.output.every,
-            made=self._record,
+            on_piece=self._record,
             execution=Execution(stop=self._stop, threads=threads, code=self._code),
         )
 
@@ -208,7 +208,7 @@ class BatchRun:
         if h not in self._stepping:
             top, y0 = self.experiment.top, np.empty((0, states.shape[1]))
             self._stepping[h] = EnsembleRun(
-                top, code.method, y0, h, 1, made=lambda piece: None, execution=Execution(self._stop, 1, code=code)
+                top, code.method, y0, h, 1, on_piece=lambda piece: None, execution=Execution(self._stop, 1, code=code)
             )
         run = self._stepping[h]
         run.begin(states[usable])
