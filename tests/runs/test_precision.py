@@ -15,6 +15,8 @@ from topcli import simulate
 from topcli.analysis.roundoff import digit_growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
+from topcli.engine.run import Run
+from topcli.runs.precise import PreciseTally, precise_run
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 from topcli.studies.compare_runs import compare_schemes
@@ -65,6 +67,27 @@ def test_rational_report_states_equality_and_growth(tmp_path: Path) -> None:
     assert growth["law"] == "polynomial"
     assert growth["power"] == pytest.approx(2.0, abs=0.15)
     assert growth["step"] == 12
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_tally_restored_between_rows_equals_a_whole_one(spoilt: bool) -> None:
+    """Also where one of the rows before it keeps no integral."""
+    experiment = precise("euler_hk", *EULER)
+    run = precise_run(experiment)
+    assert run is not None
+    n, states, _ = Run(run.top, run.loop, run.y0, run.h, 12).collect()
+    states = states.copy()
+    states[3] = states[3] + states[3] * spoilt
+    whole, first, second = (PreciseTally(experiment, run) for _ in range(3))
+    for part in (slice(0, 7), slice(7, 13)):
+        whole.add(n[part], states[part])
+    first.add(n[:7], states[:7])
+    second.restore(first.state())
+    second.add(n[7:], states[7:])
+    assert second.report() == whole.report()
+    assert second.growth == whole.growth
+    assert {row.reason == "equal at all 13 rows" for row in second.report()[2:]} == {not spoilt}
+    assert "equal" not in second.report()[0].reason
 
 
 def test_run_stops_at_max_digits(cli: Callable[..., Said]) -> None:
