@@ -12,14 +12,15 @@ import pyarrow.parquet as pq
 
 from attack.command import call
 from attack.judge import content, rows_apart
+from sweeping import BASE
+from sweeping import DATA as SMALL
 from topcli.config.sweep import load_sweep
 from topcli.sweeps.journal import Journal
 
-SWEEP = "study"
-START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
+SWEEP = SMALL["name"]
 DATA: dict[str, Any] = {
-    "name": SWEEP,
-    "base": {"top": "kowalevski", "initial": START, "h": 0.01, "N": 60},
+    **SMALL,
+    "base": {key: value for key, value in BASE.items() if key != "scheme"},
     "grid": {"scheme": ["hk", "rk4"], "h": [0.002 * k for k in range(1, 11)]},
     "include": [{"scheme": "rk2", "h": 1e150}],
     "measure": ["deviation.energy", "drift.k_sq"],

@@ -222,18 +222,12 @@ def test_a_style_that_fails_only_at_drawing_is_an_error_of_the_user(tmp_path: Pa
 
 @pytest.mark.slow
 def test_svg_is_one_file_without_date_and_needs_no_font(tmp_path: Path) -> None:
-    found = []
-    for folder in ("a", "b"):
-        made = make_figure(
-            FIGURES["fig1"],
-            Request(tmp_path, ROOT / "configs", overrides=("N=50",)),
-            tmp_path / folder,
-            ["svg"],
-        )
-        assert [path.suffix for path in made.files] == [".svg", ".parquet"]
-        found.append(made.files[0].read_text(encoding="utf-8"))
-    assert found[0] == found[1]
-    assert "<svg" in found[0]
-    assert "<dc:date>" not in found[0]
-    assert "<text" not in found[0]  # letters are outlines
-    assert "http" not in "".join(line for line in found[0].splitlines() if "href" in line)
+    request = Request(tmp_path, ROOT / "configs", overrides=("N=50",))
+    made = [make_figure(FIGURES["fig1"], request, tmp_path / folder, ["svg"]).files for folder in "ab"]
+    assert [path.suffix for path in made[0]] == [".svg", ".parquet"]
+    text, again = (files[0].read_text(encoding="utf-8") for files in made)
+    assert text == again
+    assert "<svg" in text
+    assert "<dc:date>" not in text
+    assert "<text" not in text  # letters are outlines
+    assert "http" not in "".join(line for line in text.splitlines() if "href" in line)

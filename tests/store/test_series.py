@@ -173,6 +173,8 @@ def test_a_short_series_is_kept_whole(tmp_path: Path, rows: int) -> None:
 def test_beyond_that_rows_are_left_out() -> None:
     data = columns(2000)
     assert len(thinned({name: data[name] for name in ("t", "a", "b")}, 100)["a"]) < 1000
+    ends = thinned({"a": data["a"]}, 1)["a"][[0, -1]]
+    assert ends.tolist() == data["a"][[0, -1]].tolist()
 
 
 def test_missing_numbers_hide_no_extreme() -> None:

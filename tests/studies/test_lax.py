@@ -88,6 +88,9 @@ def test_rates_are_the_tops_field() -> None:
 (2.0, 2.0, 1.0)  (1.0, 0.0, 0.0)  kowalevski block
 (2.0, 2.0, 1.0)  (0.0, 0.0, 0.0)  manakov lagrange kowalevski block
 (2.0, 2.0, 1.5)  (1.0, 0.0, 0.0)  block
+(2.0, 2.0, 1.5)  (0.0, 1.0, 0.0)  block
+(2.0, 2.0, 1.0)  (1.0, 0.5, 0.0)  block
+(2.0, 2.0, 1.0)  (1.0, 0.0, 0.5)  block
 (3.0, 2.0, 1.0)  (0.0, 0.0, 1.0)  block
 """),
 )

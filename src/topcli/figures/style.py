@@ -131,8 +131,9 @@ def _without_comment(line: str) -> str:
 def _parameter(text: str, where: str) -> tuple[str, Any]:
     """Name and checked value of a line. Raises UsageError."""
     import matplotlib as mpl
-    from matplotlib.style.core import STYLE_BLACKLIST
 
+    with warnings.catch_warnings(action="ignore"):  # of matplotlib 3.11, which moves it
+        from matplotlib.style.core import STYLE_BLACKLIST
     key, colon, value = (part.strip() for part in text.partition(":"))
     if not colon:
         raise UsageError(f"{where}: {quoted(text)} is not a line KEY: VALUE, as in font.size: 9")
