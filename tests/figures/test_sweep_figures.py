@@ -418,7 +418,7 @@ def test_notes_count_each_outcome_by_itself(folder: Path) -> None:
 
 
 def test_notes_say_what_cannot_be_drawn(tmp_path: Path) -> None:
-    folder = write_rows(tmp_path / "x", {"h": [0.1, NAN, 0.2]}, {"v": [0.0, 1.0, 1e3]})
+    folder = write_rows(tmp_path / "x", {"h": [0.1, NAN, 0.2]}, {"v": [0.0, 2.0, 1e3]})
     assert sweep_notes(read_rows(folder), Choice("h", "v")) == [
         "1 of 3 values are zero and have no place on a logarithmic scale",
         "rows without a number for h are not drawn",
