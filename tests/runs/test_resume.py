@@ -16,7 +16,7 @@ import pytest
 
 from conftest import GEN
 from declared import TRIALS, by_name
-from resuming import HK, NAME, after, content, killed, small
+from resuming import FILES, HK, NAME, after, content, killed, small
 from topcli.analysis.tally import InvariantTally
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
@@ -328,6 +328,7 @@ def test_a_run_continues_by_its_name(cli: Callable[..., Any], in_tmp: Path, how:
     whole = run_experiment(small("name=mine"), in_tmp / "whole").stored.folder
     assert content(out / "mine") == content(whole)
     assert [path.name for path in out.iterdir()] == ["mine"]
+    assert {path.name for path in (out / "mine").iterdir()} == {*FILES, "series.parquet"}
     assert "(up to date)" in cli("run", given, "--resume").err
 
 
