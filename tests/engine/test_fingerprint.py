@@ -106,14 +106,15 @@ def test_modules_of_one_name_beside_two_files_stay_apart(folder: Path, tmp_path:
     assert [run_scheme(path).value for path in (here, there, here)] == [4.0, 16.0, 4.0]
 
 
-@pytest.mark.parametrize("value", [0.0, -0.0, 1, True, 1.0, "1", b"1", (1,), [1], None, {1: 1}, frozenset((1,)), 1j])
-def test_values_that_differ_in_kind_or_sign_differ(value: object) -> None:
-    others = [0.0, -0.0, 1, True, 1.0, "1", b"1", (1,), [1], None, {1: 1}, frozenset((1,)), 1j]
+VALUES = [0.0, -0.0, 1, True, 1.0, "1", b"1", (1,), [1], None, {1: 1}, frozenset((1,)), 1j]
 
+
+@pytest.mark.parametrize("value", VALUES)
+def test_values_that_differ_in_kind_or_sign_differ(value: object) -> None:
     def make(k):
         return lambda: k
 
-    same = [other for other in others if fingerprint(make(other)) == fingerprint(make(value))]
+    same = [other for other in VALUES if fingerprint(make(other)) == fingerprint(make(value))]
     assert [repr(one) for one in same] == [repr(value)]
 
 

@@ -290,12 +290,6 @@ def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: Non
         assert asked.count <= QUESTIONS, (size, h)
 
 
-def stop_after(times: int):
-    """A request to stop, from the poll with this number on."""
-    polls = iter(range(times))
-    return lambda: next(polls, None) is None
-
-
 def test_a_step_of_too_many_evaluations_does_not_converge(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rk2_rk4_dop853, "MAX_EVALUATIONS", 3000)
     experiment = load_experiment(ROOT / "configs" / "heavy_dop853.yaml", ["h=100", "N=3"])
@@ -316,7 +310,7 @@ def test_an_ensemble_is_interrupted_within_a_chunk(impatient: None) -> None:
         0.1,
         10_000,
         on_piece=lambda piece: int(piece.kept.max()),
-        execution=Execution(stop_after(2)),
+        execution=Execution(AskedAt(3)),
     )
     rows = [made for made, _ in run]
     assert {ending.outcome for ending in run.endings} == {Outcome.INTERRUPTED}

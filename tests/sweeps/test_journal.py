@@ -21,6 +21,7 @@ from injected import in_fork
 from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
+from topcli.store.series import read_series
 from topcli.studies.health import check_all
 from topcli.sweeps.journal import FinishedRows, Journal, damaged_lines
 from topcli.sweeps.plan import survey
@@ -211,6 +212,9 @@ def test_series_that_a_killed_process_has_not_stored_are_stored(tmp_path: Path) 
     assert len(wanted) == 5
     assert sweep(tmp_path, SERIES).ran == 0
     assert stored_series(tmp_path) == wanted
+    for row in table(tmp_path):
+        energy = read_series(tmp_path / "study" / "series" / row["digest"][:16] / "series.parquet")["energy"]
+        assert abs(energy - energy[0]).max() == row["deviation.energy"]
     lost = sorted(wanted)[1]
     (tmp_path / "study" / "series" / lost / "manifest.json").unlink()
     for path in (tmp_path / "study" / "series" / lost).iterdir():

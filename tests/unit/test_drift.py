@@ -98,11 +98,10 @@ def test_report_does_not_depend_on_the_pieces() -> None:
         assert cut[key] == (pytest.approx(value, rel=1e-9) if isinstance(value, float) else value) or key == "reason"
 
 
-@pytest.mark.parametrize("rows", [1, 2, 7])
+@pytest.mark.parametrize("rows", [1, 2, 7, 8])
 def test_short_runs_have_no_slope_and_no_verdict(rows: int) -> None:
     row = report(1.0 + 0.01 * np.arange(rows))
-    assert row.drift is None
-    assert row.verdict == "unjudged"
+    assert (row.drift is None) == (row.verdict == "unjudged") == (rows < 8)
 
 
 def test_runaway_or_non_finite_series_are_not_bounded() -> None:
@@ -171,12 +170,6 @@ def test_lost_begins_at_a_quarter_of_the_value_or_of_a_tenth_of_the_terms(
     size = 3.0 if first == 3.0 else 0.8
     sinking = first - factor * 0.25 * size * 0.5 * (1.0 - np.cos(2.0 * math.pi * np.arange(LONG + 1) / LONG))
     assert (report(sinking, terms).verdict == "lost") == (factor > 1.0)
-
-
-@pytest.mark.parametrize("rows", [7, 8])
-def test_a_slope_needs_eight_rows(rows: int) -> None:
-    t = np.arange(float(rows))
-    assert (trend(t, np.sin(t)) is None) == (rows < 8)
 
 
 def fitted(t: np.ndarray, values: np.ndarray) -> Trend:
