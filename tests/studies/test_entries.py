@@ -31,22 +31,20 @@ def mixed() -> Result:
     return compare_schemes(load_experiment(SCENE, ["h=0.01", "N=2000"]), MIXED)
 
 
-def test_an_entry_has_its_own_options_and_step() -> None:
-    first, second, third = entries("hybrid", "Hybrid: branch=sign , h=2e-2", "hk+Kahan-Li6:h=4e-02")
-    assert [one.label for one in (first, second, third)] == [
-        "hybrid",
-        "hybrid:branch=sign,h=0.02",
-        "hk+kahan-li6:h=0.04",
-    ]
-    assert [one.experiment.options.model_dump() for one in (first, second)] == [
-        {"branch": "nearest"},
-        {"branch": "sign"},
-    ]
-    assert [(one.experiment.h, one.experiment.N) for one in (first, second, third)] == [
-        (0.01, 2000),
-        (0.02, 1000),
-        (0.04, 500),
-    ]
+@pytest.mark.parametrize(
+    ("text", "label", "options", "h", "N"),
+    table_of("""
+hybrid                         hybrid                     {"branch": "nearest"}  0.01  2000
+Hybrid: branch=sign , h=2e-2   hybrid:branch=sign,h=0.02  {"branch": "sign"}     0.02  1000
+hk+Kahan-Li6:h=4e-02           hk+kahan-li6:h=0.04        {}                     0.04  500
+"""),
+)
+def test_an_entry_has_its_own_options_and_step(
+    text: str, label: str, options: dict[str, str], h: float, N: int
+) -> None:
+    (found,) = entries(text)
+    assert (found.label, found.experiment.h, found.experiment.N) == (label, h, N)
+    assert options.items() <= found.experiment.options.model_dump().items()
 
 
 def test_own_options_come_before_those_of_all() -> None:

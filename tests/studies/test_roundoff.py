@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from cases import table_of
 from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, growth, structure
 from topcli.config.models import Experiment
 from topcli.contracts import Ending, Floats, Invariant, Outcome, StepFunction, Stepper
@@ -192,17 +193,19 @@ def test_experiments_are_chosen() -> None:
     assert [one.options.model_dump()["compensated"] for one in forms_of(resolved).values()] == [False, True]
 
 
-def test_unsuitable_experiments_are_refused() -> None:
-    with pytest.raises(UsageError, match="closed form"):
-        roundoff_study(roundoff_experiment("exact", None), 10_000, 2)
-    with pytest.raises(UsageError, match="--steps 100: too few for a fit of the growth; take at least 256"):
-        roundoff_study(roundoff_experiment("hybrid", None), 100, 2)
-    with pytest.raises(UsageError, match=r"windows of length 4000 .* need at least 6400000 steps at h = 0.01"):
-        roundoff_study(roundoff_experiment("hk", None), 100_000, 2)
-    with pytest.raises(UsageError, match="--copies 0: must be at least 1"):
-        roundoff_study(roundoff_experiment("hybrid", None), 10_000, 0)
-    with pytest.raises(UsageError, match="--copies 1: must be at least 2"):
-        roundoff_study(roundoff_experiment("hk", None), 10_000_000, 1)
+@pytest.mark.parametrize(
+    ("scheme", "steps", "copies", "message"),
+    table_of("""
+exact   10_000      2  closed form
+hybrid  100         2  --steps 100: too few for a fit of the growth; take at least 256
+hk      100_000     2  windows of length 4000 .* need at least 6400000 steps at h = 0.01
+hybrid  10_000      0  --copies 0: must be at least 1
+hk      10_000_000  1  --copies 1: must be at least 2
+"""),
+)
+def test_unsuitable_experiments_are_refused(scheme: str, steps: int, copies: int, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        roundoff_study(roundoff_experiment(scheme, None), steps, copies)
 
 
 @pytest.mark.slow
@@ -251,19 +254,19 @@ def test_tolerances_judge_the_compensated_form(cli) -> None:
     assert (code, len(violations)) == (4, len(better))
 
 
-def test_command_refuses_wrong_usage(cli) -> None:
-    for arguments, says in [
-        (("hybird",), "did you mean 'hybrid'"),
-        (("hybrid", "--steps", "0"), "--steps 0: must be a whole number"),
-        (("hybrid", "--steps", "1.5e0"), "--steps 1.5: must be a whole number"),
-    ]:
-        said = cli("roundoff", *arguments)
-        assert said.code == 2
-        assert says in said.err
-        assert said.out == ""
-    said = cli("roundoff", "rk4", "--config", "heavy_rk4", "--set", "h=4", "--steps", "1e6", "--copies", "2")
-    assert said.code == 1
-    assert "error: rk4 with plain sums: blew up at step" in said.err
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    table_of("""
+hybird                2  did you mean 'hybrid'
+hybrid --steps 0      2  --steps 0: must be a whole number
+hybrid --steps 1.5e0  2  --steps 1.5: must be a whole number
+rk4 --config heavy_rk4 --set h=4 --steps 1e6 --copies 2  1  error: rk4 with plain sums: blew up at step
+"""),
+)
+def test_command_names_what_is_wrong(cli, arguments: str, code: int, message: str) -> None:
+    said = cli("roundoff", *arguments.split())
+    assert said.code == code
+    assert message in said.err
 
 
 def test_picture_leaves_out_what_never_changed() -> None:
