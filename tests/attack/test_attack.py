@@ -29,6 +29,7 @@ from attack.pages import wrong_markup
 from attack.sandbox import Case, Sandbox
 from attack.scenes import Scene, wait
 from attack.spoil import FOREIGN
+from cases import table_of
 from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
@@ -281,17 +282,17 @@ OPERATIONS = ["create new", "write new", "fsync new", "create other", "write oth
 
 @pytest.mark.parametrize(
     ("at", "how", "left"),
-    [
-        (0, "before", {"new": 8, "old": 8}),
-        (2, "before", {"new": 0, "old": 3}),
-        (2, "torn", {"new": 4, "old": 3}),
-        (2, "after", {"new": 8, "old": 3}),
-        (2, "power", {"new": 0, "old": 3}),
-        (3, "power", {"new": 8, "old": 3}),
-        (6, "before", {"new": 8, "other": 8, "old": 3}),
-        (6, "power", {"new": 8, "old": 0}),
-        (5, "full once", {"new": 8, "other": 4, "old": 3}),
-    ],
+    table_of("""
+0  before     {"new": 8, "old": 8}
+2  before     {"new": 0, "old": 3}
+2  torn       {"new": 4, "old": 3}
+2  after      {"new": 8, "old": 3}
+2  power      {"new": 0, "old": 3}
+3  power      {"new": 8, "old": 3}
+6  before     {"new": 8, "other": 8, "old": 3}
+6  power      {"new": 8, "old": 0}
+5  full once  {"new": 8, "other": 4, "old": 3}
+"""),
 )
 def test_a_fault_falls_on_its_operation(tmp_path: Path, at: int, how: str, left: dict[str, int]) -> None:
     root = tmp_path / "root"
@@ -343,16 +344,16 @@ def test_markup_in_a_page_is_seen() -> None:
 
 @pytest.mark.parametrize(
     ("words", "message"),
-    [
-        (["pieces"], "no such part: pieces"),
-        (["--only", "1"], "--only wants"),
-        (["kills", "pages", "--only", "1"], "--only wants"),
-    ],
+    table_of("""
+pieces                no such part: pieces
+--only 1              --only wants
+kills pages --only 1  --only wants
+"""),
 )
 def test_wrong_usage_is_refused(
-    words: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["attack", *words])
+    monkeypatch.setattr(sys, "argv", ["attack", *words.split()])
     with pytest.raises(SystemExit):
         arguments()
     assert message in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pkgutil
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -19,25 +20,18 @@ from conftest import ROOT
 from drawn_artists import columns_of, drawn_from
 from figure_studies import PREPARE
 from sweep_rows import write_rows
-from topcli.analysis import order as analysis_of_orders
-from topcli.analysis import reference, roundoff, swings
 from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
-from topcli.figures import comparison, curves, errors, growth, outcomes, period, picture, sweep, torus
+from topcli.figures import errors, growth, period, torus
 from topcli.figures.catalogue import FIGURES, find_figure
-from topcli.figures.curves import HeatPanel
 from topcli.figures.figure import Figure, Loaded, NothingMeasuredError, Request, _source, make_figure
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.scenes import scene_figure
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.runs.run import run_experiment
-from topcli.schemes.kowalevski import hk
-from topcli.studies import order_ladders, roundoff_copies
-from topcli.studies.bench import measure
-from topcli.studies.bench.result import pareto_front
-from topcli.studies.stress import checks, trials
-from topcli.sweeps import table
+from topcli.studies import order_ladders
+from topcli.studies.stress import trials
 from topcli.sweeps.rows import read_rows
 
 
@@ -211,51 +205,32 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
     assert (np.isnan(short) == (np.arange(20) >= 5)).all()
 
 
-HK_STEP = hk.hk_kowalevski_change
-SOURCES: dict[str, tuple[Callable[[], str], list[Any]]] = {
+HK_STEP = "schemes.kowalevski.hk.hk_kowalevski_change"
+SOURCES: dict[str, tuple[Callable[[], str], str]] = {
     "order": (
         lambda: order_ladders.order_source(order_ladders.ladders(["hk", "rk4"])),
-        [
-            HK_STEP,
-            order_ladders.order_study,
-            order_ladders._row,
-            order_ladders._Ladder.rungs,
-            analysis_of_orders.convergence,
-            analysis_of_orders.observed_order,
-            measure.explore,
-            measure.SchemeCompetitor.run,
-            reference.reference_states,
-        ],
+        "studies.order_ladders.order_study studies.order_ladders._Ladder.rungs analysis.order.convergence "
+        "studies.bench.measure.explore studies.bench.measure.SchemeCompetitor.run analysis.reference.reference_states",
     ),
     "stress": (
         trials.stress_source,
-        [HK_STEP, trials.verdict_of, checks.keeps_order, checks.claim_violated],
+        "studies.stress.trials.verdict_of studies.stress.checks.keeps_order studies.stress.checks.claim_violated",
     ),
     "error-and-cost": (
         errors.study_source,
-        [HK_STEP, errors.error_and_cost, measure.time_all, measure.as_rows, measure.SchemeCompetitor.run],
+        "figures.errors.error_and_cost studies.bench.measure.time_all studies.bench.measure.as_rows",
     ),
     "roundoff": (
         growth.growth_code,
-        [
-            HK_STEP,
-            growth.turned_step,
-            growth.bs_change,
-            roundoff_copies.sampling_of,
-            roundoff_copies.copies_followed,
-            roundoff_copies._followed,
-            roundoff_copies._copies,
-            roundoff.BlockMeans.add,
-            roundoff.block_weights,
-            roundoff.doubling_lags,
-            roundoff.structure,
-        ],
+        "figures.growth.turned_step figures.growth.bs_change studies.roundoff_copies.sampling_of "
+        "studies.roundoff_copies.copies_followed analysis.roundoff.BlockMeans.add analysis.roundoff.block_weights "
+        "analysis.roundoff.doubling_lags analysis.roundoff.structure",
     ),
-    "integrable": (growth.energy_code, [HK_STEP, growth._energy_errors, growth.largest_by_octave]),
-    "period": (period.period_code, [HK_STEP, period._gamma1, swings.swing_spacing, swings.minima_times]),
-    "torus-points": (torus.torus_code, [HK_STEP, torus.orbit, torus.crossings]),
+    "integrable": (growth.energy_code, "figures.growth._energy_errors figures.growth.largest_by_octave"),
+    "period": (period.period_code, "analysis.swings.swing_spacing analysis.swings.minima_times"),
+    "torus-points": (torus.torus_code, "figures.torus.orbit figures.torus.crossings"),
 }
-"""Digest of what each study depends on, and functions whose results are in its data."""
+"""Digest of what each study depends on, and functions of topcli whose results are in its data."""
 CONSTANTS: dict[str, list[tuple[Any, str, Any]]] = {
     "order": [
         (order_ladders, name, value) for name, value in (("SECONDS", 6.0), ("INTERVALS", 21), ("DURATION", 11.0))
@@ -267,8 +242,9 @@ CONSTANTS: dict[str, list[tuple[Any, str, Any]]] = {
 """Settings of studies that are constants of a module."""
 
 
-def edit(patch: pytest.MonkeyPatch, function: Any) -> None:
-    """Give a function another code in its place, wherever it is imported, as an editor would."""
+def edit(patch: pytest.MonkeyPatch, name: str) -> None:
+    """Give a function of topcli another code in its place, wherever it is imported, as an editor would."""
+    function = pkgutil.resolve_name(f"topcli.{name}")
     assert isinstance(function, FunctionType)
     code = function.__code__
     patch.setattr(function, "__code__", code.replace(co_consts=(*code.co_consts, "edited")))
@@ -279,10 +255,10 @@ def edit(patch: pytest.MonkeyPatch, function: Any) -> None:
 def test_the_source_of_a_study_names_everything_behind_its_numbers(name: str) -> None:
     source, functions = SOURCES[name]
     before = source()
-    for function in functions:
+    for function in (HK_STEP, *functions.split()):
         with pytest.MonkeyPatch.context() as patch:
             edit(patch, function)
-            assert source() != before, function.__qualname__
+            assert source() != before, function
     for module, constant, value in CONSTANTS.get(name, []):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(module, constant, value)
@@ -290,12 +266,12 @@ def test_the_source_of_a_study_names_everything_behind_its_numbers(name: str) ->
     assert source() == before
 
 
-DRAWING: dict[str, list[Any]] = {
-    "order": [errors.order_data, curves.CurvePanel._curve, analysis_of_orders.convergence, picture.draw],
-    "stress": [outcomes.figure_data, outcomes._step_text, outcomes.StressGrid.annotate],
-    "work-precision": [comparison._curves, comparison._shown, pareto_front],
-    "compare": [comparison._data, comparison.ErrorsOverTime.paint, reference.distances, HK_STEP],
-    "swings": [sweep._points, table.summary, picture.Grid.annotate],
+DRAWING = {
+    "order": "figures.errors.order_data figures.curves.CurvePanel._curve figures.picture.draw",
+    "stress": "figures.outcomes.figure_data figures.outcomes._step_text figures.outcomes.StressGrid.annotate",
+    "work-precision": "figures.comparison._curves studies.bench.result.pareto_front",
+    "compare": f"figures.comparison.ErrorsOverTime.paint analysis.reference.distances {HK_STEP}",
+    "swings": "figures.sweep._points sweeps.table.summary figures.picture.Grid.annotate",
 }
 """Functions between the results of a study and its picture."""
 
@@ -311,10 +287,10 @@ def test_a_figure_is_drawn_again_after_an_edit_of_its_code(
         return _source(FIGURES[name].load(Request(tmp_path, ROOT / "configs")), {})
 
     before = source()
-    for function in DRAWING[name]:
+    for function in DRAWING[name].split():
         with pytest.MonkeyPatch.context() as patch:
             edit(patch, function)
-            assert source() != before, function.__qualname__
+            assert source() != before, function
     assert source() == before
 
 
@@ -336,7 +312,11 @@ def test_a_figure_of_a_sweep_is_drawn_again_for_other_rows_choices_and_code(tmp_
 
     heat = Choice("h", "seed", colour="v")
     changed = [source(), source(Choice("h", "v", aggregate="max")), source(folder=other), source(heat)]
-    for function, one in ((table.summary, choice), (sweep.scale_of, choice), (HeatPanel._norm, heat)):
+    for function, one in (
+        ("sweeps.table.summary", choice),
+        ("figures.sweep.scale_of", choice),
+        ("figures.curves.HeatPanel._norm", heat),
+    ):
         with pytest.MonkeyPatch.context() as patch:
             edit(patch, function)
             changed.append(source(one))

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, Field
 
+from cases import table_of
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Scheme, Stepper
 from topcli.engine.run import Run
@@ -137,14 +138,22 @@ def test_a_config_is_a_scene(in_tmp: Path) -> None:
     (problem,) = bench_problems((), ("heavy_rk4",), ("N=500",), 10)
     assert problem.name == "heavy_rk4"
     assert problem.duration == problem.experiment.h * 500
-    with pytest.raises(UsageError, match="runs backwards"):
-        bench_problems((), ("heavy_rk4",), ("h=-0.01",))
-    with pytest.raises(UsageError, match="named twice"):
-        bench_problems(("euler", "EULER"), ())
-    with pytest.raises(UsageError, match="none is given"):
-        bench_problems((), (), ("h=1",))
-    with pytest.raises(UnknownNameError, match="did you mean 'lagrange'"):
-        bench_problems(("lagrnge",), ())
+
+
+@pytest.mark.parametrize(
+    ("scenes", "configs", "sets", "message"),
+    table_of("""
+()                    ("heavy_rk4",)  ("h=-0.01",)  runs backwards
+("euler", "EULER")    ()              ()            named twice
+()                    ()              ("h=1",)      none is given
+("lagrnge",)          ()              ()            did you mean 'lagrange'
+"""),
+)
+def test_wrong_scenes_are_refused(
+    scenes: tuple[str, ...], configs: tuple[str, ...], sets: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        bench_problems(scenes, configs, sets)
 
 
 CLOSE = 3.0
@@ -209,16 +218,16 @@ def test_names_that_do_not_fit_are_refused() -> None:
     assert dict(choose(euler, ("hk", "hybrid")).left_out) == {"hybrid": "does not fit the top euler"}
     assert [scheme.name for scheme in choose(kowalevski, ("dop853",)).schemes] == ["dop853"]
     assert [scheme.order for scheme in choose(euler, ("dmv:moments=preprocessed,order=8",)).schemes] == [8]
-    with pytest.raises(UsageError, match="named twice"):
-        choose(euler, ("hk", "HK"))
-    with pytest.raises(UnknownNameError, match="did you mean"):
-        choose(euler, ("midpont",))
-    with pytest.raises(UnknownNameError, match=r"dmv:moment=plain: scheme 'dmv' has no option 'moment'.*'moments'"):
-        choose(euler, ("dmv:moment=plain",))
-    with pytest.raises(UsageError, match="order: "):
-        choose(euler, ("dmv:order=5",))
     (refused,) = choose(euler, ("dmv:order=6",)).left_out
     assert refused == ("dmv:order=6", "order: 6 needs moments: preprocessed; with plain moments the order is 2")
+    for names, message in (
+        (("hk", "HK"), "named twice"),
+        (("midpont",), "did you mean"),
+        (("dmv:moment=plain",), r"dmv:moment=plain: scheme 'dmv' has no option 'moment'.*'moments'"),
+        (("dmv:order=5",), "order: "),
+    ):
+        with pytest.raises(UsageError, match=message):
+            choose(euler, names)
 
 
 @pytest.fixture(scope="module")

@@ -105,12 +105,12 @@ def test_delone_is_at_k_zero() -> None:
 
 @pytest.mark.parametrize(
     ("name", "components", "values"),
-    [
-        ("pole", (3, 4, 5), (0.0, 0.0, -1.0)),
-        ("branch-point", (0, 1), (0.0, 0.0)),
-        ("near-branch-point", (0, 1), (0.0, 1e-3)),
-        ("real-axis", (0, 1), (-0.8, 0.0)),
-    ],
+    table_of("""
+pole               (3, 4, 5)  (0.0, 0.0, -1.0)
+branch-point       (0, 1)     (0.0, 0.0)
+near-branch-point  (0, 1)     (0.0, 1e-3)
+real-axis          (0, 1)     (-0.8, 0.0)
+"""),
 )
 def test_motions_pass_the_hard_place_on_a_step(name: str, components: tuple[int, ...], values: Floats) -> None:
     experiment = case_of(name).experiment("hk")
