@@ -41,7 +41,7 @@ from topcli.engine import native as compiler  # noqa: E402
 from topcli.engine.ensemble import GROUP, TILE, EnsembleRun, Execution  # noqa: E402
 from topcli.engine.loop import loop_of, stage_parameters  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
-from topcli.engine.tile import SIGNATURE, plain_lanes  # noqa: E402
+from topcli.engine.tile import LANES_SIGNATURE, plain_lanes  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
 from topcli.tops import TOPS  # noqa: E402
 
@@ -78,7 +78,7 @@ def code_of(lanes: Any, rows: int) -> Code:
     The loop is taken to be its longest stretch without a label. If that treats several vectors in turn, it stores
     several times to each of the ``rows`` of the work.
     """
-    ir = compiler._compile(lanes, SIGNATURE, True).inspect_llvm()
+    ir = compiler._compile(lanes, LANES_SIGNATURE, True).inspect_llvm()
     llvm, _ = compiler._machine()
     text = compiler._target_machine().emit_assembly(llvm.parse_assembly(ir))
     stretches = re.split(r"^\.?\w+:", text, flags=re.MULTILINE)
@@ -107,7 +107,7 @@ class Limit:
 
     def __init__(self) -> None:
         plain = plain_lanes(Stepper(products_alone, 6), 6, 1, TILE)
-        self.lanes = native(plain, SIGNATURE)
+        self.lanes = native(plain, LANES_SIGNATURE)
 
     def product(self) -> float:
         """Nanoseconds per product of one trajectory."""
@@ -130,7 +130,7 @@ class Case:
         self.p = np.array([*p, *stage_parameters(method)])
         self.loop = loop_of(method, d, len(p))
         plain = plain_lanes(method, d, len(p), TILE)
-        self.lanes, self.code = native(plain, SIGNATURE), code_of(plain, method.width + 1)
+        self.lanes, self.code = native(plain, LANES_SIGNATURE), code_of(plain, method.width + 1)
         self.products = self.code.products * (len(method.stages[1]) if method.stages else 1)
         self.out = np.empty(d * TILE)
         self.y0 = random_states(2 * GROUP * TILE, 3)[:, :d]

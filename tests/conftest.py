@@ -150,4 +150,4 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("CHUNK_STEPS", 23), ("PLAIN_STEPS", 23), ("CHUNK_ROWS", 16)):
         monkeypatch.setattr(f"topcli.engine.run.{name}", value)
     monkeypatch.setattr(series, "ROW_GROUP", 40)
-    monkeypatch.setattr("topcli.runs.recorder.BATCH_ROWS", 20)
+    monkeypatch.setattr("topcli.runs.recorder.EVALUATED_ROWS", 20)

@@ -28,7 +28,7 @@ from topcli.schemes.registry import load_scheme_file, unload_scheme_files
 from topcli.sweeps import cluster as connect
 from topcli.sweeps.cluster import (
     ALONE,
-    IN_FLIGHT,
+    CLUSTER_IN_FLIGHT,
     Cluster,
     answer,
     batch_digest,
@@ -167,8 +167,8 @@ def test_rows_are_those_of_a_local_sweep_and_few_are_in_flight(cluster: Processe
         result = sweep(tmp_path / "there", MANY, found, threads=12, **note)
     assert result.ran == 160
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here"))
-    assert len(flying) > 4 * IN_FLIGHT
-    assert 0 < max(flying) < IN_FLIGHT * 2
+    assert len(flying) > 4 * CLUSTER_IN_FLIGHT
+    assert 0 < max(flying) < CLUSTER_IN_FLIGHT * 2
     assert run_on_cluster(cluster.address, load_sweep(MANY), tmp_path / "there").ran == 0
 
 

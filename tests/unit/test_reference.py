@@ -188,7 +188,7 @@ def test_failures_have_codes():
     assert drive(Heavy(), GEN, [50.0], budget=3)[0] == taylor.MORE
 
 
-# ---------------------------------------------------------------- the driver
+# ---------------------------------------------------------------- the loop over its steps
 
 
 def test_requested_times_do_not_change_the_states(monkeypatch):

@@ -35,7 +35,7 @@ from topcli.engine.native import CompileError, native
 from topcli.engine.run import Endings, Run
 from topcli.engine.setups import Setups, SetupTime
 from topcli.engine.tile import (
-    SIGNATURE,
+    LANES_SIGNATURE,
     Lanes,
     Piece,
     RowBuffer,
@@ -104,7 +104,7 @@ class EnsembleCode:
         self.seconds, self.cached = 0.0, True
         if side_by_side and isinstance(method, Stepper) and not method.plain:
             try:
-                code = native(plain_lanes(method, self._d, len(self.p), tile), SIGNATURE)
+                code = native(plain_lanes(method, self._d, len(self.p), tile), LANES_SIGNATURE)
             except CompileError as error:
                 raise step_refused(method, self._d, error) from None
             self.lanes = Lanes(method, code, np.concatenate([self.p, stage_parameters(method)]), tile)

@@ -232,7 +232,7 @@ def advance_together(tiles: Sequence[Tile], steps: int, until_record: int) -> Pi
     return Piece(first.first, n, buffer[: sum(map(len, kept))], np.concatenate(kept))
 
 
-SIGNATURE = "pppdqqqq"
+LANES_SIGNATURE = "pppdqqqq"
 
 _TEMPLATE = """
 def make(step, leave):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from topcli.analysis.roundoff import DigitGrowth
     from topcli.engine.precise import PreciseRun
 
-BATCH_ROWS = 256
+EVALUATED_ROWS = 256
 """Rows that are evaluated and written together: doing so for a single row costs as much as some thousand steps."""
 
 COST = 100.0
@@ -45,13 +45,13 @@ class PendingRows:
 
     def add(self, n: NDArray[np.int64], states: Array) -> None:
         """Append rows: step numbers (m,) and states (m, d); copied unless they fill the batch by themselves."""
-        self._pieces.append((n.copy(), states.copy()) if len(n) < BATCH_ROWS else (n, states))
+        self._pieces.append((n.copy(), states.copy()) if len(n) < EVALUATED_ROWS else (n, states))
         self._count += len(n)
 
     @property
     def full(self) -> bool:
-        """True if there are at least BATCH_ROWS rows."""
-        return self._count >= BATCH_ROWS
+        """True if there are at least ``EVALUATED_ROWS``."""
+        return self._count >= EVALUATED_ROWS
 
     def rows(self) -> Rows:
         """All rows of the batch."""

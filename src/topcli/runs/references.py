@@ -143,13 +143,13 @@ class SharedReferences:
         try:
             states = self._known(motion, t)
             if states is None:
-                states = self._computed(motion, reference, np.asarray(y0, dtype=np.float64), h, n)
+                states = self._compute(motion, reference, np.asarray(y0, dtype=np.float64), h, n)
                 self._keep(motion, t, states)
             return states
         finally:
             computing.release()
 
-    def _computed(self, motion: Motion, reference: Reference, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
+    def _compute(self, motion: Motion, reference: Reference, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
         """States of a reference that is not kept; a refusal is remembered. Raises RunError."""
         key = (motion, sha256((n * h).tobytes()).digest())
         if key in self._refused:

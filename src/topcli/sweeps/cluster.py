@@ -48,7 +48,7 @@ RESTARTS = 5
 POLL_SECONDS = 0.2
 COUNT_SECONDS = 2.0
 """Time between two counts of the workers."""
-IN_FLIGHT = 3
+CLUSTER_IN_FLIGHT = 3
 """Batches in flight for each thread of a worker."""
 ALONE = "-alone"
 """End of the key of a row that is in flight alone."""
@@ -108,7 +108,7 @@ class Cluster:
         source = iter(made)
         try:
             while not stop():
-                while len(self._flying) < IN_FLIGHT * max(1, self.threads):
+                while len(self._flying) < CLUSTER_IN_FLIGHT * max(1, self.threads):
                     batch = self._pieces.popleft() if self._pieces else next(source, None)
                     if batch is None:
                         break

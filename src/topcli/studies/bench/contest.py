@@ -18,7 +18,7 @@ from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest
 from topcli.schemes.registry import SchemeMisfitError, all_schemes, composable_names
 from topcli.studies.entries import scheme_with
 
-INTERVALS = 100
+BENCH_INTERVALS = 100
 """Number of intervals between the evenly spaced times at which errors are measured."""
 
 
@@ -72,7 +72,7 @@ class Problem:
 
 
 def bench_problems(
-    scenes: Sequence[str], configs: Sequence[str], sets: Sequence[str] = (), intervals: int = INTERVALS
+    scenes: Sequence[str], configs: Sequence[str], sets: Sequence[str] = (), intervals: int = BENCH_INTERVALS
 ) -> list[Problem]:
     """Return the problems of the named ``scenes`` and of ``configs``; of all scenes if neither is given.
 

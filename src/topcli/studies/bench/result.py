@@ -14,7 +14,7 @@ from topcli.errors import RunError, UsageError
 from topcli.runs.decision import require_no_link
 from topcli.store.files import json_text
 from topcli.store.folder import RunWriter
-from topcli.store.manifest import MANIFEST, StoredRun, stored_runs
+from topcli.store.manifest import MANIFEST, REPORT, StoredRun, stored_runs
 from topcli.store.provenance import Commit
 from topcli.store.series import write_table
 from topcli.table import Column, Table, number
@@ -188,7 +188,6 @@ def front(competitors: Sequence[Competitor]) -> list[dict[str, Any]]:
 
 
 POINTS = "points.parquet"
-REPORT = "report.json"
 SCHEMA_VERSION = 1
 STORED = ("name", "kind", "parameter", "value", "error", "end_error", "drift", "seconds", "fastest", "repetitions")
 
