@@ -181,6 +181,7 @@ def test_quantiles_are_those_of_single_comparisons(figures: dict[str, Any]) -> N
     many = ensemble(*SEVEN)
     single = [compare_schemes(many.member(i), UNDER).data["schemes"] for i in range(7)]
     assert [one["label"] for one in figures["schemes"]] == UNDER
+    assert figures["quantiles"] == {"10 %": 0.1, "median": 0.5, "90 %": 0.9}  # of seven 90 % is the same as 95 %
     for at, found in enumerate(figures["schemes"]):
         assert (found["reached_end"], found["outcomes"], found["faults"]) == (7, {"completed": 7}, {})
         each = [schemes[at] for schemes in single]
