@@ -100,7 +100,7 @@ def _chosen(names: list[str], options: dict[str, str | None], where: list[str]) 
     return [find_figure(name) for name in names] if names else list(FIGURES.values())
 
 
-def _require(figures: list[Figure], sets: bool, overlay: bool) -> None:
+def _require_able(figures: list[Figure], sets: bool, overlay: bool) -> None:
     """Raise UsageError for a figure that cannot take overrides or an overlay."""
     from topcli.errors import UsageError
     from topcli.figures.catalogue import FIGURES
@@ -146,67 +146,6 @@ class _Watch:
         self.ended += 1
         if not self.together:
             self.display.close()
-
-
-def plot(
-    names: Names = None,
-    every: Every = False,
-    formats: Formats = None,
-    out: FigureOut = Path("results/figures"),
-    results: Results = Path("results"),
-    configs: Configs = None,
-    x: KeyX = None,
-    y: MeasureY = None,
-    by: KeyBy = None,
-    colour: Colour = None,
-    aggregate: Aggregate = None,
-    where: Where = None,
-    sets: Sets = None,
-    overlay: Overlay = None,
-    style: StyleFile = None,
-    jobs: Jobs = None,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Draw figures as PNG and PDF, with their data as Parquet.
-
-    For a sweep: topcli plot sweep DIR/NAME --x KEY --y MEASURE --by KEY.
-    For a run: topcli report DIR/NAME --out FILE.html.
-    --set changes the runs that a figure draws, and its file has digits of
-    the changed experiment in its name.
-    """
-    from topcli.engine.ensemble import default_threads
-    from topcli.errors import ExitCode
-    from topcli.figures.figure import Request
-    from topcli.figures.picture import DEFAULT_FORMATS
-    from topcli.figures.style import read_style
-
-    _require_options(names or [], every, formats or [], overlay, configs)
-    looks = read_style(style) if style else {}
-    options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
-    with hint_instead(names or [], lambda name: plot_hint(name, results)):
-        figures = _chosen(names or [], options, where or [])
-    _require(figures, bool(sets), overlay is not None)
-    request = Request(
-        results=results,
-        configs=configs or Path("configs"),
-        force=force,
-        stored_only=every,
-        on_message=print_message,
-        overrides=tuple(sets or ()),
-        overlay=overlay is not None,
-        style=looks,
-    )
-    chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
-    drawn, failed = _draw(figures, request, out, chosen, jobs or (default_threads() if every else 1), as_json)
-    if as_json:
-        items = [
-            {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn
-        ]
-        print_json("plot", {"figures": items})
-    if failed:
-        print_message(f"{len(failed)} of {len(figures)} figures failed")
-        raise typer.Exit(ExitCode.PARTLY_FAILED if drawn else failed[0].exit_code)
 
 
 def _require_options(
@@ -260,3 +199,64 @@ def _draw(
                 if not quiet:
                     emit(f"{outcome.name}: {outcome.status}: {', '.join(str(path) for path in outcome.files)}")
     return [drawn[figure.name] for figure in figures if figure.name in drawn], failed
+
+
+def plot(
+    names: Names = None,
+    every: Every = False,
+    formats: Formats = None,
+    out: FigureOut = Path("results/figures"),
+    results: Results = Path("results"),
+    configs: Configs = None,
+    x: KeyX = None,
+    y: MeasureY = None,
+    by: KeyBy = None,
+    colour: Colour = None,
+    aggregate: Aggregate = None,
+    where: Where = None,
+    sets: Sets = None,
+    overlay: Overlay = None,
+    style: StyleFile = None,
+    jobs: Jobs = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Draw figures as PNG and PDF, with their data as Parquet.
+
+    For a sweep: topcli plot sweep DIR/NAME --x KEY --y MEASURE --by KEY.
+    For a run: topcli report DIR/NAME --out FILE.html.
+    --set changes the runs that a figure draws, and its file has digits of
+    the changed experiment in its name.
+    """
+    from topcli.engine.ensemble import default_threads
+    from topcli.errors import ExitCode
+    from topcli.figures.figure import Request
+    from topcli.figures.picture import DEFAULT_FORMATS
+    from topcli.figures.style import read_style
+
+    _require_options(names or [], every, formats or [], overlay, configs)
+    looks = read_style(style) if style else {}
+    options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
+    with hint_instead(names or [], lambda name: plot_hint(name, results)):
+        figures = _chosen(names or [], options, where or [])
+    _require_able(figures, bool(sets), overlay is not None)
+    request = Request(
+        results=results,
+        configs=configs or Path("configs"),
+        force=force,
+        stored_only=every,
+        on_message=print_message,
+        overrides=tuple(sets or ()),
+        overlay=overlay is not None,
+        style=looks,
+    )
+    chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
+    drawn, failed = _draw(figures, request, out, chosen, jobs or (default_threads() if every else 1), as_json)
+    if as_json:
+        items = [
+            {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn
+        ]
+        print_json("plot", {"figures": items})
+    if failed:
+        print_message(f"{len(failed)} of {len(figures)} figures failed")
+        raise typer.Exit(ExitCode.PARTLY_FAILED if drawn else failed[0].exit_code)
