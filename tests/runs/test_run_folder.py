@@ -216,7 +216,7 @@ def test_a_failure_keeps_the_earlier_format(tmp_path: Path, at: str, monkeypatch
         if at == "series":
             patch.setattr("topcli.store.series.GrowingFile.append", fail)
         elif at == "manifest":
-            patch.setattr(store_folder, "write_whole", fail)
+            patch.setattr(store_folder, "write_text", fail)
         else:
             patch.setattr(os, "rename", fail)
         with pytest.raises(RunError, match="no space left on the device"):
