@@ -31,8 +31,9 @@ from attack.scenes import Scene, wait
 from attack.spoil import FOREIGN
 from cases import table_of
 from conftest import ROOT
-from topcli.config.load import load_experiment
+from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
+from topcli.errors import TopcliError
 from topcli.runs.run import run_experiment
 from topcli.store.series import write_parquet
 
@@ -322,16 +323,24 @@ def test_mutants_follow_from_the_seed_and_every_mutation_changes_something() -> 
         assert sum(changed) >= 6, name
 
 
+def test_some_mutants_are_accepted_and_some_are_not(tmp_path: Path) -> None:
+    accepted = []
+    for i in range(60):
+        file, text, _ = mutant(draw_for(1, "fuzz", i))
+        (tmp_path / file).write_bytes(text)
+        try:
+            accepted.append(load(tmp_path / file))
+        except TopcliError:
+            continue
+    assert 12 < len(accepted) < 48
+
+
 @pytest.mark.slow
 def test_a_small_attack_finds_nothing(tmp_path: Path) -> None:
-    """All parts, in one process, which prepares what is attacked once; some mutants are accepted and some are not."""
+    """All parts, in one process, which prepares what is attacked once."""
     printed = python("-m", "attack", "--folder", tmp_path, "--seed", "1", "--workers", "1", "--cases", "4")
     for part in PARTS:
         assert f"{part}: 4 cases, " in printed
-    more = python("-m", "attack", "fuzz", "--folder", tmp_path, "--seed", "1", "--workers", "2", "--cases", "40")
-    counted = re.search(r"fuzz: 40 cases, \d+ calls, (\d+) good ends", more)
-    assert counted
-    assert 8 < int(counted[1]) < 40
 
 
 def test_markup_in_a_page_is_seen() -> None:
