@@ -1,0 +1,1 @@
+"""Methods generated from the field of a top: its exact polynomial, and implicit steps as straight-line code."""

@@ -1,0 +1,340 @@
+"""Implicit steps of polynomial fields as straight-line code: Kahan's step and Newton's step of the midpoint rule.
+
+Both solve a linear system for half of the change, u, with d = h/2 and the Jacobian f':
+
+- Kahan's step of a quadratic field (Kahan 1993; Hirota and Kimura's for tops): (1 - d f'(y)) u = d f(y), y' = y + 2 u;
+- Newton's step for u = d f(y + u), any degree: (1 - d f'(m)) v = d f(m) - u at m = y + u, and the new u is u + v.
+
+The system is solved symbolically, once for each field:
+
+1. **Blocks.** The components split into blocks that depend only on themselves and on earlier blocks. A later block sees
+   the field at the means y + u of the earlier components. In the variational equations the tangent vectors are such
+   blocks; hence Kahan's step of these is the tangent map of Kahan's step.
+2. **Shift.** In a block, let the components A be those whose equations contain the others, B, only linearly: omega,
+   given gamma. A is solved as if B did not change, u_A = u0, and B sees A at its means. Then u_A = u0 + e v, where e is
+   d times the largest coefficient of B in A. The equations for v have no right-hand side, and constants of size at most
+   one in the columns of B.
+3. **Elimination.** Constant entries of size at least 1/2 are eliminated first, without a division. Cramer's rule solves
+   for the remaining two or three unknowns (up to four if there is no such entry), with one division.
+4. **Numerators.** An eliminated unknown is a known part plus a numerator times 1/determinant, so that one fused product
+   and one sum follow the division.
+
+All choices of steps 2 and 3, up to a bound, are tried; the code with the lowest cost is kept.
+
+The unknowns are changes of the state: their rounding errors are proportional to the change, and the one addition
+state + change rounds without bias.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from topcli.field.polynomial import Field, Polynomial
+from topcli.field.straight_line import ONE, Graph, Sum, Term, minus
+
+HALF = Fraction(1, 2)
+SMALLEST_PIVOT = HALF
+"""Constant entries below this size are no pivots."""
+LARGEST_CORE = 4
+"""Unknowns that Cramer's rule solves for if no constant entry is left."""
+BUDGET = 12_000
+"""Operations of all candidates that are tried for a step."""
+
+Matrix = dict[tuple[int, int], Sum]
+
+
+def strongly_connected(links: Sequence[Iterable[int]], nodes: Sequence[int]) -> list[tuple[int, ...]]:
+    """Strongly connected components of the ``nodes``, where i depends on ``links[i]``, in the order of computation."""
+    reached = {i: {i} for i in nodes}
+    for _ in nodes:
+        for i in nodes:
+            reached[i] = reached[i].union(*(reached[j] for j in links[i] if j in reached))
+    groups = {tuple(j for j in nodes if j in reached[i] and i in reached[j]) for i in nodes}
+    return sorted(groups, key=lambda group: (len(reached[group[0]]), group))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Choices in the solution: with or without the shift, the unknowns left to Cramer's rule, and the pivots.
+
+    ``pivots[k]`` is the number of the k-th pivot among its candidates, 0 where the tuple ends.
+    """
+
+    shift: bool
+    core: int
+    pivots: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Unknowns of a linear system: each is ``known[i] + numerator[i]/divisor``."""
+
+    known: Mapping[int, Sum]
+    numerator: Mapping[int, Sum]
+    divisor: Term
+
+
+class KahanStep:
+    """Kahan's step of a quadratic ``field`` by a ``plan``: nodes ``outputs`` of the new state in the ``graph``.
+
+    ``determinants`` are the divisors of the blocks whose system can be singular; ``candidates[k]`` counts those of the
+    k-th pivot.
+    """
+
+    factor = 2
+    """The output is the input plus this multiple of the solution."""
+
+    def __init__(self, field: Field, plan: Plan) -> None:
+        self.field, self.plan, self.graph = field, plan, Graph()
+        graph, every = self.graph, range(len(field))
+        self.half: dict[int, Sum] = {}
+        """Half of the change of the components that are solved."""
+        self.change: dict[int, Sum] = {}
+        self.candidates: list[int] = []
+        self.determinants: list[int] = []
+        self._pivots: dict[tuple[Sum, ...], list[tuple[int, int]]] = {}
+        self.d = graph.product(graph.fixed("h"), graph.constant(HALF))
+        self.start, self.y = self._inputs()
+        self.mean = dict(enumerate(self.y))
+        """The mean of a solved component, and the component itself before."""
+
+        links, square = [rate.variables() for rate in field], [rate.variables(2) for rate in field]
+        for block in strongly_connected(links, every):
+            lead = tuple(sorted(itertools.chain(*strongly_connected(square, block)[:-1]))) if plan.shift else ()
+            rest = tuple(i for i in block if i not in lead)
+            if any((j,) in field[i].terms for i in lead for j in rest):
+                self._finish(self._shifted(block, lead, rest, strongly_connected(links, lead)))
+            else:
+                self._finish(self._solved(block))
+        self.outputs = [self._plus(self.start[i], self.change[i]) for i in every]
+
+    def _inputs(self) -> tuple[list[int], list[int]]:
+        """Nodes of what the solution is added to, and of the state at which the Jacobian is taken."""
+        y = [self.graph.input(f"s[{i}]") for i in range(len(self.field))]
+        return y, y
+
+    def _side(self, i: int) -> Sum:
+        """Right-hand side d f_i, with the solved components at their means."""
+        terms: Sum = ()
+        for monomial, c in sorted(self.field[i].terms.items()):
+            if len(monomial) == 2 and set(monomial) <= self.half.keys():  # y z becomes y (mean of z) + (half of y) z
+                a, b = monomial
+                terms += self._scaled(c, [self.y[a], self.mean[b]])
+                terms += self.graph.times(self._scaled(c, [self.y[b]]), self.half[a])
+            else:
+                terms += self._scaled(c, [self.mean[k] for k in monomial])
+        return terms
+
+    def _plus(self, node: int, terms: Sum) -> int:
+        """Node of ``node`` + sum, rounded once at the size of ``node``."""
+        if len(terms) > 1:
+            terms = self.graph.value(terms)
+        ((_, (found,)),) = self.graph.value((*terms, (Fraction(1), (node,))))
+        return found
+
+    def _scaled(self, c: Fraction, nodes: Sequence[int]) -> Sum:
+        """d c times the ``nodes``; a product of d c with one of them is shared if it is known."""
+        graph = self.graph
+        factor = graph.value(((abs(c), (self.d,)),))[0][1][0]
+        ordered = sorted(nodes, key=lambda node: (not graph.is_product((factor, node)), node))
+        factors = (graph.product(factor, ordered[0]), *ordered[1:]) if ordered else (factor,)
+        return ((Fraction(1 if c > 0 else -1), factors),)
+
+    def _entry(self, i: int, j: int) -> Sum:
+        """Entry of the matrix 1 - d f'."""
+        slope = sorted(self.field[i].derivative(j).terms.items())
+        terms = (minus(self._scaled(c, [self.y[k] for k in monomial])) for monomial, c in slope)
+        return sum(terms, start=ONE if i == j else ())
+
+    def _system(self, block: Sequence[int]) -> Matrix:
+        return {(i, j): self._entry(i, j) for i in block for j in block}
+
+    def _solved(self, block: Sequence[int]) -> Solution:
+        return self._eliminated(self._system(block), {i: self._side(i) for i in block}, block)
+
+    def _shifted(
+        self, block: Sequence[int], lead: Sequence[int], rest: Sequence[int], parts: Sequence[Sequence[int]]
+    ) -> Solution:
+        """Solution of a block whose components ``lead`` contain the ``rest`` linearly; ``parts`` are blocks of lead."""
+        graph, field = self.graph, self.field
+        for part in parts:
+            self._hold(self._solved(part))
+        largest = max(abs(field[i].terms.get((j,), Fraction(0))) for i in lead for j in rest)
+        e = graph.single(((largest, (self.d,)),))
+        matrix = self._system(block)
+        for i, j in itertools.product(lead, rest):
+            c = field[i].terms.get((j,), Fraction(0)) / largest
+            matrix[i, j] = ((-c, ()),) if c else ()
+            matrix[j, i] = graph.times(e, matrix[j, i])
+        found = self._eliminated(matrix, {i: () if i in lead else self._side(i) for i in block}, block)
+        known = {i: self.half[i] + graph.times(e, found.known[i]) if i in lead else found.known[i] for i in block}
+        numerator = {i: graph.times(e, n) if i in lead else n for i, n in found.numerator.items()}
+        return Solution(known, numerator, found.divisor)
+
+    def _next_pivot(self, matrix: Matrix, rows: Sequence[int], columns: Sequence[int]) -> tuple[int, int] | None:
+        """Place of a constant that is not small, otherwise on the diagonal; None to leave the rest to Cramer's rule."""
+
+        def is_constant(entry: Sum) -> bool:
+            return len(entry) == 1 and not entry[0][1] and abs(entry[0][0]) >= SMALLEST_PIVOT
+
+        def fill(place: tuple[int, int]) -> tuple[int, tuple[int, int]]:
+            in_row = sum(bool(matrix[place[0], j]) for j in columns) - 1
+            return in_row * (sum(bool(matrix[i, place[1]]) for i in rows) - 1), place
+
+        found = [(i, j) for i in rows for j in columns if is_constant(matrix[i, j])]
+        if len(rows) <= (self.plan.core if found else LARGEST_CORE):
+            return None
+        found = sorted(found or [(i, i) for i in rows if i in columns], key=fill)
+        number = len(self.candidates)
+        self.candidates.append(len(found))
+        choice = self.plan.pivots[number] if number < len(self.plan.pivots) else 0
+        return found[min(choice, len(found) - 1)]
+
+    def _eliminated(self, matrix: Matrix, side: dict[int, Sum], names: Sequence[int]) -> Solution:
+        """Solve ``matrix`` u = ``side``; a matrix that was solved before gets the same pivots."""
+        graph = self.graph
+        rows, columns = list(names), list(names)
+        same = tuple(matrix[i, j] for i in names for j in names)
+        planned = iter([*self._pivots[same], None]) if same in self._pivots else None
+        done: list[tuple[int, int]] = []
+        while True:
+            if planned is None:
+                place = self._next_pivot(matrix, rows, columns)
+            else:
+                numbers = next(planned)
+                place = numbers and (names[numbers[0]], names[numbers[1]])
+            if place is None:
+                break
+            row, column = place
+            rows.remove(row)
+            columns.remove(column)
+            if matrix[place] != ONE:
+                inverse = graph.quotient(1, *graph.single(matrix[place]))
+                for j in columns:
+                    matrix[row, j] = graph.times(matrix[row, j], inverse)
+                side[row] = graph.times(side[row], inverse)
+            for i in rows + [r for r, _ in done]:
+                if matrix[i, column]:
+                    a = graph.single(matrix[i, column])
+                    for j in columns:
+                        matrix[i, j] += minus(graph.times(a, matrix[row, j]))
+                    side[i] += minus(graph.times(a, side[row]))
+            done.append(place)
+        self._pivots[same] = [(names.index(i), names.index(j)) for i, j in done]
+
+        for i, j in itertools.product(rows, columns):
+            matrix[i, j] = graph.single(matrix[i, j])
+        numerator, divisor = self._cramer(matrix, {i: graph.single(side[i]) for i in rows}, rows, columns)
+        known: dict[int, Sum] = dict.fromkeys(columns, ())
+        for i, j in done:
+            known[j] = side[i]
+            terms = (minus(graph.times(matrix[i, k], numerator[k])) for k in columns)
+            numerator[j] = graph.single(sum(terms, start=()))
+        return Solution(known, numerator, divisor)
+
+    def _cramer(
+        self, matrix: Matrix, side: Mapping[int, Sum], rows: Sequence[int], columns: Sequence[int]
+    ) -> tuple[dict[int, Sum], Term]:
+        """Numerator of each column, and the determinant, by minors of the matrix extended by ``side``."""
+        graph, right = self.graph, -1
+        extended = matrix | {(i, right): terms for i, terms in side.items()}
+        minors: dict[tuple[tuple[int, ...], tuple[int, ...]], Sum] = {}
+
+        def minor(rows: tuple[int, ...], columns: tuple[int, ...]) -> Sum:
+            if len(rows) < 2:
+                return extended[rows[0], columns[0]] if rows else ONE
+            if (rows, columns) not in minors:
+                terms: Sum = ()
+                k = 2 if len(rows) > 3 else 1  # Laplace's expansion by one row, or by two of four
+                for top in itertools.combinations(range(len(columns)), k):
+                    a = minor(rows[:k], tuple(columns[c] for c in top))
+                    b = minor(rows[k:], tuple(c for i, c in enumerate(columns) if i not in top)) if a else ()
+                    sign = (-1) ** (sum(top) + k * (k - 1) // 2)
+                    terms += tuple((sign * s, factors) for s, factors in graph.times(a, b))
+                minors[rows, columns] = graph.single(terms)
+            return minors[rows, columns]
+
+        numerator = {}
+        for k, j in enumerate(columns):
+            found = minor(tuple(rows), (*columns[:k], *columns[k + 1 :], right))
+            numerator[j] = found if (len(columns) - k) % 2 else minus(found)
+        (divisor,) = minor(tuple(rows), tuple(columns))
+        return numerator, divisor
+
+    def _hold(self, found: Solution) -> None:
+        """Half changes that are known from now on."""
+        inverse = self.graph.quotient(1, found.divisor)
+        for i, numerator in found.numerator.items():
+            self.half[i] = self.graph.single(found.known[i] + self.graph.times(numerator, inverse))
+            self.mean[i] = self._plus(self.y[i], self.half[i])
+
+    def _finish(self, found: Solution) -> None:
+        """Changes of a block, and its half changes and means for later ones."""
+        graph = self.graph
+        inverse = graph.quotient(self.factor, found.divisor)
+        for i, numerator in found.numerator.items():
+            known = tuple((self.factor * c, factors) for c, factors in graph.single(found.known[i]))
+            self.change[i] = known + graph.times(numerator, inverse)
+        if found.divisor[1]:
+            self.determinants += found.divisor[1]
+        self._hold(found)
+
+    def source(self, name: str = "step") -> str:
+        """Source of the function ``name(s, h, p)``."""
+        return self.graph.source(name, self.outputs)
+
+
+class NewtonStep(KahanStep):
+    """Newton's step of the midpoint rule, for a field of any degree: input (y, u), output the new u."""
+
+    factor = 1
+
+    def _inputs(self) -> tuple[list[int], list[int]]:
+        graph, d = self.graph, len(self.field)
+        half = [graph.input(f"s[{d + i}]") for i in range(d)]
+        return half, [graph.node("+", graph.input(f"s[{i}]"), half[i]) for i in range(d)]
+
+    def _side(self, i: int) -> Sum:
+        terms: Sum = ((Fraction(-1), (self.start[i],)),)
+        for monomial, c in sorted(self.field[i].terms.items()):
+            terms += self._scaled(c, [self.y[k] for k in monomial])
+        for j in self.half:
+            terms += self.graph.times(minus(self._entry(i, j)), self.half[j])
+        return terms
+
+
+def cheapest(kind: type[KahanStep], field: Field, width: int = 2, budget: int = BUDGET) -> KahanStep:
+    """The step of the lowest cost among plans with up to ``width`` choices of each pivot.
+
+    The candidates together have about ``budget`` operations at most; one is always built.
+    """
+    best: tuple[float, KahanStep] | None = None
+    for shift, core in itertools.product((True, False), (2, 3)):
+        pending: list[tuple[int, ...]] = [()]
+        while pending and (budget > 0 or best is None):
+            pivots = pending.pop()
+            step = kind(field, Plan(shift, core, pivots))
+            budget -= len(step.graph.nodes)
+            cost = step.graph.cost(step.outputs)
+            if best is None or cost < best[0]:
+                best = cost, step
+            for at in range(len(pivots), len(step.candidates)):
+                zeros = (0,) * (at - len(pivots))
+                pending += [(*pivots, *zeros, k) for k in range(1, min(width, step.candidates[at]))]
+    assert best is not None
+    return best[1]
+
+
+def field_source(field: Field, name: str = "field") -> tuple[str, list[Fraction]]:
+    """Source of ``name(y, h, p)``, which returns h f(y), and the constants that it reads from p."""
+    graph = Graph()
+    h, y = graph.fixed("h"), [graph.input(f"s[{i}]") for i in range(len(field))]
+    outputs = [_rate(graph, rate, h, y) for rate in field]
+    return graph.source(name, outputs), graph.constants
+
+
+def _rate(graph: Graph, rate: Polynomial, h: int, y: Sequence[int]) -> int:
+    return graph.node_of(tuple((c, (h, *(y[k] for k in m))) for m, c in sorted(rate.terms.items())))

@@ -1,0 +1,168 @@
+"""Polynomials with rational coefficients, and the exact polynomial of a vector field.
+
+A field is a plain Python function ``field(y, p)`` of the components of the state and the constants of the top. Called
+with polynomials in place of the components, it returns its own polynomials, without any computer algebra. Constants are
+taken as the decimal numbers that they print as: conditions on parameters, such as equal moments, hold for these and
+fail for the binary fractions next to them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+Monomial = tuple[int, ...]
+"""Indices of the factors of a product of variables, in order: (0, 0, 2) is the square of variable 0 times variable 2;
+() is 1."""
+
+
+class NotPolynomialError(ValueError):
+    """A field that is no polynomial of the state; the message is the reason, a verb phrase."""
+
+
+class Polynomial:
+    """Polynomial with rational coefficients: ``terms`` maps each monomial to its coefficient, which is not zero.
+
+    It has the arithmetic of numbers, as far as the result is a polynomial: the exponent of a power is a whole number,
+    and a divisor is a constant. Anything else raises NotPolynomialError.
+    """
+
+    __slots__ = ("terms",)
+
+    def __init__(self, terms: Mapping[Monomial, Fraction]) -> None:
+        self.terms = {monomial: c for monomial, c in terms.items() if c}
+
+    @staticmethod
+    def variable(index: int) -> Polynomial:
+        """The variable with this index."""
+        return Polynomial({(index,): Fraction(1)})
+
+    @staticmethod
+    def of(value: object) -> Polynomial:
+        """A polynomial as it is, a number as a constant. Raises NotPolynomialError for anything else."""
+        if isinstance(value, Polynomial):
+            return value
+        try:
+            return Polynomial({(): decimal(value)})
+        except (TypeError, ValueError, OverflowError):
+            raise NotPolynomialError(f"computes with {type(value).__name__}, which is no number") from None
+
+    def __add__(self, other: object) -> Polynomial:
+        terms = dict(self.terms)
+        for monomial, c in Polynomial.of(other).terms.items():
+            terms[monomial] = terms.get(monomial, Fraction(0)) + c
+        return Polynomial(terms)
+
+    def __mul__(self, other: object) -> Polynomial:
+        terms: dict[Monomial, Fraction] = {}
+        factor = Polynomial.of(other).terms.items()
+        for left, a in self.terms.items():
+            for right, b in factor:
+                product = tuple(sorted(left + right))
+                terms[product] = terms.get(product, Fraction(0)) + a * b
+        return Polynomial(terms)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> Polynomial:
+        return Polynomial({monomial: -c for monomial, c in self.terms.items()})
+
+    def __pos__(self) -> Polynomial:
+        return self
+
+    def __sub__(self, other: object) -> Polynomial:
+        return self + -Polynomial.of(other)
+
+    def __rsub__(self, other: object) -> Polynomial:
+        return Polynomial.of(other) - self
+
+    def __truediv__(self, other: object) -> Polynomial:
+        divisor = Polynomial.of(other)
+        if divisor.degree > 0:
+            raise NotPolynomialError("divides by the state")
+        if not divisor.terms:
+            raise NotPolynomialError("divides by zero")
+        return Polynomial({monomial: c / divisor.terms[()] for monomial, c in self.terms.items()})
+
+    def __rtruediv__(self, other: object) -> Polynomial:
+        return Polynomial.of(other) / self
+
+    def __pow__(self, exponent: object) -> Polynomial:
+        if not isinstance(exponent, int | float) or exponent < 0 or exponent != int(exponent):
+            raise NotPolynomialError(f"takes the power {exponent} of the state")
+        return math.prod([self] * int(exponent), start=Polynomial.of(1))
+
+    def __bool__(self) -> bool:
+        raise NotPolynomialError("makes a decision that depends on the state")
+
+    def __float__(self) -> float:
+        raise NotPolynomialError("calls a function of the state that is no polynomial")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Polynomial) and self.terms == other.terms
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self.terms.items()))
+
+    def __lt__(self, other: object) -> bool:
+        raise NotPolynomialError("makes a decision that depends on the state")
+
+    __le__ = __gt__ = __ge__ = __lt__
+
+    @property
+    def degree(self) -> int:
+        """Largest number of factors of a term; 0 for a constant."""
+        return max(map(len, self.terms), default=0)
+
+    def variables(self, degree: int | None = None) -> set[int]:
+        """Indices of the variables in the terms, or in those of one ``degree``."""
+        return {i for monomial in self.terms if degree in (None, len(monomial)) for i in monomial}
+
+    def derivative(self, index: int) -> Polynomial:
+        """Partial derivative with respect to a variable."""
+        terms = {}
+        for monomial, c in self.terms.items():
+            if count := monomial.count(index):
+                at = monomial.index(index)
+                terms[monomial[:at] + monomial[at + 1 :]] = count * c
+        return Polynomial(terms)
+
+    def value(self, y: Sequence[Any]) -> Any:
+        """Value at ``y``, in the arithmetic of its numbers."""
+        return sum((math.prod((y[i] for i in monomial), start=c) for monomial, c in self.terms.items()), start=0)
+
+
+Field = tuple[Polynomial, ...]
+"""Right-hand sides of the differential equations, one for each component of the state."""
+
+
+def decimal(value: Any) -> Fraction:
+    """Number as a fraction: a float as the decimal number that it prints as. Raises ValueError if it is not finite."""
+    return Fraction(repr(float(value))) if isinstance(value, float) else Fraction(value)
+
+
+def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: Iterable[object]) -> Field:
+    """Polynomials of the ``d`` components of ``field(y, p)``, where p are the ``constants``.
+
+    Raises NotPolynomialError for a field that is no polynomial of the state.
+    """
+    y = tuple(map(Polynomial.variable, range(d)))
+    try:
+        rates = tuple(map(Polynomial.of, field(y, tuple(map(decimal, constants)))))
+    except TypeError as error:
+        raise NotPolynomialError(f"cannot be evaluated with polynomials: {error}") from None
+    if len(rates) != d:
+        raise NotPolynomialError(f"has {len(rates)} components; expected {d}")
+    return rates
+
+
+def variational_field(field: Field, vectors: int = 1) -> Field:
+    """Field of the state and of tangent ``vectors`` v, which follow it: y' = f(y), v' = f'(y) v."""
+    d, extended = len(field), list(field)
+    for k in range(1, vectors + 1):
+        for rate in field:
+            slopes = (rate.derivative(j) * Polynomial.variable(k * d + j) for j in range(d))
+            extended.append(sum(slopes, start=Polynomial({})))
+    return tuple(extended)
