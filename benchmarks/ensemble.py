@@ -39,7 +39,7 @@ from conftest import GEN, random_states  # noqa: E402
 from topcli.contracts import Stepper  # noqa: E402
 from topcli.engine import native as compiler  # noqa: E402
 from topcli.engine.ensemble import GROUP, TILE, EnsembleRun, Execution  # noqa: E402
-from topcli.engine.loop import loop_of, stage_parameters  # noqa: E402
+from topcli.engine.loop import loop_of, more_parameters  # noqa: E402
 from topcli.engine.native import native  # noqa: E402
 from topcli.engine.tile import LANES_SIGNATURE, plain_lanes  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
@@ -127,7 +127,7 @@ class Case:
         method = scheme.build(self.top, scheme.options())
         assert isinstance(method, Stepper)
         self.method, d, p = method, len(self.top.components), self.top.constants()
-        self.p = np.array([*p, *stage_parameters(method)])
+        self.p = np.array([*p, *more_parameters(method)])
         self.loop = loop_of(method, d, len(p))
         plain = plain_lanes(method, d, len(p), TILE)
         self.lanes, self.code = native(plain, LANES_SIGNATURE), code_of(plain, method.width + 1)

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from fractions import Fraction
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -328,6 +329,9 @@ class Stepper:
     stages : tuple, optional
         For a composition: the base step and the fractions of h of its stages, in order. The composition stops after
         the first stage whose state is not finite. Ensembles then advance by one stage at a time.
+    constants : tuple of Fraction, optional
+        Constants of the step, exactly. They follow those of the top in its ``p``; ``enter`` and ``leave`` do not need
+        them.
     composable : Stepper, optional
         The same method on a working state that does not depend on h, for compositions and substeps. None if this
         working state does not depend on h either, or if there is no such form.
@@ -343,7 +347,12 @@ class Stepper:
     checked: int = 0
     advice: Callable[[Sequence[float], float], str] | None = None
     stages: tuple[StepFunction, tuple[float, ...]] | None = None
+    constants: tuple[Fraction, ...] = ()
     composable: Stepper | None = None
+
+    def parameters(self, top: Top) -> Floats:
+        """``p`` of the step for ``top``: its constants, then those of the step."""
+        return (*top.constants(), *map(float, self.constants))
 
 
 class Setup(Protocol):

@@ -224,7 +224,7 @@ def assert_bits_of_doubles(scheme: Scheme, steps: int) -> None:
     assert isinstance(method, Stepper)
     arithmetic = Floating(53)
     step = Rebuilder(arithmetic).function(method.step)
-    y0, h, p = tuple(map(float, STATE[: len(top.components)])), float(H), top.constants()
+    y0, h, p = tuple(map(float, STATE[: len(top.components)])), float(H), method.parameters(top)
     s = method.enter(y0, h, p) if method.enter else y0
     precise = tuple(arithmetic.number(Fraction(x)) for x in s)
     constants = tuple(arithmetic.number(Fraction(x)) for x in p)

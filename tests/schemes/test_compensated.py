@@ -141,7 +141,7 @@ def test_every_sum_is_carried_on(name: str) -> None:
     scheme, top = find_scheme(*name.split("/")), TOPS[name.split("/")[1]].new()
     made = built(scheme, top, True)
     assert made.enter is not None
-    p, h = top.constants(), 0.01
+    p, h = made.parameters(top), 0.01
     start = made.step(made.enter(gen(top), h, p), h, p)
     sums, lost = CARRIED[name]
 

@@ -17,7 +17,7 @@ from topcli.engine.loop import plain_loop
 from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.runs.report import warning_of
-from topcli.schemes.any_top.hk_midpoint import heavy_determinant, midpoint
+from topcli.schemes.any_top.hk_midpoint import midpoint
 from topcli.schemes.euler.hk import euler_determinant
 from topcli.schemes.kowalevski.hk import kowalevski_determinant
 from topcli.schemes.lagrange.hk_bs import lagrange_determinant
@@ -58,7 +58,6 @@ def test_hybrids_count_singular_solves_of_hk() -> None:
     ("determinant", "top"),
     [
         (kowalevski_determinant, Kowalevski()),
-        (heavy_determinant, Heavy()),
         (lagrange_determinant, Lagrange()),
         (euler_determinant, Euler()),
     ],

@@ -158,8 +158,10 @@ def working_states(top: Top, method: Stepper, h: float, N: int) -> tuple[list[fl
 
 def plain_step(subject: Subject, y: np.ndarray, h: float) -> np.ndarray:
     """Six numbers, of which the state has the first: those after a step in plain Python."""
-    d, p = len(subject.top.components), subject.top.constants()
-    new = physical(subject.method)(tuple(y[:d].tolist()), h, p)
+    d, method = len(subject.top.components), subject.method
+    assert isinstance(method, Stepper)
+    p = method.parameters(subject.top)
+    new = physical(method)(tuple(y[:d].tolist()), h, p)
     return np.append(new, [0.0] * (6 - d))
 
 
@@ -173,12 +175,11 @@ class ExactStep:
         self.arithmetic = arithmetic or Rationals()
         parameters = {name: x for name, x in subject.top.model_dump().items() if isinstance(x, float)}
         numbers = dict(zip(parameters, self.numbers(*parameters.values()), strict=True))
-        self.method, self.top, self.constants = (
-            subject.method,
-            precise_top(subject.top, numbers),
-            subject.top.constants(),
-        )
+        self.top = precise_top(subject.top, numbers)
+        fractions = {name: Fraction(x) for name, x in parameters.items()}
+        self.method = subject.scheme.build(precise_top(subject.top, fractions), subject.options)
         assert isinstance(self.method, Stepper)
+        self.constants = (*subject.top.constants(), *self.method.constants)
         self.step = Rebuilder(self.arithmetic).function(self.method.step)
 
     def numbers(self, *values: Any) -> tuple[Any, ...]:

@@ -30,7 +30,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, StopAsked, Top, stopping_when
-from topcli.engine.loop import Loop, loop_of, stage_parameters, step_refused
+from topcli.engine.loop import Loop, loop_of, more_parameters, step_refused
 from topcli.engine.native import CompileError, native
 from topcli.engine.run import Endings, Run
 from topcli.engine.setups import Setups, SetupTime
@@ -107,7 +107,7 @@ class EnsembleCode:
                 code = native(plain_lanes(method, self._d, len(self.p), tile), LANES_SIGNATURE)
             except CompileError as error:
                 raise step_refused(method, self._d, error) from None
-            self.lanes = Lanes(method, code, np.concatenate([self.p, stage_parameters(method)]), tile)
+            self.lanes = Lanes(method, code, np.concatenate([self.p, more_parameters(method)]), tile)
             self.seconds, self.cached = code.seconds, code.cached
 
     def with_constants(self, top: Top) -> EnsembleCode:

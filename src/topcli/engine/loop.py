@@ -88,24 +88,37 @@ def _template(width: int, d: int, constants: int, checked: int, staged: bool) ->
     return scope["make"]
 
 
-def plain_loop(
-    stepper: Stepper, d: int, constants: int, staged: bool = False
-) -> tuple[Callable[..., int], Callable[..., int]]:
-    """``(enter, drive)`` as plain Python functions over indexable buffers, to be compiled or run as they are.
-
-    If ``staged``, ``drive`` takes the stages of a composition itself and reads their ``stage_parameters``.
-    """
-    make = _template(stepper.width, d, constants, stepper.checked or stepper.width, staged)
+def _functions(stepper: Stepper, d: int, constants: int, staged: bool) -> tuple[Callable[..., int], Callable[..., int]]:
+    """``(enter, drive)`` that expect all parameters; if ``staged``, ``drive`` takes the stages of a composition."""
+    make = _template(stepper.width, d, constants + len(stepper.constants), stepper.checked or stepper.width, staged)
     step = stepper.stages[0] if staged and stepper.stages else stepper.step
     return make(step, stepper.enter or same_state, stepper.leave or same_state)
 
 
-def stage_parameters(stepper: Stepper) -> tuple[float, ...]:
-    """Number of stages of a composition and their fractions of h; () for other methods.
+def plain_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., int], Callable[..., int]]:
+    """``(enter, drive)`` as plain Python functions over indexable buffers."""
+    enter, drive = _functions(stepper, d, constants, False)
+    own = tuple(map(float, stepper.constants))
+    if not own:
+        return enter, drive
 
-    Compiled loops read them after the constants of the top, so that the compositions of a scheme share their code.
+    def enter_state(y: Array, work: Array, params: Sequence[float], h: float) -> int:
+        return enter(y, work, (*params, *own), h)
+
+    def drive_on(work: Array, out: Array, params: Sequence[float], *rest: Any) -> int:
+        return drive(work, out, (*params, *own), *rest)
+
+    return enter_state, drive_on
+
+
+def more_parameters(stepper: Stepper) -> tuple[float, ...]:
+    """Parameters of compiled loops that follow the constants of the top.
+
+    These are the constants of the step, then the number of stages of a composition and their fractions of h. Tops
+    whose steps differ in constants only, and all compositions of a scheme, thus share their code.
     """
-    return (float(len(stepper.stages[1])), *stepper.stages[1]) if stepper.stages else ()
+    stages = (len(stepper.stages[1]), *stepper.stages[1]) if stepper.stages else ()
+    return tuple(map(float, (*stepper.constants, *stages)))
 
 
 def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callable[..., int]]:
@@ -207,17 +220,17 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
         return Loop(method.enter, code, seconds=code.seconds, cached=code.cached, returns_early=True, **traits)
     if method.plain:
         return Loop(*plain_loop(_checked_length(method), d, constants), compiled=False, **traits)
-    stages = stage_parameters(method)
-    enter, drive = plain_loop(method, d, constants, bool(stages))
+    enter, _ = plain_loop(method, d, constants)
     try:
-        code = native(drive, SIGNATURE)
+        code = native(_functions(method, d, constants, bool(method.stages))[1], SIGNATURE)
     except CompileError as error:
         raise step_refused(method, d, error) from None
+    more = more_parameters(method)
 
-    def composed(work: Array, out: Array, params: Array, *rest: Any) -> int:
-        return code(work, out, np.concatenate([params, stages]), *rest)
+    def drive(work: Array, out: Array, params: Array, *rest: Any) -> int:
+        return code(work, out, np.concatenate([params, more]), *rest)
 
-    return Loop(enter, composed if stages else code, seconds=code.seconds, cached=code.cached, **traits)
+    return Loop(enter, drive if more else code, seconds=code.seconds, cached=code.cached, **traits)
 
 
 def interpreted(method: Method, d: int, constants: int) -> Loop:

@@ -111,13 +111,18 @@ def precise_top(top: Top, parameters: dict[str, Any]) -> Any:
     return type(top).model_construct(**{**top.model_dump(), **parameters})
 
 
-def precise_method(scheme: Scheme, top: Top, options: Any, precise: Top, arithmetic: Arithmetic) -> Stepper:
+def precise_method(
+    scheme: Scheme, top: Top, options: Any, precise: Top, arithmetic: Arithmetic, exact: Top | None = None
+) -> Stepper:
     """Method of a scheme in another arithmetic: for the top ``top`` in doubles, which is ``precise`` there.
 
-    Raises UsageError, naming the scheme and the reason, if it has none.
+    ``exact`` is the top in fractions, from which constants of a step are found. Raises UsageError, naming the scheme
+    and the reason, if it has none.
     """
     reason = obstacle(scheme, top, options)
-    built = None if reason else scheme.build(precise, options)
+    built = None if reason else scheme.build(top, options)
+    if isinstance(built, Stepper):
+        built = scheme.build(exact or top if built.constants else precise, options)
     if not isinstance(built, Stepper):
         raise refused(scheme, arithmetic, reason)
     if arithmetic.name == RATIONAL and built.iterative:
@@ -271,7 +276,9 @@ def prepared(
     h, parameters, state = numbers
     with arithmetic.active():
         precise = precise_top(top, {name: arithmetic.number(value) for name, value in parameters.items()})
-        method, constants = precise_method(scheme, top, options, precise, arithmetic), precise.constants()
+        exact = precise_top(top, dict(parameters))
+        method = precise_method(scheme, top, options, precise, arithmetic, exact)
+        constants = (*precise.constants(), *map(arithmetic.number, method.constants))
     y0 = np.array([arithmetic.number(value) for value in state], dtype=np.object_)
     loop = precise_loop(method, len(y0), constants, arithmetic, max_digits)
     return PreciseRun(arithmetic, precise, loop, arithmetic.number(h), y0)

@@ -73,7 +73,7 @@ class RowBuffer(threading.local):
 class Lanes:
     """Compiled loop over a tile of ``width`` lanes: ``code`` for the ``stepper``.
 
-    ``params`` holds the constants of the top and the ``stage_parameters``.
+    ``params`` holds the constants of the top and ``more_parameters``.
     """
 
     stepper: Stepper
@@ -290,11 +290,12 @@ def plain_lanes(stepper: Stepper, d: int, constants: int, tile: int) -> Callable
 
     ``work`` holds ``width`` rows of ``tile`` numbers and one more, which gathers the sums of the states; ``out`` gets
     ``d`` numbers for every recorded step of a trajectory, whose rows follow each other and begin ``stride`` numbers
-    after those of the trajectory before. ``params`` holds the constants, then the ``stage_parameters``.
+    after those of the trajectory before. ``params`` holds the constants, then ``more_parameters``.
     """
     inlined = {id(kernel): stand_in for kernel, stand_in in VECTOR_VARIANTS.items()} | {id(fma): fma}
     step = compilable_copy(stepper.stages[0] if stepper.stages else stepper.step, lambda kernel: kernel, inlined)
     # all but the counters, which are always finite: the nan of a rare branch may be in any other slot
     checked = stepper.width - len(stepper.counters)
+    constants += len(stepper.constants)
     make = _template(stepper.width, checked, d, constants, tile, bool(stepper.stages))
     return make(step, stepper.leave or same_state)

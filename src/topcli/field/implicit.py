@@ -19,7 +19,8 @@ The system is solved symbolically, once for each field:
 4. **Numerators.** An eliminated unknown is a known part plus a numerator times 1/determinant, so that one fused product
    and one sum follow the division.
 
-All choices of steps 2 and 3, up to a bound, are tried; the code with the lowest cost is kept.
+The ``PLANS`` differ in steps 2 and 3; the one with the lowest cost is taken. Trying all orders of elimination finds
+steps that cost 1.5 % less at most, on twelve tops.
 
 The unknowns are changes of the state: their rounding errors are proportional to the change, and the one addition
 state + change rounds without bias.
@@ -31,18 +32,16 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 
 from topcli.field.polynomial import Field, Polynomial
-from topcli.field.straight_line import ONE, Graph, Sum, Term, minus
+from topcli.field.straight_line import ONE, Graph, Sum, Term, is_power_of_two, minus
 
 HALF = Fraction(1, 2)
 SMALLEST_PIVOT = HALF
 """Constant entries below this size are no pivots."""
 LARGEST_CORE = 4
 """Unknowns that Cramer's rule solves for if no constant entry is left."""
-BUDGET = 12_000
-"""Operations of all candidates that are tried for a step."""
-
 Matrix = dict[tuple[int, int], Sum]
 
 
@@ -68,6 +67,9 @@ class Plan:
     pivots: tuple[int, ...] = ()
 
 
+PLANS = (Plan(True, 2, (1,)), Plan(True, 2), Plan(False, 2))
+
+
 @dataclass(frozen=True)
 class Solution:
     """Unknowns of a linear system: each is ``known[i] + numerator[i]/divisor``."""
@@ -80,21 +82,20 @@ class Solution:
 class KahanStep:
     """Kahan's step of a quadratic ``field`` by a ``plan``: nodes ``outputs`` of the new state in the ``graph``.
 
-    ``determinants`` are the divisors of the blocks whose system can be singular; ``candidates[k]`` counts those of the
-    k-th pivot.
+    The step reads its constants from the parameters that begin at ``p[first]``.
     """
 
     factor = 2
     """The output is the input plus this multiple of the solution."""
 
-    def __init__(self, field: Field, plan: Plan) -> None:
-        self.field, self.plan, self.graph = field, plan, Graph()
+    def __init__(self, field: Field, plan: Plan, first: int = 0) -> None:
+        self.field, self.plan, self.graph = field, plan, Graph(first)
         graph, every = self.graph, range(len(field))
         self.half: dict[int, Sum] = {}
         """Half of the change of the components that are solved."""
         self.change: dict[int, Sum] = {}
-        self.candidates: list[int] = []
-        self.determinants: list[int] = []
+        self._choices = list(plan.pivots)
+        self._determinants: list[int] = []
         self._pivots: dict[tuple[Sum, ...], list[tuple[int, int]]] = {}
         self.d = graph.product(graph.fixed("h"), graph.constant(HALF))
         self.start, self.y = self._inputs()
@@ -161,7 +162,9 @@ class KahanStep:
         """Solution of a block whose components ``lead`` contain the ``rest`` linearly; ``parts`` are blocks of lead."""
         graph, field = self.graph, self.field
         for part in parts:
-            self._hold(self._solved(part))
+            solved = self._solved(part)
+            self._determinants += solved.divisor[1]
+            self._hold(solved)
         largest = max(abs(field[i].terms.get((j,), Fraction(0))) for i in lead for j in rest)
         e = graph.single(((largest, (self.d,)),))
         matrix = self._system(block)
@@ -188,9 +191,7 @@ class KahanStep:
         if len(rows) <= (self.plan.core if found else LARGEST_CORE):
             return None
         found = sorted(found or [(i, i) for i in rows if i in columns], key=fill)
-        number = len(self.candidates)
-        self.candidates.append(len(found))
-        choice = self.plan.pivots[number] if number < len(self.plan.pivots) else 0
+        choice = self._choices.pop(0) if self._choices else 0
         return found[min(choice, len(found) - 1)]
 
     def _eliminated(self, matrix: Matrix, side: dict[int, Sum], names: Sequence[int]) -> Solution:
@@ -278,13 +279,16 @@ class KahanStep:
         for i, numerator in found.numerator.items():
             known = tuple((self.factor * c, factors) for c, factors in graph.single(found.known[i]))
             self.change[i] = known + graph.times(numerator, inverse)
-        if found.divisor[1]:
-            self.determinants += found.divisor[1]
+        self._determinants += found.divisor[1]
         self._hold(found)
 
-    def source(self, name: str = "step") -> str:
-        """Source of the function ``name(s, h, p)``."""
-        return self.graph.source(name, self.outputs)
+    def changes(self) -> list[int]:
+        """Nodes of the changes of the components."""
+        return [self.graph.node_of(self.change[i]) for i in range(len(self.field))]
+
+    def divisors(self) -> list[int]:
+        """Nodes of all determinants, each followed by the sum of the magnitudes of its terms."""
+        return [node for determinant in self._determinants for node in (determinant, self.graph.size(determinant))]
 
 
 class NewtonStep(KahanStep):
@@ -306,35 +310,28 @@ class NewtonStep(KahanStep):
         return terms
 
 
-def cheapest(kind: type[KahanStep], field: Field, width: int = 2, budget: int = BUDGET) -> KahanStep:
-    """The step of the lowest cost among plans with up to ``width`` choices of each pivot.
+def pattern(field: Field) -> Field:
+    """A field with the same powers of two as coefficients, and others that are equal where those of ``field`` are."""
+    sizes = sorted({abs(c) for rate in field for c in rate.terms.values() if not is_power_of_two(abs(c))})
+    typical = {size: Fraction(3, 5 + 2 * number) for number, size in enumerate(sizes)}
 
-    The candidates together have about ``budget`` operations at most; one is always built.
-    """
-    best: tuple[float, KahanStep] | None = None
-    for shift, core in itertools.product((True, False), (2, 3)):
-        pending: list[tuple[int, ...]] = [()]
-        while pending and (budget > 0 or best is None):
-            pivots = pending.pop()
-            step = kind(field, Plan(shift, core, pivots))
-            budget -= len(step.graph.nodes)
-            cost = step.graph.cost(step.outputs)
-            if best is None or cost < best[0]:
-                best = cost, step
-            for at in range(len(pivots), len(step.candidates)):
-                zeros = (0,) * (at - len(pivots))
-                pending += [(*pivots, *zeros, k) for k in range(1, min(width, step.candidates[at]))]
-    assert best is not None
-    return best[1]
+    def coefficient(c: Fraction) -> Fraction:
+        return typical.get(abs(c), abs(c)) * (1 if c > 0 else -1)
+
+    return tuple(Polynomial({m: coefficient(c) for m, c in sorted(rate.terms.items())}) for rate in field)
 
 
-def field_source(field: Field, name: str = "field") -> tuple[str, list[Fraction]]:
-    """Source of ``name(y, h, p)``, which returns h f(y), and the constants that it reads from p."""
-    graph = Graph()
-    h, y = graph.fixed("h"), [graph.input(f"s[{i}]") for i in range(len(field))]
-    outputs = [_rate(graph, rate, h, y) for rate in field]
-    return graph.source(name, outputs), graph.constants
+@lru_cache(maxsize=256)
+def cheapest_plan(kind: type[KahanStep], field: Field) -> Plan:
+    """The plan that gives a field the step of the lowest cost."""
+
+    def cost(plan: Plan) -> float:
+        step = kind(field, plan)
+        return step.graph.cost(step.outputs)
+
+    return min(PLANS, key=cost)
 
 
-def _rate(graph: Graph, rate: Polynomial, h: int, y: Sequence[int]) -> int:
-    return graph.node_of(tuple((c, (h, *(y[k] for k in m))) for m, c in sorted(rate.terms.items())))
+def planned(kind: type[KahanStep], field: Field, first: int = 0) -> KahanStep:
+    """A step of the ``kind`` for a field, by the plan of its ``pattern``: steps of one pattern share their code."""
+    return kind(field, cheapest_plan(kind, pattern(field)), first)

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
+from topcli.contracts import Top
+
 Monomial = tuple[int, ...]
 """Indices of the factors of a product of variables, in order: (0, 0, 2) is the square of variable 0 times variable 2;
 () is 1."""
@@ -139,7 +141,12 @@ Field = tuple[Polynomial, ...]
 
 
 def decimal(value: Any) -> Fraction:
-    """Number as a fraction: a float as the decimal number that it prints as. Raises ValueError if it is not finite."""
+    """Number as a fraction: a float as the decimal number that it prints as.
+
+    Raises TypeError for what is no number, ValueError for a number that is not finite.
+    """
+    if isinstance(value, str):
+        raise TypeError("a text is no number")
     return Fraction(repr(float(value))) if isinstance(value, float) else Fraction(value)
 
 
@@ -156,6 +163,12 @@ def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: 
     if len(rates) != d:
         raise NotPolynomialError(f"has {len(rates)} components; expected {d}")
     return rates
+
+
+def field_of(top: Top) -> Field:
+    """Polynomials of the field of a top; its parameters are exact. Raises NotPolynomialError."""
+    exact = {name: decimal(v) if isinstance(v, float) else v for name, v in top}
+    return polynomial_field(top.field, len(top.components), type(top).model_construct(**exact).constants())
 
 
 def variational_field(field: Field, vectors: int = 1) -> Field:

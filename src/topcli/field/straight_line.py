@@ -23,7 +23,7 @@ Sum = tuple[Term, ...]
 
 ONE: Sum = ((Fraction(1), ()),)
 
-LATENCY = {"input": 0, "fixed": 0, "+": 3, "-": 3, "*": 3, "fma": 4, "/": 13}
+LATENCY = {"input": 0, "fixed": 0, "abs": 1, "+": 3, "-": 3, "*": 3, "fma": 4, "/": 13}
 """Cycles until the result of an operation is known."""
 PRODUCTS = {"*": 1, "fma": 1, "/": 2}
 CHAIN = 0.3
@@ -159,7 +159,7 @@ class Graph:
 
     def single(self, terms: Sum) -> Sum:
         """The sum as at most one term of at most one factor."""
-        simple = len(terms) <= 1 and all(len(f) <= 1 and abs(c) == 1 or not f for c, f in terms)
+        simple = len(terms) <= 1 and all((len(f) <= 1 and abs(c) == 1) or not f for c, f in terms)
         return terms if simple else self.value(terms)
 
     def times(self, a: Sum, b: Sum) -> Sum:
@@ -199,6 +199,23 @@ class Graph:
         """Measure of the time that a step takes."""
         return self.products(outputs) + CHAIN * max(self.time[node] for node in outputs)
 
+    def size(self, node: int) -> int:
+        """Node of the sum of the magnitudes of the terms that ``node`` adds up."""
+        sizes = [self.node("abs", term) for term in self._terms(node)]
+        total = sizes[0]
+        for size in sizes[1:]:
+            total = self.node("+", total, size)
+        return total
+
+    def _terms(self, node: int) -> list[int]:
+        kind, *arguments = self.nodes[node]
+        if kind in ("+", "-"):
+            return [term for a in arguments for term in self._terms(a)]
+        if kind == "fma":
+            _, _, before, _, sign = arguments  # the product is what it adds to the sum before
+            return [*self._terms(before), self.node("+" if sign else "-", node, before)]
+        return [node]
+
     def source(self, name: str, outputs: Sequence[int]) -> str:
         """Source of the function ``name(s, h, p)`` that returns the ``outputs``."""
         names: dict[int, str] = {}
@@ -209,9 +226,12 @@ class Graph:
                 names[node] = arguments[0]
                 continue
             x = [names[a] for a in arguments if isinstance(a, int)]
-            text = f"{x[0]} {kind} {x[1]}"
-            if kind == "fma":
+            if kind == "abs":
+                text = f"abs({x[0]})"
+            elif kind == "fma":
                 text = f"fma({arguments[3]}{x[0]}, {x[1]}, {arguments[4]}{x[2]})"
+            else:
+                text = f"{x[0]} {kind} {x[1]}"
             names[node] = f"v{node}"
             lines.append(f"    v{node} = {text}\n")
         returned = ", ".join(names[node] for node in outputs)

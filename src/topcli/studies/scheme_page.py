@@ -236,7 +236,7 @@ def operations_of(scheme: Scheme) -> Operations | None:
     assert isinstance(method, Stepper)
     varying = type("Varying", (CountedFloat,), {"counts": Counter()})
     step: Any = Rebuilder(_counting_arithmetic()).function(method.step)
-    constants = top.constants()
+    constants = method.parameters(top)
     y = (*OMEGA, *GAMMA)[: len(top.components)]
     state: Any = method.enter(y, H, constants) if method.enter else y
     for _ in range(STEPS):

@@ -31,18 +31,11 @@ from topcli.arithmetic.fused import follow_precision, two_sum
 from topcli.arithmetic.vectors import Matrix, Vector, cayley_increment, resolvent, solve3
 from topcli.contracts import Floats, Stepper, Top, checked_equations
 from topcli.schemes.layout import (
-    HIROTA_KIMURA,
-    LONG_HK,
     LONG_NEWTON,
-    NEAR_SINGULAR,
-    SINGULAR,
     CompensatedOption,
-    increment_stepper,
     is_compensated,
     polynomial_invariants,
-    small_determinant,
     stepper,
-    with_counter,
 )
 from topcli.schemes.registry import scheme
 from topcli.tops import TOPS
@@ -69,63 +62,6 @@ def implicit_matrix(a: Vector, gamma: Vector, d: float, p: Floats) -> Matrix:
         -k3 * a2 - f3 * (s11 * y - s21 * x),
         -k3 * a1 - f3 * (s12 * y - s22 * x),
         1.0 - f3 * (s13 * y - s23 * x),
-    )
-
-
-def hk_heavy_change(state: Floats, h: float, p: Floats) -> Floats:
-    """Change in one HK step (Sogo, dEulerPoisson, last sign corrected); ``p`` is (A, B, C, mg x0, mg y0, mg z0).
-
-    The change of gamma is that of the BS step (omega constant) plus a term linear in the change of omega. The system is
-    singular only for step sizes far too large to be useful.
-    """
-    w1, w2, w3, g1, g2, g3 = state
-    A, B, C, x, y, z = p
-    d = 0.5 * h
-    a1, a2, a3 = d * w1, d * w2, d * w3
-    b1, b2, b3 = cayley_increment(a1, a2, a3, g1, g2, g3)
-    t1, t2, t3 = g1 + 0.5 * b1, g2 + 0.5 * b2, g3 + 0.5 * b3
-    u1, u2, u3 = solve3(
-        implicit_matrix((a1, a2, a3), (g1, g2, g3), d, p),
-        (h / A) * ((B - C) * w2 * w3 + (t2 * z - t3 * y)),
-        (h / B) * ((C - A) * w3 * w1 + (t3 * x - t1 * z)),
-        (h / C) * ((A - B) * w1 * w2 + (t1 * y - t2 * x)),
-    )
-    z1, z2, z3 = resolvent(a1, a2, a3, d * (g2 * u3 - g3 * u2), d * (g3 * u1 - g1 * u3), d * (g1 * u2 - g2 * u1))
-    return (u1, u2, u3, b1 + z1, b2 + z2, b3 + z3)
-
-
-def heavy_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]:
-    """Determinant of the system for omega in ``hk_heavy_change`` and the sum of the magnitudes of its terms."""
-    w1, w2, w3, g1, g2, g3 = state[0], state[1], state[2], state[3], state[4], state[5]
-    d = 0.5 * h
-    m11, m12, m13, m21, m22, m23, m31, m32, m33 = implicit_matrix((d * w1, d * w2, d * w3), (g1, g2, g3), d, p)
-    t1 = m11 * (m22 * m33 - m23 * m32)
-    t2 = m12 * (m23 * m31 - m21 * m33)
-    t3 = m13 * (m21 * m32 - m22 * m31)
-    return (t1 + t2 + t3, abs(t1) + (abs(t2) + abs(t3)))
-
-
-@scheme(
-    "hk",
-    top="heavy",
-    title="Hirota-Kimura scheme",
-    order=2,
-    explicit=True,
-    self_adjoint=True,
-    citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 2.1",
-    formula=HIROTA_KIMURA,
-    equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
-    options=CompensatedOption,
-    limits={"singular-step": SINGULAR, "resonance": LONG_HK},
-)
-def build_hk(top: Top, options: CompensatedOption) -> Stepper:
-    """Linear in the new state: gamma is eliminated, and the three equations for omega are solved in closed form.
-
-    None of the three integrals is conserved exactly; for small h the deviations are of size h². Special tops have
-    faster implementations of the same map under the same name.
-    """
-    return with_counter(
-        increment_stepper(hk_heavy_change, 6, options), NEAR_SINGULAR, small_determinant(heavy_determinant)
     )
 
 

@@ -1,0 +1,162 @@
+"""Steps generated from random polynomial fields: order, self-adjointness, Kahan's equations, the tangent map."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from topcli.field.implicit import PLANS, KahanStep, NewtonStep, planned
+from topcli.field.polynomial import (
+    Field,
+    NotPolynomialError,
+    Polynomial,
+    field_of,
+    polynomial_field,
+    variational_field,
+)
+from topcli.field.straight_line import function_of
+from topcli.tops import TOPS
+
+EPS = 2.0**-52
+
+
+def random_field(d: int, degree: int, seed: int, density: float = 0.5) -> Field:
+    """Field of ``d`` components with coefficients of one decimal, of a size that keeps f(y) about one."""
+    draw = random.Random(seed)
+    monomials = [m for k in range(degree + 1) for m in itertools.combinations_with_replacement(range(d), k)]
+    return tuple(
+        Polynomial({m: Fraction(draw.randint(-20, 20), 10) for m in monomials if draw.random() < density})
+        for _ in range(d)
+    )
+
+
+def random_state(d: int, seed: int) -> tuple[float, ...]:
+    draw = random.Random(1000 + seed)
+    return tuple(draw.uniform(-1.0, 1.0) for _ in range(d))
+
+
+def length(field: Field, y: tuple[float, ...]) -> float:
+    """A step size at which half the Jacobian is small."""
+    return 0.2 / (1.0 + max(sum(abs(rate.derivative(j).value(y)) for j in range(len(y))) for rate in field))
+
+
+def compiled(step: KahanStep):
+    """The step as a function of state and h."""
+    function, p = function_of(step.graph.source("step", step.outputs), "step"), tuple(map(float, step.graph.constants))
+    return lambda y, h: function(tuple(y), h, p)
+
+
+def kahans_residual(field: Field, y: tuple[float, ...], new: tuple[float, ...], h: float) -> float:
+    """Largest residual of Kahan's equations, in units of round-off of their terms; exact arithmetic."""
+    a, b, step = list(map(Fraction, y)), list(map(Fraction, new)), Fraction(h)
+    worst = 0.0
+    for i, rate in enumerate(field):
+        total, size = b[i] - a[i], abs(b[i]) + abs(a[i])
+        for monomial, c in rate.terms.items():
+            term = {
+                0: lambda m: Fraction(1),
+                1: lambda m: (a[m[0]] + b[m[0]]) / 2,
+                2: lambda m: (a[m[0]] * b[m[1]] + b[m[0]] * a[m[1]]) / 2,
+            }[len(monomial)](monomial)
+            total -= step * c * term
+            size += abs(step * c * term)
+        worst = max(worst, abs(float(total)) / (EPS * float(size)))
+    return worst
+
+
+@pytest.mark.parametrize("density", [1.0, 0.4, 0.15])
+@pytest.mark.parametrize("d", [1, 2, 3, 4, 5, 6, 8, 12])
+def test_kahans_equations_hold_and_the_step_returns(d: int, density: float) -> None:
+    if d == 12 and density == 1.0:
+        density = 0.4  # a dense field has 1,092 terms
+    field, y = random_field(d, 2, 31 * d, density), random_state(d, d)
+    h, step = length(field, y), compiled(planned(KahanStep, field))
+    new = step(y, h)
+    assert kahans_residual(field, y, new, h) < 40.0
+    assert np.abs(np.subtract(step(new, -h), y)).max() < 100.0 * EPS
+
+
+@pytest.mark.parametrize("plan", PLANS)
+@pytest.mark.parametrize("form", TOPS)
+def test_every_plan_is_the_same_map(form: str, plan) -> None:
+    top = TOPS[form].new()
+    field = field_of(top)
+    y = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)[: len(field)]
+    assert kahans_residual(field, y, compiled(KahanStep(field, plan))(y, 0.05), 0.05) < 20.0
+    # the control: a coefficient that is off by a millionth
+    first = next(i for i, rate in enumerate(field) if rate.terms)
+    wrong = [*field]
+    wrong[first] = Polynomial({m: c * Fraction(1_000_001, 1_000_000) for m, c in field[first].terms.items()})
+    assert kahans_residual(tuple(wrong), y, compiled(KahanStep(field, plan))(y, 0.05), 0.05) > 1e5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_step_of_the_variational_field_is_the_tangent_map(seed: int) -> None:
+    """Also, the state moves as without tangent vectors, up to round-off."""
+    d = 3 + seed
+    field, y = random_field(d, 2, seed), random_state(d, seed)
+    h, v = length(field, y), random_state(d, seed + 50)
+    step = compiled(planned(KahanStep, field))
+    both = compiled(planned(KahanStep, variational_field(field)))((*y, *v), h)
+    assert np.abs(np.subtract(both[:d], step(y, h))).max() < 20.0 * EPS
+    e = 2.0**-17
+    ahead, behind = (step([a + s * e * b for a, b in zip(y, v, strict=True)], h) for s in (1.0, -1.0))
+    assert np.subtract(ahead, behind) / (2.0 * e) == pytest.approx(np.array(both[d:]), abs=1e-8)
+
+
+def midpoint(field: Field, y: tuple[float, ...], h: float) -> list[float]:
+    """Half of the change of the midpoint rule, by the generated step of Newton's method."""
+    newton, d = compiled(planned(NewtonStep, field)), len(field)
+    u = (0.0,) * d
+    for _ in range(8):
+        u = newton((*y, *u), h)
+    return list(u)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 5])
+@pytest.mark.parametrize("d", [2, 4])
+def test_newtons_steps_solve_the_midpoint_rule(d: int, degree: int) -> None:
+    field, y = random_field(d, degree, 7 * d + degree), random_state(d, d)
+    h = length(field, y)
+    u = midpoint(field, y, h)
+    mean = [a + b for a, b in zip(y, u, strict=True)]
+    assert u == pytest.approx([0.5 * h * float(rate.value(mean)) for rate in field], abs=20.0 * EPS)
+
+
+def test_a_field_is_traced_exactly() -> None:
+    """Constants are the decimals that are written: 0.1 + 0.2 = 0.3 holds."""
+
+    def field(y, p):
+        a, b, c = p
+        return (y[0] * (a + b - c) + y[1] ** 2 / 3, +y[0] - 2 * y[1], 0.5)
+
+    zero, quadratic, linear = polynomial_field(field, 3, (0.1, 0.2, 0.3))
+    assert zero.terms == {(1, 1): Fraction(1, 3)}
+    assert quadratic.terms == {(0,): 1, (1,): -2}
+    assert linear.terms == {(): Fraction(1, 2)}
+
+
+@pytest.mark.parametrize(
+    ("rate", "reason"),
+    [
+        (lambda x: 1.0 / x, "divides by the state"),
+        (lambda x: math.sin(x), "calls a function of the state"),
+        (lambda x: x**0.5, "takes the power 0.5 of the state"),
+        (lambda x: x if x > 0.0 else -x, "makes a decision that depends on the state"),
+        (lambda x: x + "1", "computes with str"),
+        (lambda x: x / 0, "divides by zero"),
+    ],
+)
+def test_what_is_no_polynomial_says_why(rate, reason: str) -> None:
+    with pytest.raises(NotPolynomialError, match=reason):
+        polynomial_field(lambda y, p: (rate(y[0]),), 1, ())
+
+
+def test_a_field_of_another_length_is_refused() -> None:
+    with pytest.raises(NotPolynomialError, match="has 2 components; expected 3"):
+        polynomial_field(lambda y, p: y[:2], 3, ())
