@@ -167,7 +167,7 @@ def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: 
 
 def field_of(top: Top) -> Field:
     """Polynomials of the field of a top; its parameters are exact. Raises NotPolynomialError."""
-    exact = {name: decimal(v) if isinstance(v, float) else v for name, v in top}
+    exact: dict[str, Any] = {name: decimal(v) if isinstance(v, float) else v for name, v in top}
     return polynomial_field(top.field, len(top.components), type(top).model_construct(**exact).constants())
 
 
