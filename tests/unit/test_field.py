@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 import random
+from collections.abc import Iterable
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from topcli.field.implicit import PLANS, KahanStep, NewtonStep, planned
+from topcli.field.implicit import PLANS, KahanStep, NewtonStep, Pattern, generated
 from topcli.field.polynomial import (
     Field,
     NotPolynomialError,
@@ -45,10 +46,15 @@ def length(field: Field, y: tuple[float, ...]) -> float:
     return 0.2 / (1.0 + max(sum(abs(rate.derivative(j).value(y)) for j in range(len(y))) for rate in field))
 
 
-def compiled(step: KahanStep):
-    """The step as a function of state and h."""
-    function, p = function_of(step.graph.source("step", step.outputs), "step"), tuple(map(float, step.graph.constants))
-    return lambda y, h: function(tuple(y), h, p)
+def function(step: KahanStep, constants: Iterable[Fraction]):
+    """A step as a function of state and h."""
+    code, p = function_of(step.graph, "step", step.outputs), tuple(map(float, constants))
+    return lambda y, h: code(tuple(y), h, p)
+
+
+def step_of(field: Field, kind: type[KahanStep] = KahanStep):
+    made = generated(kind, field)
+    return function(made.step, made.constants)
 
 
 def kahans_residual(field: Field, y: tuple[float, ...], new: tuple[float, ...], h: float) -> float:
@@ -75,7 +81,7 @@ def test_kahans_equations_hold_and_the_step_returns(d: int, density: float) -> N
     if d == 12 and density == 1.0:
         density = 0.4  # a dense field has 1,092 terms
     field, y = random_field(d, 2, 31 * d, density), random_state(d, d)
-    h, step = length(field, y), compiled(planned(KahanStep, field))
+    h, step = length(field, y), step_of(field)
     new = step(y, h)
     assert kahans_residual(field, y, new, h) < 40.0
     assert np.abs(np.subtract(step(new, -h), y)).max() < 100.0 * EPS
@@ -86,13 +92,14 @@ def test_kahans_equations_hold_and_the_step_returns(d: int, density: float) -> N
 def test_every_plan_is_the_same_map(form: str, plan) -> None:
     top = TOPS[form].new()
     field = field_of(top)
-    y = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)[: len(field)]
-    assert kahans_residual(field, y, compiled(KahanStep(field, plan))(y, 0.05), 0.05) < 20.0
+    y, made = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)[: len(field)], KahanStep(field, plan)
+    step = function(made, made.graph.constants)
+    assert kahans_residual(field, y, step(y, 0.05), 0.05) < 20.0
     # the control: a coefficient that is off by a millionth
     first = next(i for i, rate in enumerate(field) if rate.terms)
     wrong = [*field]
     wrong[first] = Polynomial({m: c * Fraction(1_000_001, 1_000_000) for m, c in field[first].terms.items()})
-    assert kahans_residual(tuple(wrong), y, compiled(KahanStep(field, plan))(y, 0.05), 0.05) > 1e5
+    assert kahans_residual(tuple(wrong), y, step(y, 0.05), 0.05) > 1e5
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -101,17 +108,31 @@ def test_the_step_of_the_variational_field_is_the_tangent_map(seed: int) -> None
     d = 3 + seed
     field, y = random_field(d, 2, seed), random_state(d, seed)
     h, v = length(field, y), random_state(d, seed + 50)
-    step = compiled(planned(KahanStep, field))
-    both = compiled(planned(KahanStep, variational_field(field)))((*y, *v), h)
+    step = step_of(field)
+    both = step_of(variational_field(field))((*y, *v), h)
     assert np.abs(np.subtract(both[:d], step(y, h))).max() < 20.0 * EPS
     e = 2.0**-17
     ahead, behind = (step([a + s * e * b for a, b in zip(y, v, strict=True)], h) for s in (1.0, -1.0))
     assert np.subtract(ahead, behind) / (2.0 * e) == pytest.approx(np.array(both[d:]), abs=1e-8)
 
 
+@pytest.mark.parametrize("d", [3, 6])
+def test_fields_of_a_pattern_share_their_step(d: int) -> None:
+    """Its constants are products of coefficients; those of each field are the ones of its own step."""
+    field = random_field(d, 2, 5, 0.3)
+    pattern = Pattern.of(field)
+    assert [set(rate.terms) for rate in pattern.field] == [set(rate.terms) for rate in field]
+    assert Pattern.of(pattern.field).field == pattern.field
+    made = generated(KahanStep, field)
+    own = KahanStep(field, made.step.plan)
+    assert {float(c) for c in made.constants} >= {float(c) for c in own.graph.constants}
+    scaled = tuple(Polynomial({m: c * Fraction(10, 9) if c % 1 else c for m, c in r.terms.items()}) for r in field)
+    assert generated(KahanStep, scaled).step is made.step or Pattern.of(scaled).field != pattern.field
+
+
 def midpoint(field: Field, y: tuple[float, ...], h: float) -> list[float]:
     """Half of the change of the midpoint rule, by the generated step of Newton's method."""
-    newton, d = compiled(planned(NewtonStep, field)), len(field)
+    newton, d = step_of(field, NewtonStep), len(field)
     u = (0.0,) * d
     for _ in range(8):
         u = newton((*y, *u), h)

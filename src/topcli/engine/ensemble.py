@@ -110,13 +110,17 @@ class EnsembleCode:
             self.lanes = Lanes(method, code, np.concatenate([self.p, more_parameters(method)]), tile)
             self.seconds, self.cached = code.seconds, code.cached
 
-    def with_constants(self, top: Top) -> EnsembleCode:
-        """The same machine code for another top of the same class, under a method equal to this one."""
+    def with_constants(self, top: Top, method: Method) -> EnsembleCode:
+        """The same machine code for another top of the same class and its ``method``, which is the ``same_method``."""
         other = copy(self)
-        other.p = np.array(top.constants(), dtype=np.float64)
+        other.method, other.p = method, np.array(top.constants(), dtype=np.float64)
         other._lock = threading.Lock()
-        if self.lanes:
-            other.lanes = replace(self.lanes, params=np.concatenate([other.p, self.lanes.params[len(self.p) :]]))
+        if isinstance(method, Stepper):
+            if self.lanes:
+                params = np.concatenate([other.p, more_parameters(method)])
+                other.lanes = replace(self.lanes, stepper=method, params=params)
+            if self._loop:
+                other._loop = self._loop.of(method)
         return other
 
     def single_loop(self) -> Loop:

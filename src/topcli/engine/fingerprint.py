@@ -393,10 +393,14 @@ def same_method(method: Method, other: Method) -> bool:
     """True if both methods certainly compile to the same machine code: much cheaper than two fingerprints.
 
     Closures are compared by their code and by what they hold, so that a scheme may make its functions for each top.
+    Constants of a step are arguments of its machine code.
     """
     if not isinstance(method, Stepper) or not isinstance(other, Stepper):
         return method is other
-    return all(_same(getattr(method, part.name), getattr(other, part.name)) for part in fields(method))
+    compared = (part.name for part in fields(method) if part.name != "constants")
+    return len(method.constants) == len(other.constants) and all(
+        _same(getattr(method, name), getattr(other, name)) for name in compared
+    )
 
 
 def _same(value: Any, other: Any, depth: int = 16) -> bool:

@@ -145,6 +145,17 @@ def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callabl
 
 
 @dataclass(frozen=True)
+class _Extended:
+    """Machine code of a time loop that reads ``more`` parameters after the constants of the top."""
+
+    code: Callable[..., int]
+    more: Array
+
+    def __call__(self, work: Array, out: Array, params: Array, *rest: Any) -> int:
+        return self.code(work, out, np.concatenate([params, self.more]), *rest)
+
+
+@dataclass(frozen=True)
 class Loop:
     """A method ready to run: ``enter(y, work, p, h)``, then ``drive(work, out, p, h, steps, every, until_record)``.
 
@@ -168,6 +179,12 @@ class Loop:
     """``prepare(y0, p)`` loads or computes the set-up of a closed form."""
     sampled: bool = False
     """True for a closed form: the time of a call is that of the states that it records."""
+
+    def of(self, stepper: Stepper) -> Loop:
+        """The same loop for a method that differs in the constants of its step."""
+        if not isinstance(self.drive, _Extended):
+            return self
+        return replace(self, drive=_Extended(self.drive.code, np.array(more_parameters(stepper))))
 
     def failure(self, work: Array) -> Outcome:
         """Outcome of a run whose failed step left ``work``."""
@@ -226,11 +243,8 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     except CompileError as error:
         raise step_refused(method, d, error) from None
     more = more_parameters(method)
-
-    def drive(work: Array, out: Array, params: Array, *rest: Any) -> int:
-        return code(work, out, np.concatenate([params, more]), *rest)
-
-    return Loop(enter, drive if more else code, seconds=code.seconds, cached=code.cached, **traits)
+    drive = _Extended(code, np.array(more)) if more else code
+    return Loop(enter, drive, seconds=code.seconds, cached=code.cached, **traits)
 
 
 def interpreted(method: Method, d: int, constants: int) -> Loop:

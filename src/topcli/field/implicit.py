@@ -29,10 +29,12 @@ state + change rounds without bias.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from itertools import islice
 
 from topcli.field.polynomial import Field, Polynomial
 from topcli.field.straight_line import ONE, Graph, Sum, Term, is_power_of_two, minus
@@ -310,28 +312,81 @@ class NewtonStep(KahanStep):
         return terms
 
 
-def pattern(field: Field) -> Field:
-    """A field with the same powers of two as coefficients, and others that are equal where those of ``field`` are."""
-    sizes = sorted({abs(c) for rate in field for c in rate.terms.values() if not is_power_of_two(abs(c))})
-    typical = {size: Fraction(3, 5 + 2 * number) for number, size in enumerate(sizes)}
+@dataclass(frozen=True)
+class Pattern:
+    """A field with typical coefficients, from which the step of all fields like it is generated.
 
-    def coefficient(c: Fraction) -> Fraction:
-        return typical.get(abs(c), abs(c)) * (1 if c > 0 else -1)
+    Powers of two are kept. Any other size is a power of two near the actual one times a prime of its own, so that each
+    constant of the step tells by its factors which product of coefficients it is. ``ratios`` maps each prime to the
+    actual size over the typical one.
+    """
 
-    return tuple(Polynomial({m: coefficient(c) for m, c in sorted(rate.terms.items())}) for rate in field)
+    field: Field
+    ratios: Mapping[int, Fraction]
+
+    @classmethod
+    def of(cls, field: Field) -> Pattern:
+        """Pattern of a field."""
+        sizes = sorted({abs(c) for rate in field for c in rate.terms.values() if not is_power_of_two(abs(c))})
+        octaves = [size.numerator.bit_length() - size.denominator.bit_length() for size in sizes]
+        typical, ratios = {}, {}
+        for octave, group in itertools.groupby(zip(octaves, sizes, strict=True), key=lambda pair: pair[0]):
+            members = [size for _, size in group]
+            primes = sorted(islice(_primes(), len(typical), len(typical) + len(members)), key=_mantissa)
+            for size, prime in zip(members, primes, strict=True):
+                typical[size] = _mantissa(prime) * Fraction(2) ** octave
+                ratios[prime] = size / typical[size]
+
+        def coefficient(c: Fraction) -> Fraction:
+            return typical.get(abs(c), abs(c)) * (1 if c > 0 else -1)
+
+        rates = (Polynomial({m: coefficient(c) for m, c in sorted(rate.terms.items())}) for rate in field)
+        return cls(tuple(rates), ratios)
+
+    def actual(self, constant: Fraction) -> Fraction:
+        """The constant of the actual step in place of that of the typical one."""
+        found, (above, below) = constant, constant.as_integer_ratio()
+        for prime, ratio in self.ratios.items():
+            found *= ratio ** (_multiplicity(prime, above) - _multiplicity(prime, below))
+        return found
+
+
+FIRST_PRIME = 11
+"""Smaller primes occur as factors of derivatives."""
+
+
+def _primes() -> Iterator[int]:
+    return (n for n in itertools.count(FIRST_PRIME, 2) if all(n % k for k in range(3, math.isqrt(n) + 1, 2)))
+
+
+def _mantissa(n: int) -> Fraction:
+    """``n`` over a power of two, between 1 and 2."""
+    return Fraction(n, 1 << (n.bit_length() - 1))
+
+
+def _multiplicity(prime: int, n: int) -> int:
+    """How often a prime divides ``n``."""
+    count = 0
+    while n % prime == 0:
+        n, count = n // prime, count + 1
+    return count
+
+
+@dataclass(frozen=True)
+class Generated:
+    """A generated ``step``, which fields of a pattern share, and the ``constants`` of one of them."""
+
+    step: KahanStep
+    constants: tuple[Fraction, ...]
 
 
 @lru_cache(maxsize=256)
-def cheapest_plan(kind: type[KahanStep], field: Field) -> Plan:
-    """The plan that gives a field the step of the lowest cost."""
-
-    def cost(plan: Plan) -> float:
-        step = kind(field, plan)
-        return step.graph.cost(step.outputs)
-
-    return min(PLANS, key=cost)
+def _cheapest(kind: type[KahanStep], field: Field, first: int) -> KahanStep:
+    return min((kind(field, plan, first) for plan in PLANS), key=lambda step: step.graph.cost(step.outputs))
 
 
-def planned(kind: type[KahanStep], field: Field, first: int = 0) -> KahanStep:
-    """A step of the ``kind`` for a field, by the plan of its ``pattern``: steps of one pattern share their code."""
-    return kind(field, cheapest_plan(kind, pattern(field)), first)
+def generated(kind: type[KahanStep], field: Field, first: int = 0) -> Generated:
+    """The cheapest step of a ``kind`` for a field; its constants begin at ``p[first]``."""
+    pattern = Pattern.of(field)
+    step = _cheapest(kind, pattern.field, first)
+    return Generated(step, tuple(map(pattern.actual, step.graph.constants)))

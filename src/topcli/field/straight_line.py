@@ -238,8 +238,8 @@ class Graph:
         return f"def {name}(s, h, p):\n{''.join(lines)}    return ({returned},)\n"
 
 
-def function_of(source: str, name: str) -> Callable[..., Any]:
-    """The function ``name`` of generated ``source``."""
+def function_of(graph: Graph, name: str, outputs: Sequence[int]) -> Callable[..., Any]:
+    """The function ``name(s, h, p)`` that returns the ``outputs``."""
     scope: dict[str, Any] = {"fma": fma, "__name__": __name__}
-    exec(compile(source, f"<generated {name}>", "exec"), scope)
+    exec(compile(graph.source(name, outputs), f"<generated {name}>", "exec"), scope)
     return scope[name]

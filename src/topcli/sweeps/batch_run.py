@@ -82,7 +82,7 @@ def _code(experiment: Experiment, tile: int, side_by_side: bool) -> EnsembleCode
             _latest.clear()
         method, known = experiment.method(), _latest.get(kind)
         if known is not None and same_method(method, known.method):
-            code = known.with_constants(experiment.top)
+            code = known.with_constants(experiment.top, method)
         else:
             code = _latest[kind] = EnsembleCode(experiment.top, method, tile, side_by_side)
             code.single_loop()  # so that no run has to wait for it

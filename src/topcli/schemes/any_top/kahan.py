@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from fractions import Fraction
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, partial
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.field.implicit import KahanStep, planned
-from topcli.field.polynomial import Field, field_of
+from topcli.field.implicit import KahanStep, generated
+from topcli.field.polynomial import field_of
 from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
     HIROTA_KIMURA,
@@ -27,38 +24,24 @@ from topcli.schemes.layout import (
 from topcli.schemes.registry import scheme
 
 
-@lru_cache(maxsize=1024)  # one function for equal sources: then the methods of such tops share their machine code
-def shared_function(source: str, name: str) -> Callable[..., Any]:
-    """The function ``name`` of generated ``source``."""
-    return function_of(source, name)
-
-
 @dataclass(frozen=True)
 class Kahan:
-    """Kahan's step of a field: ``step`` and ``change(state, h, p)``, and the event that a system is near singular.
-
-    Its ``constants`` follow those of the top in p.
-    """
+    """Kahan's step of a pattern of fields: functions ``step`` and ``change``, the event of a near-singular solve."""
 
     step: StepFunction
     change: StepFunction
     near_singular: Event
-    constants: tuple[Fraction, ...]
 
 
-@lru_cache(maxsize=256)
-def kahan(field: Field, first: int) -> Kahan:
-    """Kahan's step of a quadratic field, whose constants begin at ``p[first]``."""
-    made = planned(KahanStep, field, first)
-    graph = made.graph
-    step = shared_function(graph.source("step", made.outputs), "step")
-    change = shared_function(graph.source("change", made.changes()), "change")
-    divisors = made.divisors()
-    near_singular = any_small(shared_function(graph.source("divisors", divisors), "divisors"), len(divisors) // 2)
-    return Kahan(step, change, near_singular, tuple(graph.constants))
+@lru_cache(maxsize=256)  # the methods of tops with one pattern share their functions, and so their machine code
+def kahan(made: KahanStep) -> Kahan:
+    """The functions of a generated step."""
+    graph, divisors = made.graph, made.divisors()
+    of = partial(function_of, graph)
+    near_singular = any_small(of("divisors", divisors), len(divisors) // 2)
+    return Kahan(of("step", made.outputs), of("change", made.changes()), near_singular)
 
 
-@lru_cache(maxsize=1024)
 def any_small(divisors: StepFunction, count: int) -> Event:
     """Event: one of ``count`` divisors is near zero; each is followed by the size of its terms."""
 
@@ -91,7 +74,7 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     None of the three integrals is conserved exactly; for small h the deviations are of size h². Special tops have
     faster implementations of the same map under the same name.
     """
-    made = kahan(field_of(top), len(top.constants()))
-    d = len(top.components)
-    stepper = increment_stepper(made.change, d, options) if is_compensated(options) else Stepper(made.step, d)
-    return with_counter(replace(stepper, constants=made.constants), NEAR_SINGULAR, made.near_singular)
+    d, made = len(top.components), generated(KahanStep, field_of(top), len(top.constants()))
+    functions = kahan(made.step)
+    stepper = increment_stepper(functions.change, d, options) if is_compensated(options) else Stepper(functions.step, d)
+    return with_counter(replace(stepper, constants=made.constants), NEAR_SINGULAR, functions.near_singular)
