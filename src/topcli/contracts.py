@@ -332,6 +332,8 @@ class Stepper:
     constants : tuple of Fraction, optional
         Constants of the step, exactly. They follow those of the top in its ``p``; ``enter`` and ``leave`` do not need
         them.
+    generated : bool, optional
+        True if the step is made from the top's field; in other arithmetics it is made from fractions.
     composable : Stepper, optional
         The same method on a working state that does not depend on h, for compositions and substeps. None if this
         working state does not depend on h either, or if there is no such form.
@@ -348,6 +350,7 @@ class Stepper:
     advice: Callable[[Sequence[float], float], str] | None = None
     stages: tuple[StepFunction, tuple[float, ...]] | None = None
     constants: tuple[Fraction, ...] = ()
+    generated: bool = False
     composable: Stepper | None = None
 
     def parameters(self, top: Top) -> Floats:

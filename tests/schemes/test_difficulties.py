@@ -20,7 +20,6 @@ from topcli.runs.report import warning_of
 from topcli.schemes.any_top.hk_midpoint import midpoint
 from topcli.schemes.euler.hk import euler_determinant
 from topcli.schemes.kowalevski.hk import kowalevski_determinant
-from topcli.schemes.lagrange.hk_bs import lagrange_determinant
 from topcli.schemes.layout import AMBIGUOUS, NEAR_SINGULAR
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress.cases import TORUS_E4, singular_step
@@ -58,7 +57,6 @@ def test_hybrids_count_singular_solves_of_hk() -> None:
     ("determinant", "top"),
     [
         (kowalevski_determinant, Kowalevski()),
-        (lagrange_determinant, Lagrange()),
         (euler_determinant, Euler()),
     ],
     ids=lambda value: getattr(value, "__name__", ""),

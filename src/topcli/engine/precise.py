@@ -122,7 +122,7 @@ def precise_method(
     reason = obstacle(scheme, top, options)
     built = None if reason else scheme.build(top, options)
     if isinstance(built, Stepper):
-        built = scheme.build(exact or top if built.constants else precise, options)
+        built = scheme.build(exact or top if built.generated else precise, options)
     if not isinstance(built, Stepper):
         raise refused(scheme, arithmetic, reason)
     if arithmetic.name == RATIONAL and built.iterative:

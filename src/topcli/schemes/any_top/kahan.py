@@ -17,10 +17,10 @@ from topcli.schemes.layout import (
     SMALL,
     CompensatedOption,
     Event,
-    increment_stepper,
     is_compensated,
     with_counter,
 )
+from topcli.schemes.layout import stepper as summing_stepper
 from topcli.schemes.registry import scheme
 
 
@@ -55,6 +55,17 @@ def any_small(divisors: StepFunction, count: int) -> Event:
     return event
 
 
+def kahan_stepper(top: Top, options: object) -> Stepper:
+    """Kahan's step of the field of ``top``, compensated if ``options`` say so; it counts near-singular solves."""
+    field = field_of(top)
+    made, d = generated(KahanStep, field, len(top.constants())), len(field)
+    functions = kahan(made.step)
+    stepper = Stepper(functions.step, d)
+    if is_compensated(options):
+        stepper = summing_stepper(functions.change, d, lost=(i for i in range(d) if field[i].terms), checked=d)
+    return with_counter(replace(stepper, constants=made.constants, generated=True), NEAR_SINGULAR, functions.near_singular)
+
+
 @scheme(
     "hk",
     top="heavy",
@@ -74,7 +85,4 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     None of the three integrals is conserved exactly; for small h the deviations are of size h². Special tops have
     faster implementations of the same map under the same name.
     """
-    d, made = len(top.components), generated(KahanStep, field_of(top), len(top.constants()))
-    functions = kahan(made.step)
-    stepper = increment_stepper(functions.change, d, options) if is_compensated(options) else Stepper(functions.step, d)
-    return with_counter(replace(stepper, constants=made.constants), NEAR_SINGULAR, functions.near_singular)
+    return kahan_stepper(top, options)
