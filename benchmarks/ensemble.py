@@ -127,7 +127,7 @@ class Case:
         method = scheme.build(self.top, scheme.options())
         assert isinstance(method, Stepper)
         self.method, d, p = method, len(self.top.components), self.top.constants()
-        self.p = np.array([*p, *more_parameters(method)])
+        self.p, self.more = np.array(p), np.array([*p, *more_parameters(method)])
         self.loop = loop_of(method, d, len(p))
         plain = plain_lanes(method, d, len(p), TILE)
         self.lanes, self.code = native(plain, LANES_SIGNATURE), code_of(plain, method.width + 1)
@@ -151,7 +151,7 @@ class Case:
         """Nanoseconds per trajectory-step of a tile."""
         work = self.work.copy()
         start = time.perf_counter_ns()
-        self.lanes(work, self.out, self.p, H, STEPS, STEPS + 1, STEPS + 1, 0)
+        self.lanes(work, self.out, self.more, H, STEPS, STEPS + 1, STEPS + 1, 0)
         spent = (time.perf_counter_ns() - start) / STEPS / TILE
         if not np.isfinite(work).all():
             raise RuntimeError(f"{self.name}: a trajectory left the fast path; its time would tell nothing")
