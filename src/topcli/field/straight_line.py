@@ -4,9 +4,6 @@ A *sum* is a tuple of terms ``(c, factors)``: an exact coefficient times the pro
 zero, ``ONE`` is one. A sum becomes a node when its value is needed: its products are formed so that factors that are
 known late are multiplied last, products and additions are fused, common factors are taken out where that saves a
 product, and the terms are added in the order in which they become known. Equal operations are one node.
-
-The measure of code is the number of its products, which occupy the multipliers, and 0.3 times its longest chain of
-operations in cycles. Measured on the steps of ten tops, it orders their times; sums are nearly free.
 """
 
 from __future__ import annotations
@@ -25,9 +22,6 @@ ONE: Sum = ((Fraction(1), ()),)
 
 LATENCY = {"input": 0, "fixed": 0, "abs": 1, "+": 3, "-": 3, "*": 3, "fma": 4, "/": 13}
 """Cycles until the result of an operation is known."""
-PRODUCTS = {"*": 1, "fma": 1, "/": 2}
-CHAIN = 0.3
-"""Weight of a cycle of the longest chain, in products."""
 BEFORE = -1
 """Time of nodes that do not depend on the state: they are computed before the loop over the steps."""
 
@@ -190,14 +184,6 @@ class Graph:
                 found.add(node)
                 stack += [a for a in self.nodes[node][1:] if isinstance(a, int)]
         return sorted(found)
-
-    def products(self, outputs: Iterable[int]) -> int:
-        """Products of a step; a division counts as two."""
-        return sum(PRODUCTS.get(self.nodes[node][0], 0) for node in self.needed(outputs) if self.time[node] != BEFORE)
-
-    def cost(self, outputs: Sequence[int]) -> float:
-        """Measure of the time that a step takes."""
-        return self.products(outputs) + CHAIN * max(self.time[node] for node in outputs)
 
     def size(self, node: int) -> int:
         """Node of the sum of the magnitudes of the terms that ``node`` adds up."""

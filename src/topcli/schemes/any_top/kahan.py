@@ -63,7 +63,9 @@ def kahan_stepper(top: Top, options: object) -> Stepper:
     stepper = Stepper(functions.step, d)
     if is_compensated(options):
         stepper = summing_stepper(functions.change, d, lost=(i for i in range(d) if field[i].terms), checked=d)
-    return with_counter(replace(stepper, constants=made.constants, generated=True), NEAR_SINGULAR, functions.near_singular)
+    return with_counter(
+        replace(stepper, constants=made.constants, generated=True), NEAR_SINGULAR, functions.near_singular
+    )
 
 
 @scheme(
