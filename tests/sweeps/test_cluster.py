@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -29,6 +29,7 @@ from topcli.sweeps import cluster as connect
 from topcli.sweeps.cluster import (
     ALONE,
     CLUSTER_IN_FLIGHT,
+    RESTART_SECONDS,
     Cluster,
     answer,
     batch_digest,
@@ -519,6 +520,39 @@ def test_a_scheduler_without_workers_is_waited_for_until_the_sweep_is_stopped() 
     waiting: Any = Waiting(client, "tcp://there:1", nothing, 2, lambda line: None, clock=lambda: now["s"])
     assert list(waiting([[0], [1]], Work(()), stop)) == []
     assert now["s"] == 30_000.0
+
+
+def test_a_result_that_was_lost_with_its_worker_waits_for_another_one(dask: None) -> None:
+    """Its future has ended and gives no result until there are workers again, which only counting them brings."""
+    from distributed import TimeoutError
+
+    class Lost:
+        key = "lost"
+
+        def cancelled(self) -> bool:
+            return False
+
+        def add_done_callback(self, act: Any) -> None:
+            act(self)
+
+        def result(self, timeout: float) -> Results:
+            now["s"] += timeout
+            assert now["s"] < 1000.0, "neither are the workers counted nor is the sweep asked to stop"
+            if not replaced:
+                raise TimeoutError
+            return Results(message=[""], done=[True])
+
+    class Losing(Cluster):
+        def _submit(self, batch: Any, work: Any, *, alone: bool = False) -> None:
+            future: Any = Lost()
+            self._flying[future.key] = (future, batch)
+            self._ended.put(future)
+
+    now, replaced, client = {"s": 0.0}, list[float](), cast(Any, NoWorkers(*[0] * 100))
+    cluster = Losing(client, "local:1", cast(Any, None), 1, lambda line: None, clock=lambda: now["s"])
+    cluster.replace_workers = lambda: replaced.append(now["s"])
+    assert [batch for batch, _ in cluster([cast(Any, [0])], Work(()), lambda: now["s"] > 100.0)] == [[0]]
+    assert replaced == [RESTART_SECONDS]
 
 
 def test_a_batch_whose_workers_are_lost_is_divided_until_one_row_is_left(dask: None) -> None:

@@ -155,7 +155,7 @@ class Cluster:
             except TimeoutError:  # its worker was lost after the end: the scheduler has it computed again
                 self._flying[future.key] = flying
                 future.add_done_callback(self._ended.put)
-                continue
+                return  # it counts as ended, and would come again at once: workers may have to be replaced first
             except KilledWorker:
                 if len(batch) > 1:
                     self._pieces.extend((batch[: len(batch) // 2], batch[len(batch) // 2 :]))
