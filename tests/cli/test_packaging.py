@@ -168,12 +168,12 @@ def test_the_tutorial_works_on_a_bare_machine(bare: tuple[Path, dict[str, str]],
     commands = [one for block in page.blocks if block.language == "console" for one in sessions(block)]
     assert [command.split()[1] for command, _ in commands] == ["run", "compare", "plot"]
     for command, shown in commands:
-        code, printed = run(command, tmp_path, [str(scripts / "topcli")], [], environment)
+        code, printed = run(command, tmp_path, scripts, environment)
         assert code == 0, (command, printed)
         assert not difference(shown, printed), command
     assert (tmp_path / "results" / "figures" / "fig1.png").stat().st_size > 10_000
     for command in inline_commands(page.path):
-        code, printed = run(command, tmp_path, [str(scripts / "topcli")], [], environment)
+        code, printed = run(command, tmp_path, scripts, environment)
         assert code == 0, (command, printed)
     rows = run_python(
         scripts / "python", tmp_path, "-c", "import topcli; print(len(topcli.simulate('top.yaml').to_pandas()))"
@@ -198,7 +198,7 @@ def test_first_steps_work_on_a_bare_machine(bare: tuple[Path, dict[str, str]], t
         "topcli report results/kowalevski_hybrid --out page.html",
         "topcli list sweeps",
     ):
-        code, printed = run(command, tmp_path, [str(scripts / "topcli")], [], environment)
+        code, printed = run(command, tmp_path, scripts, environment)
         assert code == 0, (command, printed)
         assert not [line for line in printed if "docs/" in line], command
     assert sorted(path.name for path in tmp_path.iterdir()) == [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -22,12 +23,13 @@ from topcli.schemes.registry import names_for
 from topcli.studies.lax_checks import lax_experiment
 from topcli.tops import TOPS, top_class
 
+schema_of_configs = cache(config_schema)
 PAIRS = [(form, name) for form in TOPS for name in names_for(form)]
 
 
 @pytest.mark.slow
 def test_schema_accepts_the_packaged_scenes() -> None:
-    schema = config_schema()
+    schema = schema_of_configs()
     assert schema["$schema"].endswith("2020-12/schema")
     for path in FILES:
         resolved = load_experiment(path).resolved()
@@ -101,7 +103,7 @@ ensemble: {states: [{omega: [1, 2, 3]}], store: final}
 @pytest.mark.parametrize(("text", "_"), cases_of(REFUSED))
 def test_schema_refuses_what_the_loader_refuses(text: str, _: list[str]) -> None:
     data = PLAIN | parse_yaml(text, "x")[0]
-    assert not fits(config_schema(), data)
+    assert not fits(schema_of_configs(), data)
     with pytest.raises(TopcliError):
         load(data)
 
@@ -112,17 +114,17 @@ def test_schema_accepts_what_the_loader_accepts() -> None:
     for text in "".join([ENSEMBLES, *texts]).split("\n"):
         if text:
             data = PLAIN | parse_yaml(text, "x")[0]
-            assert fits(config_schema(), data), text
+            assert fits(schema_of_configs(), data), text
             load(data)
     bare = {key: value for key, value in PLAIN.items() if key != "initial"}
     drawn = {"count": 1, "gamma": "sphere", "omega": {"sphere": 1}}
-    assert not fits(config_schema(), bare)
-    assert fits(config_schema(), {**bare, "ensemble": {"random": drawn}})
+    assert not fits(schema_of_configs(), bare)
+    assert fits(schema_of_configs(), {**bare, "ensemble": {"random": drawn}})
 
 
 def test_the_schema_types_an_ensemble_of_any_top() -> None:
     """Also where no branch for a top applies, as in a config whose top is not written yet."""
-    whole = config_schema()
+    whole = schema_of_configs()
     schema = whole["properties"]["ensemble"] | {"$defs": whole["$defs"]}
     good, bad = (
         [parse_yaml(line, "x")[0]["ensemble"] for line in text.split("\n") if line.startswith("ensemble")]
@@ -134,7 +136,7 @@ def test_the_schema_types_an_ensemble_of_any_top() -> None:
 
 
 def test_schema_describes_every_key() -> None:
-    schema = config_schema()
+    schema = schema_of_configs()
     assert all(section.get("description") for section in schema["properties"].values())
     then = schema["allOf"][0]["then"]["properties"]
     parameters = then["top"]["anyOf"][1]["properties"]
@@ -155,7 +157,7 @@ def test_init_for_every_top_and_scheme_loads(tmp_path: Path, form: str, name: st
     assert experiment.top == TOPS[form].new()
     if suffix == "yaml":
         assert text.startswith("# yaml-language-server: $schema=schemas/top.json\n")
-        assert fits(config_schema(), parse_yaml(text, "starter")[0])
+        assert fits(schema_of_configs(), parse_yaml(text, "starter")[0])
         if form == "kowalevski":
             assert experiment == load_experiment(CONFIGS / f"kowalevski_{name.replace('-', '_')}.yaml")
         for key, value in experiment.resolved()["scheme"].items():
@@ -188,7 +190,7 @@ DOCS = (ROOT / "docs" / "ensembles.md").read_text(encoding="utf-8")
 def test_the_configs_of_the_docs_are_ensembles(tmp_path: Path, text: str) -> None:
     found = load(write(tmp_path, text))
     assert isinstance(found, EnsembleExperiment)
-    assert fits(config_schema(), parse_yaml(text, "docs")[0])
+    assert fits(schema_of_configs(), parse_yaml(text, "docs")[0])
 
 
 def test_the_draws_of_the_docs_are_all_that_exist() -> None:
@@ -221,7 +223,7 @@ def test_columns_are_named_as_printed(given: str, name: str) -> None:
     by_name = load_experiment(data | {"output": {"columns": ["t", name]}})
     assert by_symbol.output.columns == ("t", name)
     assert by_symbol.digest == by_name.digest
-    assert fits(config_schema(), data | {"output": {"columns": ["t", given]}})
+    assert fits(schema_of_configs(), data | {"output": {"columns": ["t", given]}})
 
 
 def test_a_component_is_not_taken_for_a_square() -> None:
@@ -242,7 +244,7 @@ def test_no_two_columns_share_a_spelling(form: str, name: str) -> None:
     assert len(ascii_only) >= len(experiment.top.invariants()) + len(experiment.modified)
     columns = experiment.resolved() | {"output": {"columns": ["t", *(one.symbol for one in experiment.modified)]}}
     assert load_experiment(columns).output.columns == ("t", *(one.name for one in experiment.modified))
-    assert fits(config_schema(), columns)
+    assert fits(schema_of_configs(), columns)
 
 
 @pytest.mark.slow
@@ -257,7 +259,7 @@ def test_a_form_is_a_name_of_a_top_wherever_one_is_named(cli, form: str) -> None
     experiment = load_experiment(data)
     assert type(experiment.top) is cls
     assert experiment.resolved()["top"]["kind"] == cls.kind
-    schema = config_schema()
+    schema = schema_of_configs()
     assert fits(schema, data)
     assert not fits(schema, data | {"scheme": "zzz"})
     for command in ("schemes", "cases", "scenes"):

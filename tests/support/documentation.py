@@ -16,11 +16,15 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from conftest import ROOT
+from forked import topcli
+
+Shown = tuple[int, list[str]]
 
 TIMINGS = ("ns per step", "compile or load")
 SLOPES = ("drift per unit time", "standard error", "over the run")
@@ -126,26 +130,25 @@ def sessions(block: Block) -> list[tuple[str, list[str]]]:
     return found
 
 
-def run(
-    command: str,
-    cwd: Path,
-    topcli: Sequence[str] = (sys.executable, "-u", "-m", "topcli"),
-    python: Sequence[str] = (sys.executable, "-u"),
-    environment: dict[str, str] | None = None,
-) -> tuple[int, list[str]]:
-    """Exit code of topcli or a script, and the lines that a person at a terminal of 160 columns sees."""
+def run(command: str, cwd: Path, scripts: Path | None = None, environment: Mapping[str, str] = os.environ) -> Shown:
+    """Exit code of topcli or a script, and the lines that a person at a terminal of 160 columns sees.
+
+    The programs are those of the folder ``scripts``, if it is given.
+    """
     program, *arguments = shlex.split(command)
     assert program in ("topcli", "python"), f"mark it as not executed: {command}"
-    done = subprocess.run(
-        [*(topcli if program == "topcli" else python), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=cwd,
-        env={**(os.environ if environment is None else environment), "COLUMNS": "160"},
-        check=False,
-    )
-    return done.returncode, without_progress(done.stdout.splitlines())
+    environment = {**environment, "COLUMNS": "160"}
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder) / "output"
+        if program == "topcli" and scripts is None:
+            code = topcli(arguments, cwd, environment, output)
+        else:
+            started = [str(scripts / program)] if scripts else [sys.executable, "-u"]
+            with output.open("wb") as file:
+                code = subprocess.run(
+                    [*started, *arguments], stdout=file, stderr=subprocess.STDOUT, cwd=cwd, env=environment, check=False
+                ).returncode
+        return code, without_progress(output.read_text(encoding="utf-8").splitlines())
 
 
 def without_progress(lines: list[str]) -> list[str]:
