@@ -131,6 +131,7 @@ def test_run_and_show_name_a_changed_run_by_its_digest(cli) -> None:
     assert "N: 20\n" in stored.out
 
 
+@pytest.mark.slow
 def test_init_writes_a_config_that_runs(cli, in_tmp: Path) -> None:
     assert cli("init", "first.yaml").code == 0
     text = (in_tmp / "first.yaml").read_text()

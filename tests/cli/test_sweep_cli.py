@@ -119,6 +119,7 @@ def test_verify_checks_the_files_of_a_sweep(cli: Cli, study: Path) -> None:
     assert cli("verify", "study").code == 0
 
 
+@pytest.mark.slow
 def test_a_warning_about_a_top_is_printed_once(cli: Cli, study: Path) -> None:
     study.write_text(FILE.replace("kowalevski", "{kind: heavy, A: 5.0}"))
     said = cli("sweep", "study.yaml")

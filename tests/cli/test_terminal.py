@@ -44,6 +44,7 @@ def assert_safe(*texts: str) -> None:
         assert all(line.isprintable() for line in text.split("\n")), repr(text)
 
 
+@pytest.mark.slow
 @given(st.text())
 def test_printable_text_has_no_control_characters(text: str) -> None:
     assert printable(text).isprintable()

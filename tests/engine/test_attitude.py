@@ -149,6 +149,7 @@ euler       exact
 kowalevski  dop853
 """),
 )
+@pytest.mark.slow
 def test_states_have_the_bits_of_a_run_without_attitude(top: str, scheme: str) -> None:
     one = experiment(top, scheme, 0.02, 5000, every=9)
     plain = Run(one.top, one.method(), one.y0, one.h, one.N, 9).collect()

@@ -94,6 +94,7 @@ def test_energy_limit_separates_both_sides(top: Top, energy, at: int) -> None:
     assert left_by_each(top, departing(top, energy, 100.1, at)) == {3 * at}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [1e160, math.nan])
 def test_an_energy_beyond_the_range_of_numbers_has_left(value: float) -> None:
     states = departing(Kowalevski(), kowalevski_energy, 1.0, 500)
@@ -123,6 +124,7 @@ class Undefined(Heavy):
         return tuple(replace(one, value=values.get(one.name, one.value)) for one in super().invariants())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("top", "slots", "factor", "left"),
     [

@@ -135,6 +135,7 @@ def test_gif_holds_all_frames_at_the_wanted_speed(tmp_path: Path, motion: BodyMo
     assert list(path.parent.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_palette_of_a_gif_has_all_colours_of_a_frame(motion: BodyMotion) -> None:
     """No pixel is far from its nearest colour, also of frames whose marked sector is hidden in the first one."""
     colours = palette().astype(float)
@@ -200,6 +201,7 @@ def test_frames_reach_the_encoder(tmp_path: Path, motion: BodyMotion, monkeypatc
     assert list(path.parent.iterdir()) == [path]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "message"),
     [("mp4", "the encoder failed: no such codec"), ("gif", "no space left on the device; no animation was written")],

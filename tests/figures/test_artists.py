@@ -401,6 +401,7 @@ def test_an_analysis_draws_errors_swings_and_deviations(reference: bool, directi
     assert len(set(key.values())) == len(key) or not reference
 
 
+@pytest.mark.slow
 def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     outcomes = {
         ("hk", "a"): ("held", None, "ok"),

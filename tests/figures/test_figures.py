@@ -44,6 +44,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_figures_of_the_paper_show_what_they_should(made: Path) -> None:
     """E runs from 4.99968 to 5.00416 over t in [0, 50]: not "almost constant"."""
     request = Request(made, ROOT / "configs")
@@ -95,6 +96,7 @@ def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_pat
     assert not (tmp_path / "fig1.pdf").exists()
 
 
+@pytest.mark.slow
 def test_packaged_scenes_serve_where_there_are_no_configs(made: Path, tmp_path: Path) -> None:
     """The columns beside the picture are those of the packaged scene, in the order of the panels."""
     drawn = make_figure(FIGURES["fig3"], Request(made, tmp_path / "none"), tmp_path, ["png"]).files[-1]
@@ -181,6 +183,7 @@ def wave(name: str = "wave", version: int = 1, measured: bool = True) -> Figure:
     return Figure(name, "A wave", "none", load)
 
 
+@pytest.mark.slow
 def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyPatch) -> None:
     """Lists, completion and both ways to draw take it from there; its source decides if it is drawn again."""
     figures = {"wave": wave(), "slow": wave("slow", measured=False)}
@@ -276,6 +279,7 @@ DRAWING = {
 """Functions between the results of a study and its picture."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRAWING)
 def test_a_figure_is_drawn_again_after_an_edit_of_its_code(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -301,6 +305,7 @@ def test_another_panel_is_another_source(tmp_path: Path) -> None:
     assert first == same != other
 
 
+@pytest.mark.slow
 def test_a_figure_of_a_sweep_is_drawn_again_for_other_rows_choices_and_code(tmp_path: Path) -> None:
     keys = {"h": [0.1, 0.05, 0.1, 0.05], "seed": [1.0, 1.0, 2.0, 2.0]}
     folder = write_rows(tmp_path / "one", keys, {"v": [1.0, 2.0, 3.0, 4.0]})

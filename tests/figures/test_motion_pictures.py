@@ -36,6 +36,7 @@ def lagrange(omega: list[float], gamma: list[float], **top: float) -> MotionRepo
     return topcli.motion({"top": {"kind": "lagrange", **top}, "initial": {"omega": omega, "gamma": gamma}})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1.0, 2.0])
 def test_kowalevski_motion_is_a_place_in_its_diagram(unit: float) -> None:
     """With c0 four times as large and omega twice as large, the motion is the same in units of gravity."""

@@ -45,6 +45,7 @@ def assert_curve(axes: Axes, seen: np.ndarray, near: str, far: str, dot: int = 0
     return mark
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SPHERES)
 def test_traces_on_the_sphere(name: str, tmp_path: Path) -> None:
     """The trace in front and behind, the dot at its start, axes outwards with their names, the band that it fills."""
@@ -87,6 +88,7 @@ def test_dots_are_a_unit_of_time_apart_also_backwards() -> None:
     np.testing.assert_allclose(shown, sorted(-np.sin([0.0, 1.0, 2.0, 3.0])), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_captions_name_the_motion(tmp_path: Path) -> None:
     """A panel that names a packaged motion takes the run's name for another one, and keeps it for others."""
     changes = {f"lagrange_{name}": ["N=200"] for name in ("cusps", "loops", "waves")}
@@ -109,6 +111,7 @@ def point_on_ellipsoid(flat: np.ndarray) -> np.ndarray:
     return base + (-b + math.sqrt(b * b - a * c)) / a * eye
 
 
+@pytest.mark.slow
 def test_polhodes_run_the_way_of_the_motion(tmp_path: Path) -> None:
     """The run's own curve, arrows along Euler's equations, filled dots at stable rotations and an open one between."""
     (axes,) = drawn_from("polhodes", tmp_path, ["N=700"]).axes
@@ -131,6 +134,7 @@ def test_polhodes_run_the_way_of_the_motion(tmp_path: Path) -> None:
     assert not dots  # the other ends of the axes are hidden
 
 
+@pytest.mark.slow
 def test_the_ellipsoid_is_lit_and_tinted_by_its_formula(tmp_path: Path) -> None:
     """Colour of single points: white at the separatrix, blue or ochre beyond, and light from the upper left."""
     (picture,) = drawn_from("polhodes", tmp_path, ["N=700"]).axes[0].images
@@ -174,6 +178,7 @@ def test_curves_are_polhodes_in_the_sense_of_the_motion(moments: tuple[float, fl
             assert cosine.min() > 0.99
 
 
+@pytest.mark.slow
 def test_polhodes_have_the_moments_of_the_run(tmp_path: Path) -> None:
     """They must be different, and those of the data."""
     (axes,) = drawn_from("polhodes", tmp_path, ["N=200", "top={kind: euler, A: 1.5, B: 2.5, C: 1.2}"]).axes

@@ -217,6 +217,7 @@ def test_views_draw_their_rows(figure: Figure, tmp_path: Path) -> None:
         assert value == max(over_h)
 
 
+@pytest.mark.slow
 def test_a_second_request_runs_and_draws_nothing(figure: Figure, tmp_path: Path) -> None:
     request = Request(tmp_path / "results")
     assert make_figure(figure, request, tmp_path / "figures", ["png"]).status == "drawn"

@@ -113,6 +113,7 @@ def test_the_median_has_a_band_of_quartiles(folder: Path) -> None:
             assert (ends[0], ends[-1]) == pytest.approx((low, high), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_mean_has_its_standard_error_and_the_maximum_no_band(folder: Path) -> None:
     (axes,) = figure_of(folder, Choice("h", "swing_spacing", aggregate="mean")).axes
     assert axes.get_ylabel() == "swing_spacing (mean ± standard error)"
@@ -164,6 +165,7 @@ def test_an_exploded_run_is_an_arrowhead_at_the_upper_edge(tmp_path: Path) -> No
     assert list(explained(axes.figure)) == ["v", "above 1e+10"]
 
 
+@pytest.mark.slow
 def test_a_dollar_is_no_mathematics(tmp_path: Path) -> None:
     keys = {"$x$": [1.0, 2.0, 1.0, 2.0], r"$\b": [r"$\nothing$", r"$\nothing$", "b", "b"]}
     folder = write_rows(tmp_path / "$a$", keys, {r"$\v$": [1.0, 2.0, 3.0, 4.0]})
@@ -219,6 +221,7 @@ def test_scales_follow_the_magnitudes(values: list[Any], scale: str, width: floa
 [0.0, 1.0, 1000.0]   ["h"]  linear
 """),
 )
+@pytest.mark.slow
 def test_a_key_is_logarithmic_if_its_range_was(tmp_path: Path, sizes: list[float], log: list[str], scale: str) -> None:
     """Or over a range of 20 and more, with gaps of 1 : 20 and more, that are not even."""
     folder = write_rows(tmp_path / "x", {"h": sizes}, {"v": [1.0, 2.0, 3.0]}, log=log)

@@ -489,6 +489,7 @@ def test_chapters_of_one_page_keep_their_order_and_links(results: Path) -> None:
     assert links == sections == {"#part1": "sweep", "#part2": "one"}
 
 
+@pytest.mark.slow
 def test_the_title_is_that_of_the_user(results: Path) -> None:
     assert "<title>a &lt; b</title>" in page_of([Chapter("x", "run")], "a < b").text
 

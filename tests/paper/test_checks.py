@@ -60,6 +60,7 @@ ROUND = "top.A=1 top.B=1 top.C=1"
 EULER = {"A": "A", "B": "B", "C": "C"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("check", "parameters"),
     [

@@ -147,6 +147,7 @@ DEFECTLESS = "defect: none,\n     control: {integrals: kowalevski_laws, count: 4
 FAILING = "check: law, with: {scene: euler_bs rational N=30 max_digits=100, invariants: [m_sq]}"
 
 
+@pytest.mark.slow
 def test_failed_run_leaves_the_other_verdicts(report) -> None:
     run = "euler_bs rational N=30 max_digits=100"
     first = ("check: rank, experiment: some,\n         with: {integrals: kowalevski_laws, count: 4}", FAILING)

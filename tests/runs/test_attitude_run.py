@@ -129,6 +129,7 @@ def test_missing_attitude_is_reconstructed_and_said(tmp_path: Path) -> None:
     assert 1e-7 < turned_apart(coarse.attitude, fine.attitude).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["kowalevski_generic_hk", "lagrange_cusps", "euler_hk", "euler_tennis_racket"])
 def test_every_form_of_a_top_is_reconstructed(tmp_path: Path, scene: str) -> None:
     """To round-off from rows of the exact motion."""

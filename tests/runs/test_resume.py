@@ -82,6 +82,7 @@ rational: euler_hk parquet N=24 h=1/10 precision=rational
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", RESUMED.strip().split("\n"))
 def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, kind: str) -> None:
     """Stopped after one chunk, twice or three times on and stopped again."""
@@ -107,6 +108,7 @@ def test_an_interrupted_run_is_resumed_to_the_same_folder(tmp_path: Path, kind: 
     assert [one["step"] for one in result.stored.manifest["resumed"]] == steps
 
 
+@pytest.mark.slow
 def test_a_run_removes_the_dead_parts_that_it_supersedes_and_no_others(tmp_path: Path) -> None:
     """Parts of the same name belong to another experiment, to other code, or to this run; some got further."""
     out = tmp_path / "out"
@@ -285,6 +287,7 @@ def rows(out: Path) -> list[tuple[Any, ...]]:
     return [tuple(item[key] for key in KEYS) for item in listed_runs(out)]
 
 
+@pytest.mark.slow
 def test_unfinished_runs_are_listed_beside_finished_ones(cli: Callable[..., Any], in_tmp: Path) -> None:
     out = in_tmp / "results"
     run_experiment(small("name=done"), out)

@@ -371,4 +371,4 @@ class ResultsMachine(RuleBasedStateMachine):
 
 
 ResultsMachine.TestCase.settings = settings(max_examples=10, stateful_step_count=15, deadline=None)
-TestResults = pytest.mark.usefixtures("small_chunks")(ResultsMachine.TestCase)
+TestResults = pytest.mark.slow(pytest.mark.usefixtures("small_chunks")(ResultsMachine.TestCase))

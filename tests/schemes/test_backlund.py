@@ -186,6 +186,7 @@ def test_small_steps_do_not_cancel() -> None:
         assert np.abs(found - change).max() < 2e-15 * np.abs(change).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("c0", [1.0, -0.7, 2.0, 0.0])
 def test_commutes_with_the_motion(c0: float) -> None:
     """The step of the state at t = 1 is the motion of the stepped state, at 0.1 to 0.9 of the longest step."""

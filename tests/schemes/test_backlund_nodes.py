@@ -74,6 +74,7 @@ FAMILIES: dict[str, tuple[Floats, float]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_one_step_of_every_kind_of_motion(family: str) -> None:
     """Of either sign, up to the longest: within a few ulp of the sizes of omega and gamma."""
@@ -110,6 +111,7 @@ def test_long_runs_of_every_kind_of_motion(family: str) -> None:
             assert family in DECLARED or max(deviations(states, top).values()) < wider * bound * math.sqrt(N)
 
 
+@pytest.mark.slow
 def test_motion_in_integers() -> None:
     """The series that the first step is compared with, against the reference; both are good to an ulp."""
     for y, c in (*FAMILIES.values(), (GEN, 1e100), (tuple(1e-9 * v for v in GEN), 1e-9)):
@@ -122,6 +124,7 @@ def test_motion_in_integers() -> None:
     assert all(math.isnan(v) for v in motion(GEN, 1e6, 1.0))  # too long
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 4])
 def test_lengths_up_to_the_longest(count: int) -> None:
     """The step back is shorter than the longest admissible one, and reaches it with the longest composition."""

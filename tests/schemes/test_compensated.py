@@ -157,6 +157,7 @@ def test_every_sum_is_carried_on(name: str) -> None:
         assert float(after(moved, i, j) - after(start, i, j)) / bit == pytest.approx(1.0, rel=0.1), i
 
 
+@pytest.mark.slow
 @by_name
 def test_plain_is_old_plus_change(scheme: Scheme) -> None:
     """From a fresh start the first step is the same with and without compensation, bit for bit; later ones differ.

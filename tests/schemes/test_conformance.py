@@ -199,6 +199,7 @@ def test_exactness_control(top: Top) -> None:
         assert 410000.0 < exactness(top, rk2(top), gen(top), 0.01, named(top, name)) < 5.9e8
 
 
+@pytest.mark.slow
 @cases(*(subject for subject in SUBJECTS if isinstance(subject.method, Stepper) and not subject.method.plain))
 def test_machine_code_is_the_step(subject: Subject) -> None:
     """The same arithmetic, bit for bit, in all slots of the working state and in the recorded states."""

@@ -255,6 +255,7 @@ def test_every_state_in_a_limit_is_found() -> None:
     assert vectors == 2 * len(examples()) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "name", "omega", "gamma", "c0"), examples(), ids=lambda one: str(one)[:20])
 def test_states_in_limits_can_be_run(
     scheme: Scheme, name: str, omega: list[float], gamma: list[float], c0: float

@@ -310,6 +310,7 @@ def in_python(subject: Subject) -> Callable[[State, float], State]:
     return lambda y, h: plain_step(subject, padded(y), h)[: len(y)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("subject", CANONICAL, ids=str)
 def test_canonical_steps_preserve_the_bracket(subject: Subject) -> None:
     """J P J^T = P at the image: typically 1e-10, the error of the difference quotients."""
@@ -317,6 +318,7 @@ def test_canonical_steps_preserve_the_bracket(subject: Subject) -> None:
     assert max(poisson_defect(subject.top, in_python(subject), y, 0.2) for y in states) < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "defect"), [("hk", 3.3e-3), ("midpoint", 2.0e-3), ("rk4", 3.3e-5)])
 def test_canonical_control(name: str, defect: float) -> None:
     scheme = find_scheme(name, "heavy")

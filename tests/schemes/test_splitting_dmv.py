@@ -89,6 +89,7 @@ def test_moser_veselov_keeps_a_small_momentum_along_an_axis_of_symmetry() -> Non
     assert Steps(EulerGamma(A=1.0, B=2.0, C=2.0), "dmv")((1e-18, 1.0, -0.7, 0.6, 0.0, 0.8), 0.05, 1000)[0] == 1e-18
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("top", TOPS_TRIED, ids=repr)
 def test_too_long_a_step_names_the_longest(top: Top) -> None:
     """The hint is right to its digits: a little less works, a little more does not."""

@@ -430,6 +430,7 @@ def test_orders_have_their_own_errors_and_steps() -> None:
     assert report.errors["rk4"].isna().all()
 
 
+@pytest.mark.slow
 def test_a_comparison_has_the_figures_of_each_entry() -> None:
     found = topcli.compare("hk", "hk:h=0.02", "exact", config=CONFIG)
     figures = named_differently(distinct(found.figures, 3, keep=("power", "N")), ("verdict", "model"))

@@ -377,6 +377,7 @@ def peer_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str]
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -415,6 +416,7 @@ def test_wrong_names_of_peers_are_refused() -> None:
         find_peers(["scipy", "SciPy"])
 
 
+@pytest.mark.slow
 def test_scipy_as_a_peer(short: Problem) -> None:
     """A peer that is always there, in its process: its errors fall with its tolerance, and its seconds are counted."""
     result = bench(short, choose(short, ("rk4",)), find_peers(["scipy"]), Effort(0.02, 1))

@@ -35,6 +35,7 @@ def of(comparison: Result, scheme: str) -> dict:
     return next(one for one in comparison.data["schemes"] if one["scheme"] == scheme)
 
 
+@pytest.mark.slow
 def test_the_reference_swings_as_the_theory_says(paper: Result) -> None:
     """Half the period is sqrt 2 ln(8 sqrt 7/eps) to leading order in eps = gamma3(0), the first swing at 14.086."""
     spacing = paper.data["reference"]["swing_spacing"]
@@ -118,6 +119,7 @@ def test_a_state_of_a_closed_form_and_its_set_up_have_their_times() -> None:
     assert 300.0 < exact["nanoseconds_per_step"] < 1e5  # no state costs 4 ns
 
 
+@pytest.mark.slow
 def test_the_reference_swings_at_the_rows_of_the_finest_entry() -> None:
     """Its spacing is found to fourth order in the distance of the rows: coarse ones alone see another."""
     experiment = load_experiment("kowalevski_generic_hk", ["N=600", "h=0.1"])
@@ -142,6 +144,7 @@ ENSEMBLE = {**FREE_RUN, "ensemble": {"states": [{"omega": [0.3, 0.4, 1.5]}]}}
 REFERENCES = {"taylor": "Taylor series in double-double arithmetic", "exact": "closed form (scheme exact)"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", REFERENCES)
 def test_an_ensemble_of_one_has_the_errors_of_the_run(kind: str) -> None:
     """The scheme ``exact`` differs from the series, and not from itself, so that it shows which reference was used."""

@@ -103,6 +103,7 @@ def test_errors_name_the_entry(texts: str, message: str) -> None:
     assert str(refused.value).startswith(message)
 
 
+@pytest.mark.slow
 def test_errors_of_mixed_steps_are_those_of_single_runs(mixed: Result) -> None:
     """Each entry is compared at t = 0, 0.04, ..., 20; here with a Taylor series in double precision."""
     labels = [one["label"] for one in mixed.data["schemes"]]
@@ -129,6 +130,7 @@ def test_a_plain_comparison_has_the_same_figures_as_an_entry_alone() -> None:
     assert np.array_equal(own.arrays["error:hk:h=0.02"], given.arrays["error:hk"])
 
 
+@pytest.mark.slow
 def test_the_table_names_each_entry_once(cli: Any) -> None:
     said = cli("compare", *MIXED, "--config", SCENE, "--set", "h=0.01", "--set", "N=2000")
     title, header, *lines = said.out.splitlines()
@@ -141,6 +143,7 @@ def test_the_table_names_each_entry_once(cli: Any) -> None:
     assert "warning: the steps share 2 times" in few.err
 
 
+@pytest.mark.slow
 def test_options_of_all_are_shown_beside_the_label(cli: Any) -> None:
     sets = ("--config", SCENE, "--set", "N=20", "--set", "scheme.branch=sign")
     header = cli("compare", "hybrid", "hybrid:branch=nearest", "hybrid:h=0.002", *sets).out.splitlines()[1]

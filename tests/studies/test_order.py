@@ -318,6 +318,7 @@ def test_order_reports_false_declarations(own: Callable[..., Said]) -> None:
     assert own("order", "honest", "modest", *SHORT).code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("schemes", "code"), [(list(PLACES), 2), (["honest", *PLACES, "hk"], 3), (["badstep"], 2)])
 def test_order_goes_on_without_code_that_fails(own: Callable[..., Said], schemes: list[str], code: int) -> None:
     said = own("order", *schemes, *SHORT)
@@ -329,6 +330,7 @@ def test_order_goes_on_without_code_that_fails(own: Callable[..., Said], schemes
     assert verdicts == {name: "–" if name in PLACES else "as" for name in schemes}
 
 
+@pytest.mark.slow
 def test_compare_goes_on_without_code_that_fails(own: Callable[..., Said]) -> None:
     command = ("compare", "badbuild", "hk", "badstep", "raising", "honest", "--config", "kowalevski_generic_hk")
     settings = ("--set", "h=0.01", "--set", "N=200")
@@ -365,6 +367,7 @@ def test_stress_reports_false_declarations(own: Callable[..., Said], case: str) 
     assert [(one["outcome"], said.code) for one in said.json()["trials"]] == [("degraded", 0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("schemes", "code"), [(["badbuild", "honest", "badstep", "raising"], 3), (["badstep"], 2)])
 def test_stress_goes_on_without_code_that_fails(own: Callable[..., Said], schemes: list[str], code: int) -> None:
     said = own("stress", *schemes, "--case", "one-step", "--case", "delone", "--json")
@@ -393,6 +396,7 @@ def build(top, options):
 """
 
 
+@pytest.mark.slow
 def test_a_compiled_step_that_raises_ends_the_run(tmp_path: Path) -> None:
     """Compiled code reports the error on its own and takes no step; the loop must not ask again without end."""
     (tmp_path / "own.py").write_text(HIDDEN)

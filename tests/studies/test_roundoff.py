@@ -91,6 +91,7 @@ def test_block_means_do_not_depend_on_the_chunks() -> None:
     np.testing.assert_allclose(whole.means[0, 3], block_weights(50) @ (states[151:201, 0] ** 2 - first), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_block_means_take_an_oscillation_out() -> None:
     """An oscillation of size one to less than round-off, and not the walk beneath it."""
     rows, blocks = 80_000, 16
@@ -225,6 +226,7 @@ def test_command_reports_both_forms(cli, tmp_path: Path) -> None:
             assert drawn.column(f"{row['name']}:{form['form']}").to_pylist() == row["rms"]
 
 
+@pytest.mark.slow
 def test_tolerances_judge_the_compensated_form(cli) -> None:
     """HK of the Euler top drifts by 7e-15 to 2e-13 with plain sums, and by 1e-16 to 3e-15 with compensated ones.
 
@@ -280,6 +282,7 @@ def test_picture_leaves_out_what_never_changed() -> None:
     assert len(lines) == 6
 
 
+@pytest.mark.slow
 def test_the_figures_curves() -> None:
     """A biased algebra, a random walk, a smaller one, and nothing that grows: the picture shows what it says."""
     columns = growth_columns()

@@ -276,6 +276,7 @@ def test_what_breaks_is_declared_and_what_is_declared_breaks(fast: list[JudgedTr
     assert sum(one.verdict == "limit" for one in fast) > 30
 
 
+@pytest.mark.slow
 def test_every_form_has_its_cases(fast: list[JudgedTrial]) -> None:
     for scheme in {one.scheme.name: one.scheme for one in fast}.values():
         asked = {case.name for case in CASES if case.form == scheme.top}

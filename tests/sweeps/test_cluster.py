@@ -406,6 +406,7 @@ def test_another_source_of_the_same_version_is_another_version(dask: None, tmp_p
     assert (here == there) == (change == "nothing")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["topcli", "python", "numba", "llvmlite", "numpy", "the source of topcli"])
 def test_any_version_that_differs_or_is_missing_is_a_difference(dask: None, name: str) -> None:
     from topcli.sweeps.worker import difference, versions

@@ -266,6 +266,7 @@ class Small(BatchRun):
         self.size = 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -303,6 +304,7 @@ def test_larger_batches_hold_that_many_times_more_rows(monkeypatch: pytest.Monke
     assert sizes == {1: 1024, 3: 3072}
 
 
+@pytest.mark.slow
 def test_work_can_be_done_in_another_process_in_any_order(tmp_path: Path) -> None:
     def backend(made: Any, work: Work, stop: Any) -> Any:
         for batch in reversed(list(made)):

@@ -186,6 +186,7 @@ def test_a_long_closed_form_stops_when_asked(monkeypatch: pytest.MonkeyPatch) ->
         SharedReferences().states(euler, y0, 0.1, n)
 
 
+@pytest.mark.slow
 def test_hopeless_scales_are_outcomes_and_missing_values(tmp_path: Path) -> None:
     """A small edition of 13 schemes at h, c0 and omega1 from 5e-324 to 1e306."""
     data = {

@@ -130,6 +130,7 @@ def test_frequencies_of_the_closed_form_to_thirty_digits() -> None:
             assert abs(mpmath.mpf(rate.numerator) / rate.denominator * period / value - 1) < 1e-30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eps", [1e-3, 1e-6])
 def test_time_between_swings_near_the_homoclinic_orbit(eps: float) -> None:
     found = motion((2.0, 0.0, 0.0, math.sqrt(1.0 - eps * eps), 0.0, eps))

@@ -146,6 +146,7 @@ def by_quadrature(top: Top, y) -> tuple[float, float, float, float]:
         return float(low), float(high), float(period), float(turns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAGRANGE)
 def test_nutation_and_precession_by_quadrature(name: str) -> None:
     top, y = LAGRANGE[name]
@@ -205,6 +206,7 @@ kowalevski at 0 0 1.3 0 0 1: triple root
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", SPECIAL.strip().split("\n"))
 def test_special_motions_are_named(motion: str) -> None:
     """By their kind, or by the beginning of their title."""

@@ -65,6 +65,7 @@ def test_an_author_of_a_step_is_told_what_p_contains(cli: Callable[..., Said]) -
         assert all(f"`{constant}`" in cells for constant in tops[form]), form
 
 
+@pytest.mark.slow
 def test_loading_a_scene_imports_only_what_it_names() -> None:
     code = (
         "import sys; from topcli.config.load import load_experiment; load_experiment('kowalevski_hybrid');"

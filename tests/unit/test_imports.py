@@ -37,6 +37,7 @@ def first_circle(graph: Mapping[str, set[str]]) -> list[str]:
     return []
 
 
+@pytest.mark.slow
 def test_no_import_circle_hidden_or_not() -> None:
     graph = {name: imported(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
     assert sum(map(len, graph.values())) > 2 * len(graph), "the imports are found"

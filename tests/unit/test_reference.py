@@ -115,6 +115,7 @@ def test_states_are_right_to_an_ulp(name):
     assert ulps(reference_states(top, y0, times), oracle(name)) <= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "value"), [("ORDER", 12), ("REACH", 5 * REACH), ("coefficients", None)])
 def test_error_of_a_poorer_integrator_is_detected(name, value, monkeypatch):
     """The check above can fail: a truncated series, too long a step, quotients rounded to doubles."""
