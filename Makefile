@@ -1,5 +1,5 @@
 # make figures   install what runs need and draw the paper's figures into results/figures
-# make quick     the tests that are not slow: every module's main path, in half a minute on two cores
+# make quick     the tests that are not slow: the main path of each module, in 40 s on two cores
 # make test      install what tests need and run them all
 # make check     lint, format, types, layers, tests
 # make docs      the documentation as HTML in docs/_build/html

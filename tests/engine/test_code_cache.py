@@ -95,6 +95,7 @@ def test_a_file_that_another_could_write_is_not_used(cache: Path, harm: str) -> 
     assert code_cache.cache_state().problems == ()
 
 
+@pytest.mark.slow
 def test_the_folder_is_made_for_its_owner_alone_whatever_is_above(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

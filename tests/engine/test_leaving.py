@@ -228,6 +228,7 @@ def test_leaving_survives_an_interruption(tmp_path: Path, suffix: str, chunks: i
     assert content(resumed.stored.folder) == content(whole.stored.folder)
 
 
+@pytest.mark.slow
 def test_ensembles_count_left_motions(tmp_path: Path) -> None:
     experiment = load("kowalevski_ensemble", ["h=2", "N=300", "ensemble.store=final"])
     result = run_experiment(experiment, tmp_path)

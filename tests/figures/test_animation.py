@@ -34,6 +34,7 @@ def motion(folder: Path) -> BodyMotion:
     return stored_body_motion(folder)
 
 
+@pytest.mark.slow
 def test_frames_show_the_run_at_their_times(motion: BodyMotion) -> None:
     film = planned(motion, 10.0, 2.0, 300, None, None)
     stage = Stage(motion, film)

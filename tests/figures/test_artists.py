@@ -207,6 +207,7 @@ def assert_shown(drawn_axes: list[Axes], expected: list[Shown]) -> None:
         assert len({(to_rgb(line.get_color()), pattern(line)) for line in lines.values()}) == len(lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*SCENES, *STUDIES])
 def test_lines_are_the_numbers_that_they_name(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if name in SCENES:

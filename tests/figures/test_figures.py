@@ -55,6 +55,7 @@ def test_the_figures_of_the_paper_show_what_they_should(made: Path) -> None:
     assert secular["energy"].max() == pytest.approx(5.00416, abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fig1", "fig3"])
 def test_pictures_are_fit_for_print(made: Path, name: str) -> None:
     from PIL import Image

@@ -244,6 +244,7 @@ def test_a_legend_on_a_text_is_found() -> None:
     assert [fault.partition(":")[0] for fault in layout_faults(figure)][-1] == "a legend covers '(a)'"
 
 
+@pytest.mark.slow
 def test_a_heading_and_a_shared_legend_are_apart() -> None:
     t = np.linspace(0.0, 1.0, 9)
     names = ["a", "b", "c", "d", "e"]

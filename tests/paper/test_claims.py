@@ -127,6 +127,7 @@ def test_table_shows_the_figures_of_each_claim(report) -> None:
     assert err.strip() == summary
 
 
+@pytest.mark.slow
 def test_a_changed_verdict_exits_with_4(report) -> None:
     changed = ("recorded: holds within", "recorded: holds")
     code, _, err = report(small(changed))

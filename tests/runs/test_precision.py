@@ -119,6 +119,7 @@ def test_growth_law(law: str) -> None:
     assert (few.law, few.bits) == (None, bits[2])
 
 
+@pytest.mark.slow
 def test_comparison_shows_the_defects_of_the_precision() -> None:
     scene = ("kowalevski_generic_hk", "h=0.1", "N=20")
     figures = compare_schemes(precise(*scene, "precision=50"), ["hk", "bohlin-a"]).data

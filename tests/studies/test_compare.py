@@ -44,6 +44,7 @@ def test_the_reference_swings_as_the_theory_says(paper: Result) -> None:
     assert of(paper, "hk")["swing_times"][0] == pytest.approx(14.086, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_verdicts_of_compared_schemes(paper: Result) -> None:
     verdicts = {scheme: {row["name"]: row["verdict"] for row in of(paper, scheme)["invariants"]} for scheme in FIVE}
     assert set(verdicts["hk"].values()) == {"bounded"}

@@ -127,6 +127,7 @@ def test_the_block_form_holds_for_any_top() -> None:
         assert content.carries == ("gamma_sq", "m_gamma")
 
 
+@pytest.mark.slow
 def test_traces_of_the_block_form_are_named_for_what_they_are() -> None:
     """tr L^k of the 6x6 matrix carries gamma² alone; the block traces, twice of which the first is, m.gamma too."""
     top = next(iter(random_heavy_tops(1, seed=5)))
