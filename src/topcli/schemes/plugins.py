@@ -61,7 +61,7 @@ class Registry:
     def __init__(self) -> None:
         self.schemes: dict[tuple[str, str], Scheme] = {}
         self.for_every_top: dict[str, Callable[[str], None]] = {}
-        """Function that registers a scheme declared for every top, by its name, for a form that comes later."""
+        """Function that registers a scheme, by its name, for a form that comes later, if it can integrate it."""
         self.top_origins: dict[str, str] = {}
         """Distribution or file of each form of a top that a plugin brought."""
         self.origin = "topcli"

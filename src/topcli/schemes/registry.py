@@ -58,6 +58,7 @@ def scheme(
     order_with: Callable[[Any], int | None] | None = None,
     formula: str = "",
     integrable: Integrability | Callable[[Top], Integrability | None] | None = None,
+    later: Callable[[Top], bool] | None = None,
 ) -> Callable[[Build], Build]:
     """Register the decorated function ``build(top, options)`` as a scheme.
 
@@ -104,6 +105,9 @@ def scheme(
         Step in LaTeX for the documentation: display formulas without delimiters, separated by empty lines.
     integrable : Integrability or callable, optional
         Lax pair and Poisson bracket of an integrable map, or a function ``integrable(top)`` returning them or None.
+    later : callable, optional
+        ``later(top)`` is true if the scheme also integrates a top that is registered later, such as one of a user's
+        file. With ``top=None`` it integrates all of them.
 
     Returns
     -------
@@ -165,10 +169,14 @@ def scheme(
                 integrable=integrable(TOPS[form].new()) if callable(integrable) else integrable,
             )
 
+        def register_later(form: str) -> None:
+            if later is None or later(TOPS[form].new()):
+                register_for(form)
+
         for form in forms:
             register_for(form)
-        if top is None:
-            registry.for_every_top[name.lower()] = register_for
+        if top is None or later:
+            registry.for_every_top[name.lower()] = register_later
         return build
 
     return register

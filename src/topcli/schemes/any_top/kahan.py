@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
+from topcli.errors import UsageError
 from topcli.field.implicit import KahanStep, generated
-from topcli.field.polynomial import field_of
+from topcli.field.polynomial import Field, NotPolynomialError, field_of
 from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
     HIROTA_KIMURA,
@@ -55,9 +56,23 @@ def any_small(divisors: StepFunction, count: int) -> Event:
     return event
 
 
+def quadratic_field(top: Top) -> Field:
+    """Polynomials of the field of ``top``. Raises UsageError if their degree is above two."""
+    try:
+        field = field_of(top)
+    except NotPolynomialError as error:
+        raise UsageError(f"top {top.kind!r}: scheme 'hk' needs a quadratic field, but this one {error}") from None
+    for name, rate in zip(top.components, field, strict=True):
+        if rate.degree > 2:
+            raise UsageError(
+                f"top {top.kind!r}: scheme 'hk' needs a quadratic field, but {name}' has degree {rate.degree}"
+            )
+    return field
+
+
 def kahan_stepper(top: Top, options: object) -> Stepper:
     """Kahan's step of the field of ``top``, compensated if ``options`` say so; it counts near-singular solves."""
-    field = field_of(top)
+    field = quadratic_field(top)
     made, d = generated(KahanStep, field, len(top.constants())), len(field)
     functions = kahan(made.step)
     stepper = Stepper(functions.step, d)
@@ -81,10 +96,43 @@ def kahan_stepper(top: Top, options: object) -> Stepper:
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
-def build_hk(top: Top, options: CompensatedOption) -> Stepper:
+def build_heavy(top: Top, options: CompensatedOption) -> Stepper:
     """Linear in the new state, solved in closed form by code generated from the field.
 
     None of the three integrals is conserved exactly; for small h the deviations are of size h². Special tops have
     faster implementations of the same map under the same name.
+    """
+    return kahan_stepper(top, options)
+
+
+def is_quadratic(top: Top) -> bool:
+    """True if the field of ``top`` is a polynomial of degree two at most."""
+    try:
+        return max(rate.degree for rate in field_of(top)) <= 2
+    except NotPolynomialError:
+        return False
+
+
+@scheme(
+    "hk",
+    top=(),
+    later=is_quadratic,
+    title="Hirota-Kimura (Kahan) scheme",
+    order=2,
+    explicit=True,
+    self_adjoint=True,
+    citation="Kahan 1993; Hirota, Kimura 2000; Celledoni, McLachlan, Owren, Quispel, J. Phys. A 46 (2013) 025201",
+    formula=r"""
+\frac{y_i' - y_i}{h} = \sum_{jk} a_{ijk}\,\tfrac12\,(y_j y_k' + y_j' y_k) + \sum_j b_{ij}\,\bar y_j + c_i, \qquad
+\dot y_i = \sum_{jk} a_{ijk}\,y_j y_k + \sum_j b_{ij}\,y_j + c_i
+""",
+    equations="(y' - y)/h = 2 f((y + y')/2) - f(y)/2 - f(y')/2 for a quadratic field f",
+    options=CompensatedOption,
+)
+def build_quadratic(top: Top, options: CompensatedOption) -> Stepper:
+    """Linear in the new state, solved in closed form by code generated from the field, which is quadratic.
+
+    Every product y z becomes (y' z + y z')/2, every linear term its mean. Linear integrals are conserved; for small h
+    the deviations of others are of size h².
     """
     return kahan_stepper(top, options)
