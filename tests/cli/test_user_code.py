@@ -187,7 +187,7 @@ def test_init_chooses_a_scheme_that_the_top_can_have(cli: Cli, in_tmp: Path) -> 
         assert (said.code, said.err.splitlines()[0]) == (0, f"wrote {file} and topcli.schema.json")
         assert cli("run", file, "--set", "N=20", *own).code == 0
     text = (in_tmp / "mine.yaml").read_text()
-    assert "name: dop853" in text
+    assert "name: hk" in text
     assert "dmv" in text.partition("# one of ")[2].partition("\n")[0]
 
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from topcli.contracts import Stepper
 from topcli.engine.run import Run
-from topcli.errors import UsageError
+from topcli.errors import TopcliError, UsageError
 from topcli.schemes.any_top.kahan import build_quadratic
 from topcli.schemes.layout import CompensatedOption
 from topcli.schemes.registry import find_scheme, load_scheme_file, names_for
@@ -92,6 +92,25 @@ def test_quadratic_tops_of_a_file_have_hk(tops: None, kind: str, compensated: bo
     p = method.parameters(top)
     there = method.step((*y0, 0.0), 0.05, p)
     assert method.step(there, -0.05, p)[: len(y0)] == pytest.approx(y0, abs=1e-15)
+
+
+def test_a_declared_integral_that_is_none_is_named(own_registry: None, tmp_path: Path) -> None:
+    """With a term of its rate of change; the top is not registered."""
+    text = TOP.format(
+        name="Drawn", kind="drawn", components=("x", "v"), swing="x", d=2, field="return (y[1], -p[0] * y[0])"
+    )
+    declared = "(Invariant('energy', 'E', 'E', 'energy', lambda y: y[:, 1] ** 2 + {} * y[:, 0] ** 2, abs),)"
+    text = text.replace("import Top\n", "import Invariant, Top\n")
+    path = tmp_path / "drawn.py"
+    for factor, broken in ((3.0, True), (2.0, False)):
+        path.write_text(text.replace("return ()", f"return {declared.format(factor)}"))
+        load_scheme_file.cache_clear()
+        if broken:
+            with pytest.raises(TopcliError, match=r"'energy' is no integral of the field: .* contains 2\*x\*v"):
+                load_scheme_file(path)
+        else:
+            load_scheme_file(path)
+        assert ("drawn" in TOPS) is not broken
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from topcli.field.implicit import KahanStep, NewtonStep, Pattern, generated
+from topcli.field.integrals import broken_integral, polynomial_value, rate_of_change
 from topcli.field.polynomial import (
     Field,
     NotPolynomialError,
@@ -180,3 +181,18 @@ def test_what_is_no_polynomial_says_why(rate, reason: str) -> None:
 def test_a_field_of_another_length_is_refused() -> None:
     with pytest.raises(NotPolynomialError, match="has 2 components; expected 3"):
         polynomial_field(lambda y, p: y[:2], 3, ())
+
+
+@pytest.mark.parametrize("form", TOPS)
+def test_declared_integrals_have_no_rate_of_change(form: str) -> None:
+    """By exact derivatives; the control is a field with one coefficient that is off by a millionth."""
+    top = TOPS[form].new()
+    field, checked = field_of(top), 0
+    wrong = [rate * Fraction(1_000_001, 1_000_000) if i == 0 else rate for i, rate in enumerate(field)]
+    for invariant in top.invariants():
+        integral = polynomial_value(invariant.value, len(field))
+        assert integral.degree > 0
+        assert rate_of_change(field, integral) == {}, invariant.name
+        checked += bool(rate_of_change(tuple(wrong), integral))
+    assert checked > 0
+    assert broken_integral(top) == ""

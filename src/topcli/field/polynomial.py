@@ -131,6 +131,10 @@ class Polynomial:
                 terms[monomial[:at] + monomial[at + 1 :]] = count * c
         return Polynomial(terms)
 
+    def magnitudes(self) -> Polynomial:
+        """The polynomial with the magnitudes of its coefficients."""
+        return Polynomial({monomial: abs(c) for monomial, c in self.terms.items()})
+
     def value(self, y: Sequence[Any]) -> Any:
         """Value at ``y``, in the arithmetic of its numbers."""
         return sum((math.prod((y[i] for i in monomial), start=c) for monomial, c in self.terms.items()), start=0)
@@ -166,9 +170,17 @@ def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: 
 
 
 def field_of(top: Top) -> Field:
-    """Polynomials of the field of a top; its parameters are exact. Raises NotPolynomialError."""
+    """Polynomials of the field of a top; its parameters are exact.
+
+    Raises NotPolynomialError, also if the code of the top raises: it is reported where it is run with numbers.
+    """
     exact: dict[str, Any] = {name: decimal(v) if isinstance(v, float) else v for name, v in top}
-    return polynomial_field(top.field, len(top.components), type(top).model_construct(**exact).constants())
+    try:
+        return polynomial_field(top.field, len(top.components), type(top).model_construct(**exact).constants())
+    except NotPolynomialError:
+        raise
+    except Exception as error:
+        raise NotPolynomialError(f"cannot be evaluated with exact parameters: {error}") from None
 
 
 def variational_field(field: Field, vectors: int = 1) -> Field:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from topcli.contracts import Scheme, Top
-from topcli.errors import SchemeCodeError, TopcliError
+from topcli.errors import SchemeCodeError, TopcliError, UsageError
 from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
@@ -222,6 +222,14 @@ class PluginFailure:
     reason: str
 
 
+def _require_integrals(form: str) -> None:
+    """Raise UsageError if the field of a top does not conserve an integral that it declares."""
+    from topcli.field.integrals import broken_integral
+
+    if fault := broken_integral(TOPS[form].new()):
+        raise UsageError(f"top {form!r}: {fault}")
+
+
 def import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import a plugin; if that fails, remove what it had registered and return the failure."""
     before, tops, previous = registry.snapshot(), set(TOPS), registry.origin
@@ -231,6 +239,7 @@ def import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginF
         load()
         for form in TOPS.keys() - tops:
             registry.top_origins[form] = origin
+            _require_integrals(form)
             for known, register_for in every_top.items():
                 if (known, form) not in registry.schemes:  # the plugin may bring its own
                     register_for(form)
