@@ -245,10 +245,11 @@ class InvariantTally:
         filled, counts, t = self._blocks(rows, last)
         line = hann_line(t) if self._drifts else None
         if line is not None:
-            # one by one, because a product of matrices rounds differently from one of vectors
-            for i, j in np.ndindex(*made.shape):
-                if self.rows[j] == rows:
-                    made[i, j] = line[1] @ (self.sums[i, j, filled] / counts)
+            whole = np.flatnonzero(self.rows == rows)
+            for i, sums in enumerate(self.sums):
+                means = np.ascontiguousarray(sums[whole][:, filled]) / counts
+                # one by one, because a product of matrices rounds differently from one of vectors
+                made[i, whole] = [line[1] @ mean for mean in means]
         return made
 
     def row(self, i: int, fit: Trend | None, steps: int, span: float, eps: float, origin: float = 0.0) -> InvariantRow:
