@@ -9,7 +9,7 @@ from __future__ import annotations
 from topcli.arithmetic.fused import fma, two_prod, two_sum
 from topcli.arithmetic.vectors import cayley_increment, resolvent, solve3
 from topcli.contracts import Floats
-from topcli.schemes.any_top.hk_midpoint import implicit_matrix
+from topcli.schemes.any_top.midpoint import implicit_matrix
 
 
 def pivot(state: Floats, h: float, p: Floats) -> Floats:

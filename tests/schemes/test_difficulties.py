@@ -17,7 +17,7 @@ from topcli.engine.loop import plain_loop
 from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.runs.report import warning_of
-from topcli.schemes.any_top.hk_midpoint import midpoint
+from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.euler.hk import euler_determinant
 from topcli.schemes.kowalevski.hk import kowalevski_determinant
 from topcli.schemes.layout import AMBIGUOUS, NEAR_SINGULAR

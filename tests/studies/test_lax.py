@@ -32,7 +32,7 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson, Floats
 from topcli.engine.run import Run
 from topcli.errors import UsageError
-from topcli.schemes.any_top.hk_midpoint import midpoint
+from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, longest_step
 from topcli.schemes.registry import find_scheme
 from topcli.studies.lax_checks import lax_experiment, lax_study

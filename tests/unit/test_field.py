@@ -19,7 +19,6 @@ from topcli.field.polynomial import (
     Polynomial,
     field_of,
     polynomial_field,
-    variational_field,
 )
 from topcli.field.straight_line import function_of
 from topcli.tops import TOPS
@@ -100,20 +99,6 @@ def test_the_steps_of_tops_are_kahans(form: str) -> None:
     wrong = [*field]
     wrong[first] = Polynomial({m: c * Fraction(1_000_001, 1_000_000) for m, c in field[first].terms.items()})
     assert kahans_residual(tuple(wrong), y, step(y, 0.05), 0.05) > 1e5
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_step_of_the_variational_field_is_the_tangent_map(seed: int) -> None:
-    """Also, the state moves as without tangent vectors, up to round-off."""
-    d = 3 + seed
-    field, y = random_field(d, 2, seed), random_state(d, seed)
-    h, v = length(field, y), random_state(d, seed + 50)
-    step = step_of(field)
-    both = step_of(variational_field(field))((*y, *v), h)
-    assert np.abs(np.subtract(both[:d], step(y, h))).max() < 20.0 * EPS
-    e = 2.0**-17
-    ahead, behind = (step([a + s * e * b for a, b in zip(y, v, strict=True)], h) for s in (1.0, -1.0))
-    assert np.subtract(ahead, behind) / (2.0 * e) == pytest.approx(np.array(both[d:]), abs=1e-8)
 
 
 @pytest.mark.parametrize("d", [3, 6])

@@ -8,8 +8,7 @@ Both solve a linear system for half of the change, u, with d = h/2 and the Jacob
 The system is solved symbolically, once for each field:
 
 1. **Blocks.** The components split into blocks that depend only on themselves and on earlier blocks. A later block sees
-   the field at the means y + u of the earlier components. In the variational equations the tangent vectors are such
-   blocks; hence Kahan's step of these is the tangent map of Kahan's step.
+   the field at the means y + u of the earlier components.
 2. **Shift.** In a block, let the components A be those whose equations contain the others, B, only linearly: omega,
    given gamma. If each equation of A contains one component of B at most, A is solved as if B did not change,
    u_A = u0, and B sees A at its means. Then u_A = u0 + e v, where e is d times the largest coefficient of B in A. The

@@ -181,13 +181,3 @@ def field_of(top: Top) -> Field:
         raise
     except Exception as error:
         raise NotPolynomialError(f"cannot be evaluated with exact parameters: {error}") from None
-
-
-def variational_field(field: Field, vectors: int = 1) -> Field:
-    """Field of the state and of tangent ``vectors`` v, which follow it: y' = f(y), v' = f'(y) v."""
-    d, extended = len(field), list(field)
-    for k in range(1, vectors + 1):
-        for rate in field:
-            slopes = (rate.derivative(j) * Polynomial.variable(k * d + j) for j in range(d))
-            extended.append(sum(slopes, start=Polynomial({})))
-    return tuple(extended)

@@ -30,7 +30,7 @@ from topcli.contracts import Array, Top, checked_equations
 from topcli.errors import UsageError, shortened
 from topcli.runs.report import finite
 from topcli.runs.simulate import trajectory_of
-from topcli.schemes.any_top.hk_midpoint import midpoint
+from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.entries import under_scheme
 from topcli.tops import forms

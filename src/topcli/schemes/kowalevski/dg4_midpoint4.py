@@ -60,7 +60,7 @@ from topcli.arithmetic.vectors import (
     subtract,
 )
 from topcli.contracts import Floats, NoOptions, Stepper, Top
-from topcli.schemes.any_top.hk_midpoint import implicit_matrix, midpoint
+from topcli.schemes.any_top.midpoint import implicit_matrix, midpoint
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     INTEGRALS,

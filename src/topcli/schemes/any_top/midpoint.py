@@ -1,37 +1,45 @@
-"""Implicit steps of the Euler-Poisson equations: HK of the heavy top, and the midpoint rule of every top with weight.
+"""The implicit midpoint rule: of the Euler-Poisson equations with weight, and of any polynomial field.
 
-With I = (A, B, C), g = mg(x0, y0, z0), d = h/2 and a = d omega, the HK (Kahan) scheme and Newton's method for the
-midpoint rule lead to the same linear problem. Poisson's equation gives the change of gamma in terms of that of omega by
-the inverse of 1 - (. x a), which exists for every a. Three equations for the change of omega remain, with the matrix
-K::
+For a top of a user's file, Newton's step is generated from the field (``field.implicit``). For the built-in tops it is
+written out. With I = (A, B, C), g = mg(x0, y0, z0), d = h/2 and a = d omega, Poisson's equation gives the change of
+gamma in terms of that of omega by the inverse of 1 - (. x a), which exists for every a. Three equations for the change
+of omega remain, with the matrix K::
 
     K delta = delta - d I^-1 (I omega x delta + I delta x omega + zeta x g),   zeta - zeta x a = d gamma x delta
 
 The unknowns are *changes* of the state: their rounding errors are proportional to the change, and the one addition
 state + change rounds without bias.
 
-The coefficients of the top are part of the working state of the midpoint rule, so that the same machine code serves all
-tops. The inertial form of Lagrange's top of Bobenko and Suris, m' = p x a, a' = m x a, is the special case omega = -m,
-gamma = a with equal moments and g = p.
+The coefficients of the top are part of the working state, so that the same machine code serves all tops. The inertial
+form of Lagrange's top of Bobenko and Suris, m' = p x a, a' = m x a, is the special case omega = -m, gamma = a with
+equal moments and g = p.
 
 Performance:
-- in HK the change of gamma is a Cayley rotation plus a term linear in the change of omega; in the midpoint rule, given
-  the mean omega, it is a Cayley rotation: three unknowns are left, not six;
+- given the mean omega, the change of gamma is a Cayley rotation: three unknowns are left, not six;
 - the 3x3 systems are solved by Cramer's rule; the columns of the matrix need one reciprocal, of 1 + |h omega/2|²;
 - the compiler moves expressions in the moments and h out of the loop;
-- the midpoint rule takes two iterations at h = 0.001, three at 0.01 and 0.1; one fewer would leave errors of one sign
+- a step takes two iterations at h = 0.001, three at 0.01 and 0.1; one fewer would leave errors of one sign
   above round-off.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
 
 from topcli.arithmetic.fused import follow_precision, two_sum
 from topcli.arithmetic.vectors import Matrix, Vector, cayley_increment, resolvent, solve3
 from topcli.contracts import Floats, Stepper, Top, checked_equations
+from topcli.errors import UsageError
+from topcli.field.implicit import NewtonStep, generated
+from topcli.field.polynomial import NotPolynomialError, field_of
+from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
     LONG_NEWTON,
+    Change,
     CompensatedOption,
     is_compensated,
     polynomial_invariants,
@@ -178,3 +186,93 @@ def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
     enter, leave = (enter_inertial, leave_inertial) if top.form == INERTIAL else (enter_body, None)
     lost = range(6 * is_compensated(options))
     return stepper(midpoint_stage, 6, 6, lost=lost, counters=("iterations",), iterative=True, enter=enter, leave=leave)
+
+
+_CHANGE = """
+def change(s, h, p):
+    u = ({zeros})
+    status = nan
+    iterations = 0.0
+    for _ in range(NEWTON_LIMIT):
+        iterations += 1.0
+        v = newton(({state}{half}), h, p)
+        correction = {correction}
+        u = v
+        if correction <= SETTLED * ({size}):
+            status = 0.0
+            break
+    f = field(({mean}), p[:{constants}])
+    return ({changes}status, iterations)
+"""
+
+
+@lru_cache(maxsize=256)  # tops with one pattern share their machine code
+def _generated_change(newton: NewtonStep, field: Callable[..., Any], constants: int) -> Change:
+    """Change in a step of the midpoint rule by Newton's method, with its status and the number of iterations.
+
+    After the last iteration the change is evaluated from the field, whose constants are the first of p.
+    """
+    every = range(len(newton.field))
+    text = _CHANGE.format(
+        zeros="0.0, " * len(every),
+        state="".join(f"s[{i}], " for i in every),
+        half="".join(f"u[{i}], " for i in every),
+        correction=" + ".join(f"abs(v[{i}] - u[{i}])" for i in every),
+        size=" + ".join(f"abs(s[{i}])" for i in every),
+        mean="".join(f"s[{i}] + u[{i}], " for i in every),
+        constants=constants,
+        changes="".join(f"h * f[{i}], " for i in every),
+    )
+    scope: dict[str, Any] = {
+        "newton": function_of(newton.graph, "newton", newton.outputs),
+        "field": field,
+        "nan": math.nan,
+        "NEWTON_LIMIT": NEWTON_LIMIT,
+        "SETTLED": SETTLED,
+        "__name__": __name__,
+    }
+    exec(compile(text, f"<midpoint rule {len(every)}>", "exec"), scope)
+    return scope["change"]
+
+
+def is_polynomial(top: Top) -> bool:
+    """True if the field of ``top`` is a polynomial."""
+    try:
+        return bool(field_of(top))
+    except NotPolynomialError:
+        return False
+
+
+@scheme(
+    "midpoint",
+    top=(),
+    later=is_polynomial,
+    title="Implicit midpoint rule",
+    order=2,
+    explicit=False,
+    self_adjoint=True,
+    conserves=lambda top: polynomial_invariants(top, 2),
+    citation="Cooper 1987",
+    formula=r"y' = y + h\,f(\bar y)",
+    equations="y' - y = h f((y' + y)/2)",
+    options=CompensatedOption,
+)
+def build_generated(top: Top, options: CompensatedOption) -> Stepper:
+    """Solved to round-off by Newton's method, whose step is generated from the field, a polynomial of any degree.
+
+    If a step does not converge, the run ends as `no_convergence`. The step is self-adjoint. Every quadratic integral is
+    conserved exactly.
+    """
+    try:
+        field = field_of(top)
+    except NotPolynomialError as error:
+        raise UsageError(
+            f"top {top.kind!r}: scheme 'midpoint' needs a polynomial field, but this one {error}"
+        ) from None
+    constants = len(top.constants())
+    made = generated(NewtonStep, field, constants)
+    assert isinstance(made.step, NewtonStep)
+    change = _generated_change(made.step, type(top).field, constants)
+    lost = range(len(field) * is_compensated(options))
+    found = stepper(change, len(field), lost=lost, counters=("iterations",), iterative=True)
+    return replace(found, constants=made.constants, generated=True)
