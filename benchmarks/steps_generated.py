@@ -77,7 +77,7 @@ class Case:
 def generated_step(top: Top) -> Stepper:
     """Kahan's step of the top's field."""
     made = generated(KahanStep, field_of(top), len(top.constants()))
-    return replace(Stepper(kahan(made.step).step, len(top.components)), constants=made.constants)
+    return replace(Stepper(kahan(made.code).step, len(top.components)), constants=made.constants)
 
 
 def main() -> None:

@@ -47,7 +47,7 @@ class {name}(Top):
 
 TOPS["{kind}"] = {name}
 """
-CLEBSCH = """m, q, k = y[:3], y[3:], [c * x for c, x in zip(p, y[3:])]
+CLEBSCH = """m, q, k = y[:3], y[3:], tuple(c * x for c, x in zip(p, y[3:]))  # the compiler refuses generators
         cross = lambda u, v: (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
         return (*cross(q, k), *cross(q, m))"""
 FIELDS = {

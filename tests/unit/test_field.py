@@ -54,7 +54,7 @@ def function(step: KahanStep, constants: Iterable[Fraction]):
 
 def step_of(field: Field, kind: type[KahanStep] = KahanStep):
     made = generated(kind, field)
-    return function(made.step, made.constants)
+    return function(made.code, made.constants)
 
 
 def kahans_residual(field: Field, y: tuple[float, ...], new: tuple[float, ...], h: float) -> float:
@@ -112,7 +112,7 @@ def test_fields_of_a_pattern_share_their_step(d: int) -> None:
     own = KahanStep(field)
     assert {float(c) for c in made.constants} >= {float(c) for c in own.graph.constants}
     scaled = tuple(Polynomial({m: c * Fraction(10, 9) if c % 1 else c for m, c in r.terms.items()}) for r in field)
-    assert generated(KahanStep, scaled).step is made.step or Pattern.of(scaled).field != pattern.field
+    assert generated(KahanStep, scaled).code is made.code or Pattern.of(scaled).field != pattern.field
 
 
 def midpoint(field: Field, y: tuple[float, ...], h: float) -> list[float]:

@@ -34,6 +34,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from itertools import islice
+from typing import Any, Generic, TypeVar
 
 from topcli.field.polynomial import Field, Polynomial
 from topcli.field.straight_line import ONE, Graph, Sum, Term, is_power_of_two, minus
@@ -65,17 +66,36 @@ class Solution:
     divisor: Term
 
 
-class KahanStep:
-    """Kahan's step of a quadratic ``field``: nodes ``outputs`` of the new state in the ``graph``.
+class Code:
+    """Code made from a ``field``: nodes ``outputs`` of its ``graph``.
 
-    The step reads its constants from the parameters that begin at ``p[first]``.
+    It reads its constants from the parameters that begin at ``p[first]``.
     """
+
+    outputs: list[int]
+
+    def __init__(self, field: Field, first: int = 0) -> None:
+        self.field, self.graph = field, Graph(first)
+
+
+class Rates(Code):
+    """h times a field of any degree."""
+
+    def __init__(self, field: Field, first: int = 0) -> None:
+        super().__init__(field, first)
+        h, y = self.graph.fixed("h"), [self.graph.input(f"s[{i}]") for i in range(len(field))]
+        terms = (((c, (h, *(y[k] for k in m))) for m, c in sorted(rate.terms.items())) for rate in field)
+        self.outputs = [self.graph.node_of(tuple(rate)) for rate in terms]
+
+
+class KahanStep(Code):
+    """Kahan's step of a quadratic field: the new state."""
 
     factor = 2
     """The output is the input plus this multiple of the solution."""
 
     def __init__(self, field: Field, first: int = 0) -> None:
-        self.field, self.graph = field, Graph(first)
+        super().__init__(field, first)
         graph, every = self.graph, range(len(field))
         self.half: dict[int, Sum] = {}
         """Half of the change of the components that are solved."""
@@ -358,21 +378,24 @@ def _multiplicity(prime: int, n: int) -> int:
     return count
 
 
-@dataclass(frozen=True)
-class Generated:
-    """A generated ``step``, which fields of a pattern share, and the ``constants`` of one of them."""
+Kind = TypeVar("Kind", bound=Code)
 
-    step: KahanStep
+
+@dataclass(frozen=True)
+class Generated(Generic[Kind]):
+    """Generated ``code``, which fields of a pattern share, and the ``constants`` of one of them."""
+
+    code: Kind
     constants: tuple[Fraction, ...]
 
 
 @lru_cache(maxsize=256)
-def _typical(kind: type[KahanStep], field: Field, first: int) -> KahanStep:
+def _typical(kind: type[Code], field: Field, first: int) -> Any:
     return kind(field, first)
 
 
-def generated(kind: type[KahanStep], field: Field, first: int = 0) -> Generated:
-    """Step of a ``kind`` for a field; its constants begin at ``p[first]``."""
+def generated(kind: type[Kind], field: Field, first: int = 0) -> Generated[Kind]:
+    """Code of a ``kind`` for a field; its constants begin at ``p[first]``."""
     pattern = Pattern.of(field)
-    step = _typical(kind, pattern.field, first)
-    return Generated(step, tuple(map(pattern.actual, step.graph.constants)))
+    code = _typical(kind, pattern.field, first)
+    return Generated(code, tuple(map(pattern.actual, code.graph.constants)))

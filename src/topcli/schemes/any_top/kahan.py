@@ -74,7 +74,7 @@ def kahan_stepper(top: Top, options: object) -> Stepper:
     """Kahan's step of the field of ``top``, compensated if ``options`` say so; it counts near-singular solves."""
     field = quadratic_field(top)
     made, d = generated(KahanStep, field, len(top.constants())), len(field)
-    functions = kahan(made.step)
+    functions = kahan(made.code)
     stepper = Stepper(functions.step, d)
     if is_compensated(options):
         stepper = summing_stepper(functions.change, d, lost=(i for i in range(d) if field[i].terms), checked=d)

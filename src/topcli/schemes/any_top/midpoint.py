@@ -25,7 +25,6 @@ Performance:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -34,7 +33,7 @@ from topcli.arithmetic.fused import follow_precision, two_sum
 from topcli.arithmetic.vectors import Matrix, Vector, cayley_increment, resolvent, solve3
 from topcli.contracts import Floats, Stepper, Top, checked_equations
 from topcli.errors import UsageError
-from topcli.field.implicit import NewtonStep, generated
+from topcli.field.implicit import NewtonStep, Rates, generated
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
@@ -201,16 +200,16 @@ def change(s, h, p):
         if correction <= SETTLED * ({size}):
             status = 0.0
             break
-    f = field(({mean}), p[:{constants}])
+    f = rates(({mean}), h, p)
     return ({changes}status, iterations)
 """
 
 
 @lru_cache(maxsize=256)  # tops with one pattern share their machine code
-def _generated_change(newton: NewtonStep, field: Callable[..., Any], constants: int) -> Change:
+def _generated_change(newton: NewtonStep, rates: Rates) -> Change:
     """Change in a step of the midpoint rule by Newton's method, with its status and the number of iterations.
 
-    After the last iteration the change is evaluated from the field, whose constants are the first of p.
+    After the last iteration the change is evaluated from the field once more.
     """
     every = range(len(newton.field))
     text = _CHANGE.format(
@@ -220,12 +219,11 @@ def _generated_change(newton: NewtonStep, field: Callable[..., Any], constants: 
         correction=" + ".join(f"abs(v[{i}] - u[{i}])" for i in every),
         size=" + ".join(f"abs(s[{i}])" for i in every),
         mean="".join(f"s[{i}] + u[{i}], " for i in every),
-        constants=constants,
-        changes="".join(f"h * f[{i}], " for i in every),
+        changes="".join(f"f[{i}], " for i in every),
     )
     scope: dict[str, Any] = {
         "newton": function_of(newton.graph, "newton", newton.outputs),
-        "field": field,
+        "rates": function_of(rates.graph, "rates", rates.outputs),
         "nan": math.nan,
         "NEWTON_LIMIT": NEWTON_LIMIT,
         "SETTLED": SETTLED,
@@ -270,9 +268,10 @@ def build_generated(top: Top, options: CompensatedOption) -> Stepper:
             f"top {top.kind!r}: scheme 'midpoint' needs a polynomial field, but this one {error}"
         ) from None
     constants = len(top.constants())
-    made = generated(NewtonStep, field, constants)
-    assert isinstance(made.step, NewtonStep)
-    change = _generated_change(made.step, type(top).field, constants)
+    newton = generated(NewtonStep, field, constants)
+    rates = generated(Rates, field, constants + len(newton.constants))
     lost = range(len(field) * is_compensated(options))
-    found = stepper(change, len(field), lost=lost, counters=("iterations",), iterative=True)
-    return replace(found, constants=made.constants, generated=True)
+    found = stepper(
+        _generated_change(newton.code, rates.code), len(field), lost=lost, counters=("iterations",), iterative=True
+    )
+    return replace(found, constants=(*newton.constants, *rates.constants), generated=True)
