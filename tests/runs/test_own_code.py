@@ -22,7 +22,8 @@ from topcli.tops import TOPS
 FILES = read_page(ROOT / "docs" / "own-scheme.md").files()
 
 
-FIELD = ("+ b * y[0]) / B", "+ 1.5 * b * y[0]) / B")
+FIELD = ("(A - B) * y[0] * y[1] / C", "(A - B) * y[1] * y[0] / C")
+"""The same field, written otherwise: another one would not conserve the integrals of the file."""
 
 
 COMPOSED = """
