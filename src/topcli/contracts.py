@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from topcli.arithmetic.sized import Sized
 from topcli.errors import UsageError
 
 Floats = tuple[float, ...]
@@ -76,6 +77,9 @@ class Invariant:
     scale : callable
         Maps states, shape (n, d), to the sum of the magnitudes of the terms that ``value`` adds, shape (n,).
         Round-off is measured relative to this scale, because a value near zero may be a difference of large terms.
+    on : mapping of str to float, optional
+        Values of invariants, this one perhaps among them, that the motion must have for this one to be conserved:
+        ``{"m_gamma": 0.0}``. Empty if every motion conserves it.
     """
 
     name: str
@@ -84,6 +88,34 @@ class Invariant:
     meaning: str
     value: Callable[[Array], Array]
     scale: Callable[[Array], Array]
+    on: Mapping[str, float] = field(default_factory=dict)
+
+
+Integral = Callable[[Floats, Floats], Any]
+"""``integral(y, p)``: an invariant as a formula of the components of a state and the constants of the top."""
+
+
+def invariant_of(
+    name: str,
+    integral: Integral,
+    p: Floats,
+    symbols: tuple[str, str] | None = None,
+    on: Mapping[str, float] | None = None,
+) -> Invariant:
+    """Invariant of a formula, which is evaluated with the components as columns; its docstring is the meaning.
+
+    ``symbols`` are those for terminals and in LaTeX, by default the name.
+    """
+
+    def value(y: Array) -> Array:
+        return integral(tuple(y.T), p) + np.zeros(len(y), dtype=y.dtype)
+
+    def scale(y: Array) -> Array:
+        return Sized.of(integral(tuple(map(Sized, y.T)), p)).size + np.zeros(len(y))
+
+    words = (integral.__doc__ or name).strip().splitlines()[0].rstrip(".")
+    symbol, tex = symbols or (name, rf"\mathrm{{{name.replace('_', ' ')}}}")
+    return Invariant(name, symbol, tex, words[:1].lower() + words[1:], value, scale, on or {})
 
 
 @dataclass(frozen=True)
@@ -108,8 +140,9 @@ class EulerPoisson:
 class Top(BaseModel):
     """Base class of the tops.
 
-    A subclass declares the parameters of the top as pydantic fields, sets the class attributes below, and implements
-    ``constants``, ``invariants`` and, where the top is a case of the Euler-Poisson equations, ``euler_poisson``. See
+    A subclass declares the parameters of the top as pydantic fields and sets ``kind``, ``components``, ``field``,
+    ``integrals`` and, where the defaults do not do, the other class attributes below. It may implement ``constants``,
+    ``invariants`` and, where the top is a case of the Euler-Poisson equations, ``euler_poisson``. See
     ``topcli.tops.heavy`` for a complete example.
     """
 
@@ -120,15 +153,16 @@ class Top(BaseModel):
     form: ClassVar[str]
     """Key that schemes are registered for: the kind, extended by the form of the state if there are several forms."""
     title: ClassVar[str]
-    """Title for people, on one line."""
-    citation: ClassVar[str]
+    """Title for people, on one line; by default the first line of the docstring."""
+    citation: ClassVar[str] = ""
     """Source of the equations of motion."""
     formula: ClassVar[str] = ""
     """Equations of motion in LaTeX: display formulas without delimiters, separated by empty lines."""
     components: ClassVar[tuple[str, ...]]
     """Names of the components of the state, in order."""
     vectors: ClassVar[Mapping[str, tuple[int, int]]]
-    """Vectors of the initial state and their index ranges in the state, for example ``{"omega": (0, 3)}``."""
+    """Vectors of the initial state and their index ranges in the state, for example ``{"omega": (0, 3)}``; by default
+    each component is given by itself."""
     unit_vectors: ClassVar[tuple[str, ...]] = ()
     """Names of those ``vectors`` that must have unit length."""
     energy: ClassVar[str] = "energy"
@@ -139,13 +173,34 @@ class Top(BaseModel):
     """Energy divided by the invariant ``energy``, for example 0.5 if that is twice the energy."""
     step_constants: ClassVar[tuple[str, ...]] = ()
     """Each number of ``constants``, the last argument ``p`` of a step, as the name of a parameter or a formula of
-    parameters such as "c = c0/C"; for people."""
+    parameters such as "c = c0/C"; for people. By default the names of the parameters."""
     in_space: ClassVar[bool] = False
     """True if the state is given in the frame fixed in space, as angular momentum and axis, not in the body's frame."""
     swing: ClassVar[str]
-    """Component whose deep minima mark the swings of the top."""
+    """Component whose deep minima mark the swings of the top; by default the first one."""
     field: ClassVar[Callable[[Floats, Floats], Floats]]
     """Right-hand side ``field(state, constants)`` of the equations of motion, on flat tuples; must be compilable."""
+    integrals: ClassVar[Mapping[str, Integral]] = {}
+    """Integrals of the motion by name, each a function ``integral(state, constants)`` of flat tuples."""
+    symbols: ClassVar[Mapping[str, tuple[str, str]]] = {}
+    """Symbols of ``integrals`` for terminals and in LaTeX, for example ``{"energy": ("E", "E")}``."""
+    holds_on: ClassVar[Mapping[str, Mapping[str, float]]] = {}
+    """For ``integrals`` that only some motions conserve, ``Invariant.on``."""
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **options: Any) -> None:
+        """Set what a top does not declare."""
+        own = vars(cls)
+        if "kind" in own and "form" not in own:
+            cls.form = cls.kind
+        if not hasattr(cls, "title"):
+            cls.title = (cls.__doc__ or getattr(cls, "kind", "")).strip().splitlines()[0].rstrip(".")
+        if "components" in own and "vectors" not in own:
+            cls.vectors = {name: (i, i + 1) for i, name in enumerate(cls.components)}
+        if "components" in own and not hasattr(cls, "swing"):
+            cls.swing = cls.components[0]
+        if not cls.step_constants and cls.constants is Top.constants:
+            cls.step_constants = tuple(cls.model_fields)
 
     def constants(self) -> Floats:
         """Return the constants of the equations of motion.
@@ -153,9 +208,9 @@ class Top(BaseModel):
         Returns
         -------
         tuple of float
-            Last argument of ``field`` and of every step; dimensionless.
+            Last argument of ``field`` and of every step; dimensionless. By default the parameters, in their order.
         """
-        raise NotImplementedError
+        return tuple(getattr(self, name) for name in type(self).model_fields)
 
     def invariants(self) -> tuple[Invariant, ...]:
         """Return the integrals of the continuous motion.
@@ -163,9 +218,13 @@ class Top(BaseModel):
         Returns
         -------
         tuple of Invariant
-            In the order of the report.
+            In the order of the report. By default those of ``integrals``.
         """
-        raise NotImplementedError
+        p = self.constants()
+        return tuple(
+            invariant_of(name, integral, p, self.symbols.get(name), self.holds_on.get(name))
+            for name, integral in self.integrals.items()
+        )
 
     def euler_poisson(self) -> EulerPoisson:
         """Return the coefficients of this top in the general Euler-Poisson equations; optional.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -24,15 +26,44 @@ def polynomial_value(value: Callable[[Array], Array], d: int) -> Polynomial:
     return Polynomial.of(found)
 
 
-def rate_of_change(field: Field, integral: Polynomial) -> dict[Monomial, float]:
-    """Coefficients of the derivative of ``integral`` along the motion, without those that are only rounding."""
+def remainder(dividend: Polynomial, divisors: Sequence[Polynomial]) -> Polynomial:
+    """What the ``divisors`` leave of a polynomial; zero if it vanishes wherever they do, as far as division shows it."""
+
+    def rank(monomial: Monomial) -> tuple[int, Monomial]:
+        return len(monomial), tuple(-i for i in monomial)
+
+    leads = [(max(divisor.terms, key=rank), divisor) for divisor in divisors if divisor.terms]
+    left, rest = dividend, Polynomial({})
+    while left.terms:
+        first = max(left.terms, key=rank)
+        term = Polynomial({first: left.terms[first]})
+        for lead, divisor in leads:
+            if not Counter(lead) - Counter(first):
+                factor = tuple(sorted((Counter(first) - Counter(lead)).elements()))
+                left -= divisor * Polynomial({factor: left.terms[first] / divisor.terms[lead]})
+                break
+        else:
+            left, rest = left - term, rest + term
+    return rest
+
+
+def rate_of_change(field: Field, integral: Polynomial, zeros: Sequence[Polynomial] = ()) -> dict[Monomial, float]:
+    """Coefficients of the derivative of ``integral`` along the motion where ``zeros`` vanish.
+
+    Those that are only rounding are left out.
+    """
 
     def along(change: Callable[[Polynomial], Polynomial]) -> Polynomial:
         terms = (change(integral.derivative(i)) * change(rate) for i, rate in enumerate(field))
         return sum(terms, start=Polynomial({}))
 
     exact, sizes = along(lambda one: one), along(Polynomial.magnitudes)
-    return {m: float(c) for m, c in exact.terms.items() if abs(c) > ROUNDING * sizes.terms[m]}
+    rates = Polynomial({m: c for m, c in exact.terms.items() if abs(c) > ROUNDING * sizes.terms[m]})
+    if zeros:
+        largest = max(map(abs, rates.terms.values()), default=Fraction(0))
+        rates = remainder(rates, zeros)
+        rates = Polynomial({m: c for m, c in rates.terms.items() if abs(c) > ROUNDING * largest})
+    return {m: float(c) for m, c in rates.terms.items()}
 
 
 def broken_integral(top: Top) -> str:
@@ -45,9 +76,13 @@ def broken_integral(top: Top) -> str:
         field, invariants = field_of(top), top.invariants()
     except Exception:  # a user's code may raise anything; it is reported where it is run with numbers
         return ""
+    values = {invariant.name: invariant.value for invariant in invariants}
     for invariant in invariants:
+        if unknown := invariant.on.keys() - values.keys():
+            return f"{invariant.name!r} holds on {min(unknown)!r}, which is no integral of the top"
         try:
-            rates = rate_of_change(field, polynomial_value(invariant.value, d))
+            zeros = [polynomial_value(values[name], d) - Polynomial.of(level) for name, level in invariant.on.items()]
+            rates = rate_of_change(field, polynomial_value(invariant.value, d), zeros)
         except NotPolynomialError:
             continue
         if rates:
