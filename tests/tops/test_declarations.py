@@ -1,4 +1,4 @@
-"""Tops declared by their field and their integrals alone: the defaults, and integrals that hold on some motions only."""
+"""Tops declared by their field and integrals alone: the defaults, and integrals that only some motions conserve."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_what_a_top_does_not_declare() -> None:
     assert (top.form, top.title, top.swing) == ("volterra-declared", "Free body with a rotor", "w1")
     assert top.vectors == {"w1": (0, 1), "w2": (1, 2), "w3": (2, 3)}
     assert (top.constants(), top.step_constants) == ((3.0, 2.0, 1.0, 0.7), ("A", "B", "C", "k"))
-    assert [(i.name, i.symbol, i.meaning) for i in top.invariants()][0] == ("energy", "energy", "energy")
+    assert next((i.name, i.symbol, i.meaning) for i in top.invariants()) == ("energy", "energy", "energy")
 
 
 def test_an_integral_is_its_formula_and_its_scale_the_size_of_its_terms() -> None:
@@ -93,7 +93,7 @@ def chaplygin(y, p):
 
 def hess(y, p):
     """Invariant relation of Hess."""
-    A, B, C, x, z = p
+    A, _, C, x, z = p
     return A * y[0] * x + C * y[2] * z
 
 

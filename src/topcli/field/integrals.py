@@ -27,7 +27,7 @@ def polynomial_value(value: Callable[[Array], Array], d: int) -> Polynomial:
 
 
 def remainder(dividend: Polynomial, divisors: Sequence[Polynomial]) -> Polynomial:
-    """What the ``divisors`` leave of a polynomial; zero if it vanishes wherever they do, as far as division shows it."""
+    """What the ``divisors`` leave of a polynomial; if zero, it vanishes wherever they do."""
 
     def rank(monomial: Monomial) -> tuple[int, Monomial]:
         return len(monomial), tuple(-i for i in monomial)
