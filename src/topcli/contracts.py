@@ -91,7 +91,7 @@ class Invariant:
     on: Mapping[str, float] = field(default_factory=dict)
 
 
-Integral = Callable[[Floats, Floats], Any]
+Integral = Callable[[Any, Floats], Any]
 """``integral(y, p)``: an invariant as a formula of the components of a state and the constants of the top."""
 
 
