@@ -1,21 +1,18 @@
 """Independent reference solution of the equations of motion, to an ulp of the state's size.
 
 A Taylor series integrator of order 37 in double-double arithmetic with output at any time; it shares no code with the
-schemes that it judges. Order and step follow Jorba and Zou, Experimental Mathematics 14 (2005) 99-117, for a relative
-local error of 1e-31.
+schemes that it judges but the polynomial of the field. Order and step follow Jorba and Zou, Experimental Mathematics
+14 (2005) 99-117, for a relative local error of 1e-31.
 
-The right-hand side is quadratic, so its Taylor coefficients follow from Cauchy products. With I = (A, B, C),
-g = mg(x0, y0, z0) and i, j, k cyclic, Sogo's eqs. (Euler) and (Poisson) read
+The field is a polynomial, so its Taylor coefficients follow from Cauchy products: every monomial is a product of two
+shorter ones, and each of these has a series. Buffers (one-dimensional, float64; pointers when compiled):
 
-    omega_i' = alpha_i omega_j omega_k + (g_k/I_i) gamma_j - (g_j/I_i) gamma_k,    alpha_i = (I_j - I_k)/I_i,
-    gamma_i' = gamma_j omega_k - gamma_k omega_j.
-
-Buffers (one-dimensional, float64; pointers when compiled):
-
-``coef``   18: for i = 1, 2, 3 the pairs hi, lo of alpha_i, g_k/I_i, g_j/I_i
-``state``  16: hi of omega and gamma (6), lo of them (6), the time they belong to, outputs written, steps taken,
+``table``  the numbers d of components, of products and of terms; for each product the two series that it multiplies;
+           for each term of the field the component, the series and the coefficient as hi, lo. Series 0..d-1 are those
+           of the components, d and above those of the products, -1 is the constant 1
+``state``  2 d + 4: hi of the components (d), lo of them (d), the time they belong to, outputs written, steps taken,
            outputs wanted
-``work``   12 (order + 1): for each of the six series the hi parts of its coefficients, then their lo parts
+``work``   2 (order + 1) for each series: the hi parts of its coefficients, then their lo parts
 
 The problem is expected in units in which the rates of change are of the order of one.
 """
@@ -25,14 +22,18 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Sequence
+from fractions import Fraction
 from functools import cache
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from topcli.arithmetic.fused import dd_add, dd_div, dd_mul, dd_scale, two_prod, two_sum
-from topcli.contracts import Array, EulerPoisson, Top, check_stop, checked_equations
+from topcli.contracts import Array, Top, check_stop
 from topcli.errors import RunError, UsageError
+from topcli.field.polynomial import Field, Monomial, NotPolynomialError, field_of
+from topcli.field.units import natural_units
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native
@@ -68,128 +69,136 @@ def cauchy(work: Array, a: int, b: int, j: int, n: int) -> tuple[float, float]:
     return two_sum(s, c)
 
 
-def expand(coef: Array, work: Array, order: int) -> int:
-    """Fill ``work`` with the coefficients 1..order of the six series from the coefficients 0 in it."""
+def expand(table: Array, work: Array, order: int) -> int:
+    """Fill ``work`` with the coefficients 1..order of the components' series from the coefficients 0 in it."""
     n = order + 1
+    d = int(table[0])
+    products = int(table[1])
+    terms = int(table[2])
+    first = 3 + 2 * products
     for m in range(order):
-        for i in range(3):
-            j = (i + 1) % 3
-            k = (i + 2) % 3
-            gj = 2 * (3 + j) * n + m
-            gk = 2 * (3 + k) * n + m
-            q = 6 * i
-            ah, al = cauchy(work, j, k, m, n)
-            ah, al = dd_mul(ah, al, coef[q], coef[q + 1])
-            bh, bl = dd_mul(work[gj], work[gj + n], coef[q + 2], coef[q + 3])
-            ah, al = dd_add(ah, al, bh, bl)
-            bh, bl = dd_mul(work[gk], work[gk + n], coef[q + 4], coef[q + 5])
-            ah, al = dd_add(ah, al, -bh, -bl)
-            ah, al = dd_div(ah, al, m + 1.0)
-            work[2 * i * n + m + 1] = ah
-            work[2 * i * n + n + m + 1] = al
-
-            ah, al = cauchy(work, 3 + j, k, m, n)
-            bh, bl = cauchy(work, 3 + k, j, m, n)
-            ah, al = dd_add(ah, al, -bh, -bl)
-            ah, al = dd_div(ah, al, m + 1.0)
-            work[2 * (3 + i) * n + m + 1] = ah
-            work[2 * (3 + i) * n + n + m + 1] = al
+        for k in range(products):
+            ph, pl = cauchy(work, int(table[3 + 2 * k]), int(table[4 + 2 * k]), m, n)
+            work[2 * n * (d + k) + m] = ph
+            work[2 * n * (d + k) + n + m] = pl
+        for i in range(d):
+            work[2 * n * i + m + 1] = 0.0
+            work[2 * n * i + n + m + 1] = 0.0
+        for k in range(first, first + 4 * terms, 4):
+            i = 2 * n * int(table[k]) + m + 1
+            series = int(table[k + 1])
+            if series >= 0:
+                at = 2 * n * series + m
+                ah, al = dd_mul(work[at], work[at + n], table[k + 2], table[k + 3])
+            elif m == 0:
+                ah, al = table[k + 2], table[k + 3]
+            else:
+                ah, al = 0.0, 0.0
+            ah, al = dd_add(work[i], work[i + n], ah, al)
+            work[i] = ah
+            work[i + n] = al
+        for i in range(d):
+            at = 2 * n * i + m + 1
+            ah, al = dd_div(work[at], work[at + n], m + 1.0)
+            work[at] = ah
+            work[at + n] = al
     return order
 
 
-def size(work: Array, j: int, n: int) -> float:
-    """The 1-norm of the coefficients j of the six series; unlike the maximum it cannot hide a NaN."""
+def size(work: Array, d: int, j: int, n: int) -> float:
+    """The 1-norm of the coefficients j of the d components; unlike the maximum it cannot hide a NaN."""
     total = 0.0
-    for i in range(6):
+    for i in range(d):
         total += abs(work[2 * i * n + j])
     return total
 
 
-def radius(work: Array, order: int) -> float:
+def radius(work: Array, d: int, order: int) -> float:
     """Radius of convergence after Jorba and Zou (Exp. Math. 14, 2005, section 3.2), from the last two coefficients.
 
     Their relative form, (|x_0|/|x_j|)^(1/j) for j = order - 1 and order. Infinite when both vanish.
     """
     n = order + 1
-    first = size(work, 0, n)
+    first = size(work, d, 0, n)
     least = math.inf
     for j in range(order - 1, n):
-        last = size(work, j, n)
+        last = size(work, d, j, n)
         if last > 0.0:
             least = min(least, (first / last) ** (1.0 / j))
     return least
 
 
-def write(work: Array, out: Array, row: int, d: float, order: int) -> int:
-    """Put the series at offset d from the centre into ``out[6 row : 6 row + 6]``, rounded once.
+def write(work: Array, out: Array, row: int, d: int, t: float, order: int) -> int:
+    """Put the series at offset t from the centre into ``out[d row : d row + d]``, rounded once.
 
     All but the leading term is small against the state within a step, so that plain doubles do.
     """
     n = order + 1
-    for i in range(6):
+    for i in range(d):
         x = 2 * i * n
         tail = 0.0
         for j in range(order, 0, -1):
-            tail = (tail + work[x + j]) * d
-        out[6 * row + i] = work[x] + (work[x + n] + tail)
+            tail = (tail + work[x + j]) * t
+        out[d * row + i] = work[x] + (work[x + n] + tail)
     return row
 
 
-def shift(state: Array, work: Array, d: float, order: int) -> float:
-    """Put the series at offset d into ``state``, in double-double; 0.0, or NaN when it is not finite."""
+def shift(state: Array, work: Array, d: int, t: float, order: int) -> float:
+    """Put the series at offset t into ``state``, in double-double; 0.0, or NaN when it is not finite."""
     n = order + 1
     check = 0.0
-    for i in range(6):
+    for i in range(d):
         x = 2 * i * n
         th = 0.0
         tl = 0.0
         for j in range(order, 0, -1):
             th, tl = dd_add(th, tl, work[x + j], work[x + n + j])
-            th, tl = dd_scale(th, tl, d)
+            th, tl = dd_scale(th, tl, t)
         th, tl = dd_add(th, tl, work[x], work[x + n])
         state[i] = th
-        state[6 + i] = tl
+        state[d + i] = tl
         check += (th - th) + (tl - tl)
     return check
 
 
 def advance(
-    coef: Array, state: Array, times: Array, out: Array, work: Array, order: int, reach: float, budget: int
+    table: Array, state: Array, times: Array, out: Array, work: Array, order: int, reach: float, budget: int
 ) -> int:
     """Follow the motion through ``times`` (m, monotone, all on one side of zero), at most ``budget`` steps.
 
-    Writes the states at ``times`` into ``out`` (6 m). ``reach`` is the length of a step in units of the radius
+    Writes the states at ``times`` into ``out`` (d m). ``reach`` is the length of a step in units of the radius
     of convergence. Returns DONE; MORE when the budget is spent (call again with the same buffers); NOT_FINITE;
     STEP_TOO_SMALL when a step would fall below 2^-26.
     """
     n = order + 1
-    row = int(state[13])
-    m = int(state[15])
+    d = int(table[0])
+    row = int(state[2 * d + 1])
+    m = int(state[2 * d + 3])
     sign = 1.0 if row < m and times[m - 1] >= 0.0 else -1.0
     for _ in range(budget):
         if row == m:
             return DONE
-        for i in range(6):
+        for i in range(d):
             work[2 * i * n] = state[i]
-            work[2 * i * n + n] = state[6 + i]
-        expand(coef, work, order)
-        bound = size(work, order - 1, n) + size(work, order, n)
+            work[2 * i * n + n] = state[d + i]
+        expand(table, work, order)
+        bound = size(work, d, order - 1, n) + size(work, d, order, n)
         if bound - bound != 0.0:
             return NOT_FINITE
-        step = math.floor(min(reach * radius(work, order), LONGEST) * GRID) / GRID
+        step = math.floor(min(reach * radius(work, d, order), LONGEST) * GRID) / GRID
         if step == 0.0:
             return STEP_TOO_SMALL
-        centre = state[12]
+        centre = state[2 * d]
         while row < m and sign * (times[row] - centre) <= step:
-            write(work, out, row, times[row] - centre, order)
+            write(work, out, row, d, times[row] - centre, order)
             row += 1
-        state[13] = float(row)
+        state[2 * d + 1] = float(row)
         if row == m:
             return DONE
-        if shift(state, work, sign * step, order) != 0.0:
+        if shift(state, work, d, sign * step, order) != 0.0:
             return NOT_FINITE
-        state[12] = centre + sign * step
-        state[14] += 1.0
+        state[2 * d] = centre + sign * step
+        state[2 * d + 2] += 1.0
     return MORE
 
 
@@ -199,8 +208,6 @@ ORDER = math.ceil(-0.5 * math.log(EPSILON) + 1.0)
 """Jorba and Zou's order for ``EPSILON``: 37."""
 REACH = math.exp(-0.7 / (ORDER - 1)) / math.e**2
 """Their step in units of the radius of convergence, with their safety factor."""
-BODY = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
-
 BUDGET = 2000
 """Steps between two possible interruptions: 0.1 s, and 0.3 s where numbers are denormal."""
 MAX_TAYLOR_STEPS = 20_000_000
@@ -214,69 +221,47 @@ def _compiled() -> Native:
     return native(advance, "pppppqdq")
 
 
-def coefficients(equations: EulerPoisson) -> Array:
-    """Quotients of the equations as double-doubles, shape (18,), in the layout of ``advance``.
+def table_of(field: Field) -> Array:
+    """Table of ``advance`` for a polynomial field."""
+    products: dict[tuple[int, int], int] = {}
+    terms: list[float] = []
 
-    The moments and mg(x0, y0, z0) are taken as exact; no quotient is rounded to a double. Raises RunError
-    if one is not finite.
-    """
-    moments, gravity = equations.moments, equations.gravity
-    quotients: list[float] = []
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        for hi, lo in (two_sum(moments[j], -moments[k]), (gravity[k], 0.0), (gravity[j], 0.0)):
-            quotients.extend(dd_div(hi, lo, moments[i]))
-    if not np.isfinite(quotients).all():
-        raise RunError(f"reference: the moments {moments} with gravity {gravity} are beyond double precision")
-    return np.array(quotients)
+    def series(monomial: Monomial) -> int:
+        if len(monomial) < 2:
+            return monomial[0] if monomial else -1
+        factors = series(monomial[:-1]), monomial[-1]
+        return products.setdefault(factors, len(field) + len(products))
 
-
-def _units(coef: Array, y: Array) -> tuple[int, int]:
-    """``(k, m)``: with time in units of 2^k and gamma in units of 2^m the rates of change are at most about one.
-
-    Powers of two, so that changing the units rounds nothing. Without them, coefficients of order 37 would overflow at
-    an angular velocity of 1e8.
-    """
-    alpha, g = np.abs(coef[0::6]).max(), max(np.abs(coef[2::6]).max(), np.abs(coef[4::6]).max())
-    omega, gamma = float(np.abs(y[:3]).max()), float(np.abs(y[3:]).max())
-    rate = max(omega * max(1.0, float(alpha)), math.sqrt(g) * math.sqrt(gamma))
-    if not math.isfinite(rate):
-        raise RunError("reference: the initial angular velocity is beyond double precision")
-    return -math.frexp(rate)[1], math.frexp(gamma)[1]
-
-
-def _form_fault(top: Top, equations: EulerPoisson) -> str:
-    """Reason why the state of ``top`` is not one of the reference; empty if it is."""
-    if equations.omega_sign != 1.0 or tuple(top.components) in (BODY, BODY[:3]):
-        return ""
-    return f"top {top.kind!r} has the state ({', '.join(top.components)}); expected omega and gamma"
+    for i, rate in enumerate(field):
+        for monomial, c in sorted(rate.terms.items()):
+            hi = float(c)
+            terms.extend((i, series(monomial), hi, float(c - Fraction(hi))))
+    return np.array([len(field), len(products), len(terms) // 4, *chain(*products), *terms], dtype=float)
 
 
 def reference_obstacle(top: Top) -> str:
     """Reason why the reference cannot follow ``top``, one line; empty if it can."""
     try:
-        return _form_fault(top, checked_equations(top, NAME))
-    except UsageError as error:
-        return str(error)
+        field_of(top, Fraction)
+    except NotPolynomialError as error:
+        return f"top {top.kind!r}: {NAME} needs a polynomial field, but this one {error}"
+    return ""
 
 
-def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Array, Array]:
-    """Initial state as omega, gamma (6,), and the times (m,), both checked."""
-    equations = checked_equations(top, NAME)
-    sign = equations.omega_sign
-    if fault := _form_fault(top, equations):
-        raise RunError(f"reference: {fault}")
-    if len(y0) != len(top.components):
-        raise ValueError(f"reference: the state has {len(y0)} components; expected {len(top.components)}")
-    y = np.zeros(6)
-    y[: len(y0)] = y0
-    y[:3] *= sign
+def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Field, Array, Array]:
+    """The exact field, the initial state (d,), and the times (m,), all checked."""
+    if fault := reference_obstacle(top):
+        raise UsageError(fault)
+    d = len(top.components)
+    if len(y0) != d:
+        raise ValueError(f"reference: the state has {len(y0)} components; expected {d}")
+    y = np.array(y0, dtype=np.float64)
     t = np.ascontiguousarray(times, dtype=np.float64)
     if t.ndim != 1 or not np.isfinite(t).all() or not np.isfinite(y).all():
         raise ValueError("reference: initial state and times must be finite, times of one dimension")
     if ((t < 0.0).any() and (t > 0.0).any()) or (np.diff(np.abs(t)) < 0.0).any():
         raise ValueError("reference: times must lead away from zero, all forward or all backward")
-    return y, t
+    return field_of(top, Fraction), y, t
 
 
 def distances(states: Array, reference: Array) -> Array:
@@ -318,28 +303,25 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
     ValueError
         For times that do not lead away from zero.
     """
-    y, t = _checked(top, y0, times)
-    equations = checked_equations(top, NAME)
-    coef = coefficients(equations)
-    k, m = _units(coef, y)
-    unit = np.repeat((-k, m), 3)
-    state, out, work = np.zeros(16), np.zeros((t.size, 6)), np.zeros(12 * (ORDER + 1))
+    field, y, t = _checked(top, y0, times)
+    d = len(y)
+    scaled, k, units = natural_units(field, y.tolist())
+    state, out = np.zeros(2 * d + 4), np.zeros((t.size, d))
+    table = table_of(scaled)
+    work = np.zeros(2 * (d + int(table[1])) * (ORDER + 1))
     with np.errstate(all="ignore"):
-        state[:6] = np.ldexp(y, -unit)
-        state[15] = t.size
-        tau = np.ldexp(t, -k)
-        quotients = coef.reshape(3, 6)
-        quotients[:, 2:] = np.ldexp(quotients[:, 2:], 2 * k + m) if y[3:].any() else 0.0
+        state[:d] = np.ldexp(y, [-unit for unit in units])
+        state[-1] = t.size
+        tau = np.ldexp(t, k)
     if t.size and not abs(tau[-1]) <= LONGEST * max_steps:
         least = min(abs(float(tau[-1])) / LONGEST, sys.float_info.max)
         raise _too_long(f"at least {least:.2g}", float(t[-1]), max_steps)
-    _follow(coef, state, tau, out.reshape(-1), work, lambda at: math.ldexp(at, k), max_steps)
+    _follow(table, state, tau, out.reshape(-1), work, lambda at: math.ldexp(at, -k), max_steps)
     with np.errstate(all="ignore"):
-        states = np.ldexp(out, unit)[:, : len(top.components)]
-    states[:, :3] *= equations.omega_sign
+        states = np.ldexp(out, units)
     if not np.isfinite(states).all():
         raise RunError("reference: the motion leaves the range of double precision")
-    return np.ascontiguousarray(states)
+    return states
 
 
 def _too_long(steps: str, t: float, most: int) -> RunError:
@@ -348,7 +330,7 @@ def _too_long(steps: str, t: float, most: int) -> RunError:
 
 
 def _follow(
-    coef: Array,
+    table: Array,
     state: Array,
     tau: Array,
     out: Array,
@@ -360,13 +342,13 @@ def _follow(
     run = _compiled()
     while True:
         check_stop()
-        code = run(coef, state, tau, out, work, ORDER, REACH, BUDGET)
+        code = run(table, state, tau, out, work, ORDER, REACH, BUDGET)
         if code == DONE:
             return
-        at, steps = abs(state[12]), state[14]
+        at, steps = abs(state[-4]), state[-2]
         if code != MORE:
             why = "its step shrinks below the resolution of time" if code == STEP_TOO_SMALL else "it is not finite"
-            raise RunError(f"reference: the motion cannot be followed beyond t = {physical(state[12]):.6g}: {why}")
+            raise RunError(f"reference: the motion cannot be followed beyond t = {physical(state[-4]):.6g}: {why}")
         expected = steps * (abs(tau[-1]) / at)
         if expected > max_steps:
             raise _too_long(f"about {expected:.2g}", physical(tau[-1]), max_steps)

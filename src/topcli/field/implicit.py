@@ -29,14 +29,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from itertools import islice
 from typing import Any, Generic, TypeVar
 
-from topcli.field.polynomial import Field, Polynomial
+from topcli.field.polynomial import Field, Polynomial, strongly_connected
 from topcli.field.straight_line import ONE, Graph, Sum, Term, is_power_of_two, minus
 
 HALF = Fraction(1, 2)
@@ -45,16 +45,6 @@ SMALLEST_PIVOT = HALF
 CORE, LARGEST_CORE = 2, 4
 """Unknowns that Cramer's rule solves for, and at most if no constant entry is left."""
 Matrix = dict[tuple[int, int], Sum]
-
-
-def strongly_connected(links: Sequence[Iterable[int]], nodes: Sequence[int]) -> list[tuple[int, ...]]:
-    """Strongly connected components of the ``nodes``, where i depends on ``links[i]``, in the order of computation."""
-    reached = {i: {i} for i in nodes}
-    for _ in nodes:
-        for i in nodes:
-            reached[i] = reached[i].union(*(reached[j] for j in links[i] if j in reached))
-    groups = {tuple(j for j in nodes if j in reached[i] and i in reached[j]) for i in nodes}
-    return sorted(groups, key=lambda group: (len(reached[group[0]]), group))
 
 
 @dataclass(frozen=True)

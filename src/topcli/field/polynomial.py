@@ -24,11 +24,15 @@ class NotPolynomialError(ValueError):
     """A field that is no polynomial of the state; the message is the reason, a verb phrase."""
 
 
+DECIDES = "makes a decision that depends on the state"
+
+
 class Polynomial:
     """Polynomial with rational coefficients: ``terms`` maps each monomial to its coefficient, which is not zero.
 
     It has the arithmetic of numbers, as far as the result is a polynomial: the exponent of a power is a whole number,
-    and a divisor is a constant. Anything else raises NotPolynomialError.
+    and a divisor is a constant. Anything else raises NotPolynomialError. A constant can be compared and converted to a
+    float as a number.
     """
 
     __slots__ = ("terms",)
@@ -96,22 +100,37 @@ class Polynomial:
             raise NotPolynomialError(f"takes the power {exponent} of the state")
         return math.prod([self] * int(exponent), start=Polynomial.of(1))
 
+    def _constant(self, otherwise: str) -> Fraction:
+        if self.degree > 0:
+            raise NotPolynomialError(otherwise)
+        return self.terms.get((), Fraction(0))
+
     def __bool__(self) -> bool:
-        raise NotPolynomialError("makes a decision that depends on the state")
+        return bool(self._constant(DECIDES))
 
     def __float__(self) -> float:
-        raise NotPolynomialError("calls a function of the state that is no polynomial")
+        return float(self._constant("calls a function of the state that is no polynomial"))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Polynomial) and self.terms == other.terms
+        return isinstance(other, Polynomial | int | float | Fraction) and self.terms == Polynomial.of(other).terms
 
     def __hash__(self) -> int:
         return hash(frozenset(self.terms.items()))
 
     def __lt__(self, other: object) -> bool:
-        raise NotPolynomialError("makes a decision that depends on the state")
+        return (self - Polynomial.of(other))._constant(DECIDES) < 0
 
-    __le__ = __gt__ = __ge__ = __lt__
+    def __gt__(self, other: object) -> bool:
+        return Polynomial.of(other) < self
+
+    def __le__(self, other: object) -> bool:
+        return not self > other
+
+    def __ge__(self, other: object) -> bool:
+        return not self < other
+
+    def __abs__(self) -> Polynomial:
+        return -self if self < 0 else self
 
     @property
     def degree(self) -> int:
@@ -144,6 +163,16 @@ Field = tuple[Polynomial, ...]
 """Right-hand sides of the differential equations, one for each component of the state."""
 
 
+def strongly_connected(links: Sequence[Iterable[int]], nodes: Sequence[int]) -> list[tuple[int, ...]]:
+    """Strongly connected components of the ``nodes``, where i depends on ``links[i]``, in the order of computation."""
+    reached = {i: {i} for i in nodes}
+    for _ in nodes:
+        for i in nodes:
+            reached[i] = reached[i].union(*(reached[j] for j in links[i] if j in reached))
+    groups = {tuple(j for j in nodes if j in reached[i] and i in reached[j]) for i in nodes}
+    return sorted(groups, key=lambda group: (len(reached[group[0]]), group))
+
+
 def decimal(value: Any) -> Fraction:
     """Number as a fraction: a float as the decimal number that it prints as.
 
@@ -161,7 +190,7 @@ def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: 
     """
     y = tuple(map(Polynomial.variable, range(d)))
     try:
-        rates = tuple(map(Polynomial.of, field(y, tuple(map(decimal, constants)))))
+        rates = tuple(map(Polynomial.of, field(y, tuple(map(Polynomial.of, constants)))))
     except TypeError as error:
         raise NotPolynomialError(f"cannot be evaluated with polynomials: {error}") from None
     if len(rates) != d:
@@ -169,14 +198,16 @@ def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: 
     return rates
 
 
-def field_of(top: Top) -> Field:
-    """Polynomials of the field of a top; its parameters are exact.
+def field_of(top: Top, exact: Callable[[float], Fraction] = decimal) -> Field:
+    """Polynomials of the field of a top; its parameters are made ``exact``, numbers in its code are decimals.
 
     Raises NotPolynomialError, also if the code of the top raises: it is reported where it is run with numbers.
     """
-    exact: dict[str, Any] = {name: decimal(v) if isinstance(v, float) else v for name, v in top}
+    parameters: dict[str, Any] = {
+        name: Polynomial.of(exact(v)) if isinstance(v, float) else v for name, v in dict(top).items()
+    }
     try:
-        return polynomial_field(top.field, len(top.components), type(top).model_construct(**exact).constants())
+        return polynomial_field(top.field, len(top.components), type(top).model_construct(**parameters).constants())
     except NotPolynomialError:
         raise
     except Exception as error:

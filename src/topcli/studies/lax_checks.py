@@ -22,7 +22,7 @@ from topcli.analysis.lax import (
     spectral_content,
     spectral_drift,
 )
-from topcli.analysis.reference import BODY, reference_states
+from topcli.analysis.reference import reference_states
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
@@ -33,9 +33,10 @@ from topcli.runs.simulate import trajectory_of
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.entries import under_scheme
-from topcli.tops import forms
+from topcli.tops import BodyTop, forms
 
 NAME = "the study of Lax forms"
+BODIES = (BodyTop.components, BodyTop.components[:3])
 ROWS = 1000
 """Largest number of states of a run that are used."""
 DIFFERENCES = 40
@@ -83,8 +84,8 @@ def lax_experiment(name: str, config: str | Path | None, sets: Sequence[str]) ->
 
 def _require_body(top: type[Top]) -> None:
     """Raise UsageError for a top whose state is not omega, or omega and gamma."""
-    if tuple(top.components) not in (BODY, BODY[:3]):
-        other = next((form.form for form in forms(top.kind) if tuple(form.components) in (BODY, BODY[:3])), "")
+    if tuple(top.components) not in BODIES:
+        other = next((form.form for form in forms(top.kind) if tuple(form.components) in BODIES), "")
         raise UsageError(
             f"lax: the matrices are written for omega and gamma, not for ({', '.join(top.components)}) of the top "
             f"{top.form}; {f'take the top {other}, or ' if other else ''}give a config with the state in the body frame"
