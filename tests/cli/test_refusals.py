@@ -148,8 +148,6 @@ compare hk kowalevski_hk
     with: topcli compare hk hybrid --config kowalevski_hk
 compare results/mine/config.yaml
     hk hybrid --config results/mine/config.yaml
-compare heun rk4 --config rotor.yaml --scheme-file gyrostat.py
-    not give; define euler_poisson()
 compare hk --plot --out file.txt
     --out
 plot fig1 --out file.txt
@@ -227,8 +225,6 @@ claims qqq
     topcli claims --fast lists the claims
 claims --json --markdown
     exclude each other
-order heun --config rotor.yaml --scheme-file gyrostat.py
-    the reference needs its Euler-Poisson equations, which it does
 order heun --top gyrostat --scheme-file gyrostat.py
     --top: no scene for the top 'gyrostat'; known: euler
 order hk --h 0.1,0.05

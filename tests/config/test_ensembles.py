@@ -201,8 +201,8 @@ class Rotor(Heavy):
     kind = form = "rotor"
 
     def invariants(self):
-        energy = super().invariants()[2]
-        return (replace(energy, value=lambda y: energy.value(y) + 0.5 * y[:, 2]),)
+        _, m_gamma, energy = super().invariants()
+        return (replace(energy, value=lambda y: energy.value(y) + 0.5 * m_gamma.value(y)),)
 
 class Nameless(Heavy):
     '''Heavy top without an invariant that is its energy.'''
