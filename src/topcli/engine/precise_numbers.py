@@ -312,7 +312,7 @@ class Rational:
         """Operand as a rational number; raises StrayDoubleError for a long double."""
         if type(other) is Rational:
             return other.q
-        if isinstance(other, int):
+        if isinstance(other, int | Fraction):
             return other
         if isinstance(other, float):
             if not is_short(other):

@@ -14,10 +14,15 @@ from fractions import Fraction
 from typing import Any
 
 from topcli.contracts import Top
+from topcli.field.expression import in_arithmetic
 
 Monomial = tuple[int, ...]
 """Indices of the factors of a product of variables, in order: (0, 0, 2) is the square of variable 0 times variable 2;
 () is 1."""
+
+
+MOST_PRODUCTS = 10**6
+"""Products of terms in a product of two polynomials."""
 
 
 class NotPolynomialError(ValueError):
@@ -64,6 +69,10 @@ class Polynomial:
     def __mul__(self, other: object) -> Polynomial:
         terms: dict[Monomial, Fraction] = {}
         factor = Polynomial.of(other).terms.items()
+        if len(self.terms) * len(factor) > MOST_PRODUCTS:
+            raise NotPolynomialError(
+                f"is too long as a polynomial: a product of {len(self.terms)} by {len(factor)} terms"
+            )
         for left, a in self.terms.items():
             for right, b in factor:
                 product = tuple(sorted(left + right))
@@ -96,9 +105,14 @@ class Polynomial:
         return Polynomial.of(other) / self
 
     def __pow__(self, exponent: object) -> Polynomial:
-        if not isinstance(exponent, int | float) or exponent < 0 or exponent != int(exponent):
-            raise NotPolynomialError(f"takes the power {exponent} of the state")
-        return math.prod([self] * int(exponent), start=Polynomial.of(1))
+        if isinstance(exponent, int | float | Fraction):
+            if exponent < 0:
+                return Polynomial.of(1) / self**-exponent
+            if not self.degree:
+                return Polynomial.of(self._constant("") ** exponent)
+            if exponent == int(exponent):
+                return math.prod([self] * int(exponent), start=Polynomial.of(1))
+        raise NotPolynomialError(f"takes the power {exponent} of the state")
 
     def _constant(self, otherwise: str) -> Fraction:
         if self.degree > 0:
@@ -186,11 +200,13 @@ def decimal(value: Any) -> Fraction:
 def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: Iterable[object]) -> Field:
     """Polynomials of the ``d`` components of ``field(y, p)``, where p are the ``constants``.
 
+    Numbers in the field's own code are exact too, but not those of functions that it calls.
     Raises NotPolynomialError for a field that is no polynomial of the state.
     """
     y = tuple(map(Polynomial.variable, range(d)))
     try:
-        rates = tuple(map(Polynomial.of, field(y, tuple(map(Polynomial.of, constants)))))
+        exact = in_arithmetic(field, decimal)
+        rates = tuple(map(Polynomial.of, exact(y, tuple(map(Polynomial.of, constants)))))
     except TypeError as error:
         raise NotPolynomialError(f"cannot be evaluated with polynomials: {error}") from None
     if len(rates) != d:

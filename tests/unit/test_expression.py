@@ -1,0 +1,247 @@
+"""Formulas as text: values against Python's own, in every arithmetic, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from fractions import Fraction
+
+import mpmath
+import numba
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from topcli.arithmetic.sized import Sized
+from topcli.engine.precise_numbers import arithmetic_of
+from topcli.field.expression import FUNCTIONS, HIGHEST, LONGEST, ExpressionError, function_of, parse, value_of
+from topcli.field.polynomial import NotPolynomialError, Polynomial, polynomial_field
+
+Y, P = ("w1", "w2"), ("A", "k")
+EULER = "((A - k)*w2*w1 + 0.3*w2)/A"
+
+
+def value(text: str, y, p):
+    return value_of(parse(text, (*Y, *P)), Y, P)(y, p)
+
+
+numbers = st.sampled_from(["0", "1", "2", "3.", ".5", "0.1", "1e-3", "2.5E+1", "17", "1.7320508075688772"])
+operands = numbers | st.sampled_from((*Y, *P))
+formulas = st.recursive(
+    operands,
+    lambda inner: (
+        st.tuples(inner, st.sampled_from([" + ", "-", " *", "/"]), inner).map("({0[0]}{0[1]}{0[2]})".format)
+        | st.tuples(inner, st.sampled_from(["+", " - ", "*", " / "]), operands).map("{0[0]}{0[1]}{0[2]}".format)
+        | inner.map("-{}".format)
+        | st.tuples(inner, st.sampled_from(["2", "3", "-1", "0", "(1+1)"])).map("({0[0]})**{0[1]}".format)
+        | st.tuples(st.sampled_from(["sin", "exp", "tanh", "abs"]), inner).map("{0[0]}({0[1]})".format)
+    ),
+    max_leaves=10,
+)
+
+
+def eval_with(text: str, scope):
+    """Python's own value; None where it has none."""
+    try:
+        return eval(text, {"__builtins__": {}}, scope)
+    except (ArithmeticError, ValueError):
+        return None
+
+
+def parsed(text: str):
+    """The formula of a text; None for one that divides by zero. Formulas of a high degree are left out."""
+    try:
+        return parse(text, (*Y, *P))
+    except ExpressionError as error:
+        assume("has degree" not in str(error))
+        return None
+
+
+def bits(x: float) -> bytes:
+    return struct.pack("<d", x)
+
+
+@settings(max_examples=300, deadline=None)
+@given(formulas, st.tuples(*[st.floats(-3.0, 3.0)] * 2))
+def test_a_formula_has_the_value_that_python_gives_it(text: str, y) -> None:
+    p = (1.3, -0.7)
+    scope = {name: getattr(math, name) for name in FUNCTIONS if name != "abs"} | {"abs": abs}
+    expected = eval_with(text, scope | dict(zip((*Y, *P), (*y, *p), strict=True)))
+    formula = parsed(text)
+    assume(formula is not None)  # a divisor that is zero is seen exactly
+    function = function_of("f", [formula], Y, P)
+    if expected is None:
+        with pytest.raises((ArithmeticError, ValueError)):
+            function(y, p)
+        return
+    # whole numbers of the text are doubles, which 17*17*... may outgrow
+    (found,) = function(y, p)
+    assert bits(found) == bits(float(expected)) or found == pytest.approx(expected, rel=1e-15), text
+
+
+@settings(max_examples=200, deadline=None)
+@given(formulas)
+def test_a_formula_is_exact_in_fractions(text: str) -> None:
+    assume(not any(name in text for name in ("sin", "exp", "tanh")))
+    y, p = (Fraction(3, 7), Fraction(-2, 9)), (Fraction(13, 10), Fraction(-7, 10))
+    exact = re.sub(r"(?<![\w.])(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", r"F('\g<0>')", text)
+    expected = eval_with(exact, {"F": Fraction, "abs": abs} | dict(zip((*Y, *P), (*y, *p), strict=True)))
+    formula = parsed(text)
+    if formula is None:
+        assert expected is None, text
+        return
+    column = [np.array([x], dtype=object) for x in y]
+    if expected is not None:
+        found = value_of(formula, Y, P)(column, p)
+        assert (found[0] if isinstance(found, np.ndarray) else found) == expected, text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("kk*w1", "column 1: unknown name 'kk'; did you mean 'k'?"),
+        ("w1 + omega", "column 6: unknown name 'omega'; known: w1, w2, A, k; functions: sin"),
+        ("w1 +\n  zz*w2", "line 2, column 3: unknown name 'zz'"),
+        ("2 w1", "column 3: cannot be read from 'w1' on; a product is written 2*x"),
+        ("w1 +", "column 5: the formula ends too early"),
+        ("A*(w1 + w2", "column 3: '(' is never closed"),
+        ("w1)", "column 3: cannot be read from ')' on"),
+        ("w1) + (w2", "column 3: cannot be read from ')"),
+        ("w1^2", "column 3: unexpected '^'; a power is written x**2"),
+        ("w1 # more", "column 4: unexpected '#'"),
+        ("w[1]", "column 2: unexpected '['; use parentheses ( )"),
+        ("ω1", "column 1: unexpected 'ω'"),
+        ("sin + w1", "column 1: sin is a function; write sin(x)"),
+        ("sine(w1)", "column 1: unknown function 'sine'; did you mean 'sin'"),
+        ("w1 + k(w2)", "column 6: k is no function; a product is written k*(...)"),
+        ("(w1 + w2)(A)", "column 1: a product is written (...)*(...)"),
+        ("exp()", "column 1: exp takes one argument"),
+        ("w1//2", "column 1: '//' is not allowed; a quotient is written x/y"),
+        ("w1**A", "column 5: an exponent is a number, whole or half, of size 24 at most"),
+        ("w1**0.3", "column 5: an exponent is a number, whole or half"),
+        ("w1**25", "column 5: an exponent is a number"),
+        ("(w1**5)**5", "column 1: has degree 25 in its names; at most 24 is allowed"),
+        ("w1/0", "column 4: divides by zero"),
+        ("w1/(0.3 - 3/10)", "column 5: divides by zero"),
+        ("0**-1", "column 4: divides by zero"),
+        ("1e400", "column 1: '1e400' is no decimal number that a double holds"),
+        ("1e-99999999", "column 1: '1e-99999999' is no decimal number that a double holds"),
+        ("0x1f", "column 1: '0x1f' is no decimal number that a double holds"),
+        ("w1 + 0.12345678901234567890", "column 6: '0.12345678901234567890' has more digits than a double holds"),
+        ("w1.real", "column 1: only numbers, names, + - * / **, parentheses and sin"),
+        ("__import__", "column 1: unknown name '__import__'"),
+        ("w1 if A else k", "column 1: only numbers, names"),
+        ("lambda w1", "column 1: cannot be read from 'lambda w1' on"),
+        ("True", "column 1: only numbers, names"),
+        ("1j", "column 1: only numbers, names"),
+        ("abs(x for x in w1)", "column 4: only numbers, names"),
+        ("w1" + "+w1" * (LONGEST // 3 + 1), f"a formula has at most {LONGEST}"),
+        ("w1" + "+w1" * 101, "more than 100 operations one within the other"),
+        ("-" * 150 + "w1", "column 102: more than 100 operations"),
+        ("(" * 900 + "w1" + ")" * 900, "cannot be read"),
+    ],
+)
+def test_what_is_no_formula_is_refused(text: str, message: str) -> None:
+    with pytest.raises(ExpressionError) as error:
+        parse(text, (*Y, *P))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_long_name_of_a_function_or_attribute_is_never_looked_up() -> None:
+    for text in ("exit()", "print(w1)", "A.b", "w1.__class__", "eval(w1)"):
+        with pytest.raises(ExpressionError):
+            parse(text, (*Y, *P))
+
+
+def test_compiled_formulas_have_the_bits_of_the_same_text_in_python() -> None:
+    def declared(y, p):
+        w1, w2 = y
+        A, k = p
+        return ((A - k) * w2 * w1 + 0.3 * w2) / A, 1 / 3 * w1**3 - math.sin(k * w2) * 2
+
+    texts = [EULER, "1/3*w1**3 - sin(k*w2)*2"]
+    written = function_of("field", [parse(text, (*Y, *P)) for text in texts], Y, P)
+    ours, theirs = numba.njit(written), numba.njit(declared)
+    for y in np.random.default_rng(1).normal(size=(200, 2)).tolist():
+        state, p = tuple(y), (1.7, 0.31)
+        assert [*map(bits, ours(state, p))] == [*map(bits, theirs(state, p))]
+        assert [*map(bits, written(state, p))] == [*map(bits, declared(state, p))]
+
+
+def test_half_exponents_are_powers_of_the_root() -> None:
+    for text, expected in (("w1**0.5", 1.5), ("w1**(3/2)", 3.375), ("w1**-1.5", 1 / 3.375), ("4**.5*A", 2.0)):
+        assert value(text, (2.25, 0.0), (1.0, 1.0)) == pytest.approx(expected, rel=1e-15)
+    assert parse(f"w1**{HIGHEST}", Y).names == {"w1"}
+
+
+def test_columns_and_the_sizes_of_their_terms() -> None:
+    w1, w2 = np.array([0.2, -0.5]), np.array([0.1, 3.0])
+    p = (1.5, 0.25)
+    expected = (1.5 - 0.25) * w2 * w1 + np.sin(w1) ** 2 - abs(w2)
+    text = "(A - k)*w2*w1 + sin(w1)**2 - abs(w2)"
+    assert value(text, (w1, w2), p) == pytest.approx(expected, rel=1e-15)
+    sized = value(text, (Sized(w1), Sized(w2)), p)
+    assert sized.size == pytest.approx(1.25 * abs(w2 * w1) + np.sin(w1) ** 2 + abs(w2), rel=1e-15)
+    assert value("0.5", (w1, w2), p) == 0.5
+
+
+def test_a_traced_formula_is_the_exact_polynomial() -> None:
+    """0.1*A is 3/100 for A = 0.3; in doubles it is another number."""
+    field = function_of("field", [parse(t, (*Y, *P)) for t in ("0.1*A*w1*w2 + w1/3", "(w1 - k)**2 - 0.5")], Y, P)
+    first, second = polynomial_field(field, 2, [0.3, 0.2])
+    assert first.terms == {(0, 1): Fraction(3, 100), (0,): Fraction(1, 3)}
+    assert second.terms == {(0, 0): 1, (0,): Fraction(-2, 5), (): Fraction(1, 25) - Fraction(1, 2)}
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("sin(w1)", "calls a function of the state"),
+        ("abs(w1)", "makes a decision that depends on the state"),
+        ("w2/w1", "divides by the state"),
+        ("w1**-1", "divides by the state"),
+        ("w1**0.5", "calls a function of the state"),
+        ("(A - A)**-1*w1", "divides by zero"),
+    ],
+)
+def test_what_is_no_polynomial_says_so(text: str, reason: str) -> None:
+    field = function_of("field", [parse(text, (*Y, *P))] * 2, Y, P)
+    with pytest.raises(NotPolynomialError, match=reason):
+        polynomial_field(field, 2, [0.3, 0.2])
+
+
+def test_a_dense_power_is_refused_before_it_takes_minutes() -> None:
+    names = tuple(f"x{i}" for i in range(12))
+    field = function_of("field", [parse(f"({'+'.join(names)})**20", names)] * 12, names, ())
+    with pytest.raises(NotPolynomialError, match="too long as a polynomial"):
+        polynomial_field(field, 12, [])
+
+
+@pytest.mark.parametrize("precision", [50, "rational"])
+def test_columns_of_other_numbers(precision) -> None:
+    arithmetic = arithmetic_of(precision)
+    with arithmetic.active():
+        w1, w2, A, k = map(arithmetic.number, (Fraction(2, 7), Fraction(1, 3), Fraction(3, 10), Fraction(1, 5)))
+        found = value("0.1*A*w1 + w2/3", ([np.array([w1], dtype=object), np.array([w2], dtype=object)]), (A, k))
+        expected = Fraction(3, 100) * Fraction(2, 7) + Fraction(1, 9)
+        assert abs(arithmetic.fraction(found[0]) - expected) <= Fraction(1, 10**49)
+
+
+def test_functions_of_other_numbers() -> None:
+    arithmetic = arithmetic_of(40)
+    with arithmetic.active():
+        w1 = np.array([arithmetic.number(Fraction(1, 10))], dtype=object)
+        found = arithmetic.fraction(value("sqrt(w1) + sin(0.3*w1)", (w1, w1), (1, 1))[0])
+    with mpmath.workdps(45):
+        expected = mpmath.sqrt(mpmath.mpf(1) / 10) + mpmath.sin(mpmath.mpf(3) / 100)
+        assert abs(mpmath.mpf(found.numerator) / found.denominator - expected) < mpmath.mpf(10) ** -39
+
+
+def test_functions_of_polynomials_are_refused_in_columns_too() -> None:
+    column = np.array([Polynomial.variable(0)], dtype=object)
+    with pytest.raises(NotPolynomialError):
+        value("cos(w1)", (column, column), (1.0, 1.0))
