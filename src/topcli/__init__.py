@@ -15,6 +15,7 @@ __version__ = "0.1.0"
 HOMES = {
     "Ensemble": "topcli.analysis.trajectory",
     "Motion": "topcli.analysis.motion",
+    "Top": "topcli.contracts",
     "Trajectory": "topcli.analysis.trajectory",
     "analyse": "topcli.show.report",
     "claims": "topcli.show.report",
@@ -30,6 +31,7 @@ HOMES = {
     "simulate_ensemble": "topcli.runs.simulate",
     "stress": "topcli.show.report",
     "sweep": "topcli.show.results",
+    "top": "topcli.schemes.own_tops",
 }
 """Modules of the public names; ``__init__.pyi`` declares them for type checkers."""
 __all__ = sorted(["__version__", *HOMES])  # pyright: ignore[reportUnsupportedDunderAll]

@@ -13,6 +13,7 @@ Rules for the author of a scheme:
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -191,10 +192,12 @@ class Top(BaseModel):
     def __pydantic_init_subclass__(cls, **options: Any) -> None:
         """Set what a top does not declare."""
         own = vars(cls)
+        if inspect.isfunction(own.get("field")):
+            cls.field = staticmethod(own["field"])
         if "kind" in own and "form" not in own:
             cls.form = cls.kind
         if not hasattr(cls, "title"):
-            cls.title = (cls.__doc__ or getattr(cls, "kind", "")).strip().splitlines()[0].rstrip(".")
+            cls.title = (cls.__doc__ or getattr(cls, "kind", cls.__name__)).strip().splitlines()[0].rstrip(".")
         if "components" in own and "vectors" not in own:
             cls.vectors = {name: (i, i + 1) for i, name in enumerate(cls.components)}
         if "components" in own and not hasattr(cls, "swing"):

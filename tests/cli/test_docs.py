@@ -97,7 +97,7 @@ def test_configs_are_valid(block: Block, tmp_path: Path) -> None:
     path = tmp_path / f"config.{block.language}"
     path.write_text(block.text, encoding="utf-8")
     command = "sweep" if re.search("^base:", block.text, re.MULTILINE) else "run"
-    own = f"--scheme-file {name}" if (name := block.mark("with")) else ""
+    own = f"--plugin {name}" if (name := block.mark("with")) else ""
     code, printed = run(f"topcli {command} {path} --dry-run {own}", tmp_path)
     assert code == 0, printed
 
@@ -110,8 +110,8 @@ def test_the_config_of_the_readme_is_the_packaged_one(tmp_path: Path) -> None:
 
 def test_the_scheme_of_the_readme_can_be_compared(tmp_path: Path) -> None:
     prepare(READ[0], tmp_path)
-    assert "`topcli compare hk euler-rule --scheme-file mine.py`" in README
-    code, printed = run("topcli compare hk euler-rule --scheme-file mine.py --set N=2000 --set h=0.01", tmp_path)
+    assert "`topcli compare hk euler-rule --plugin mine.py`" in README
+    code, printed = run("topcli compare hk euler-rule --plugin mine.py --set N=2000 --set h=0.01", tmp_path)
     assert code == 0, printed
     assert any("euler-rule" in line for line in printed)
 

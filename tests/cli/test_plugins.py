@@ -68,11 +68,11 @@ def found(batch):
     return batch.columns["omega1"].min(axis=1)
 """
 TOP = """
-from topcli.tops import TOPS
+import topcli
 from topcli.tops.heavy import Heavy
+@topcli.top
 class Own(Heavy):
     kind = form = 'own'
-TOPS['own'] = Own
 """
 
 

@@ -133,7 +133,7 @@ def test_cite_as_json(cli) -> None:
 def test_a_plugin_is_cited_by_its_own_words(cli, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     request.addfinalizer(unload_scheme_files)
     (tmp_path / "mine.py").write_text(MINE)
-    printed = cli("cite", "mine", "--scheme-file", str(tmp_path / "mine.py")).out
+    printed = cli("cite", "mine", "--plugin", str(tmp_path / "mine.py")).out
     assert printed == "@misc{mine,\n  note = {Private notes 2020},\n}\n"
 
 

@@ -117,18 +117,18 @@ run kowalevski_hk --name ""
     error: --name must not be empty
 run kowalevski_hk euler_hk --name ""
     error: --name '': names one run, and 2 configs are given
-run kowalevski_hk --scheme-file nowhere.py
+run kowalevski_hk --plugin nowhere.py
     nowhere.py
     no such file
-run kowalevski_hk --scheme-file empty.py
-    registers no scheme
-run kowalevski_hk --scheme-file taken.py
+run kowalevski_hk --plugin empty.py
+    registers nothing
+run kowalevski_hk --plugin taken.py
     already registered by topcli
-run kowalevski_hk --scheme-file misspelt.py
+run kowalevski_hk --plugin misspelt.py
     did you mean 'kowalevski'
-run kowalevski_hk --scheme-file undocumented.py
+run kowalevski_hk --plugin undocumented.py
     has no docstring
-run rotor.yaml --scheme-file gyrostat.py --set scheme=dmv
+run rotor.yaml --plugin gyrostat.py --set scheme=dmv
     use a scheme that needs the field alone, such as rk4
 compare hk hybird
     unknown scheme 'hybird'; did you mean 'hybrid'
@@ -225,7 +225,7 @@ claims qqq
     topcli claims --fast lists the claims
 claims --json --markdown
     exclude each other
-order heun --top gyrostat --scheme-file gyrostat.py
+order heun --top gyrostat --plugin gyrostat.py
     --top: no scene for the top 'gyrostat'; known: euler
 order hk --h 0.1,0.05
     --h '0.1,0.05': must be one number; repeat the option for several: --h 0.1 --h 0.05
@@ -253,11 +253,11 @@ stress hybrid --case pole --set scheme.branch=odd
     nearest
 stress --case sleeping --top euler
     no such case for euler
-stress heun --top gyrostat --scheme-file gyrostat.py
+stress heun --top gyrostat --plugin gyrostat.py
     the top gyrostat has no hard cases; those with cases: euler, euler+gamma
-stress --top gyrostat --scheme-file gyrostat.py
+stress --top gyrostat --plugin gyrostat.py
     the top gyrostat has no hard cases; those with cases: euler, euler+gamma
-stress heun --scheme-file gyrostat.py
+stress heun --plugin gyrostat.py
     none of the schemes heun has one of the cases; see topcli list cases
 analyse mine.csv --config euler_hk
     mine.csv: no columns t, omega1, omega2, omega3; known: time, w_x, w_y, w_z; --columns t=COLUMN names it

@@ -73,17 +73,17 @@ def test_trials_are_printed_counted_and_given_as_json(cli) -> None:
 
 def test_undeclared_break_exits_with_4(cli) -> None:
     Path("mine.py").write_text(SCHEME)
-    said = cli("stress", "explodes", "explodes-and-says-so", "--case", "delone", "--scheme-file", "mine.py")
+    said = cli("stress", "explodes", "explodes-and-says-so", "--case", "delone", "--plugin", "mine.py")
     assert said.code == 4
     assert "UNEXPLAINED" in said.out
     assert said.err.count("error:") == 1
     assert "error: explodes (kowalevski), case delone: breaks without a declared limit: blew up at step" in said.err
-    assert cli("stress", "explodes-and-says-so", "--case", "delone", "--scheme-file", "mine.py").code == 0
+    assert cli("stress", "explodes-and-says-so", "--case", "delone", "--plugin", "mine.py").code == 0
 
 
 def test_outdated_limit_exits_with_4(cli) -> None:
     Path("mine.py").write_text(MODEST)
-    said = cli("stress", "modest", "--case", "delone", "--scheme-file", "mine.py")
+    said = cli("stress", "modest", "--case", "delone", "--plugin", "mine.py")
     assert said.code == 4
     assert "holds in a case declared as its limit" in said.err
 

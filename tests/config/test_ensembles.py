@@ -180,9 +180,10 @@ def test_energies_are_exact(form: str) -> None:
 OWN_TOPS = """
 from dataclasses import replace
 from topcli.contracts import Invariant
-from topcli.tops import TOPS
+import topcli
 from topcli.tops.heavy import Heavy
 
+@topcli.top
 class Renamed(Heavy):
     '''Heavy top with twice the energy under the name "H", and m.gamma under the name "energy".'''
 
@@ -195,22 +196,25 @@ class Renamed(Heavy):
         twice = [lambda y, f=f: 2.0 * f(y) for f in (energy.value, energy.scale)]
         return (replace(m_gamma, name="energy"), Invariant("H", "2E", "2E", "twice the energy", *twice))
 
+@topcli.top
 class Rotor(Heavy):
     '''Heavy top whose energy has a term linear in omega.'''
 
     kind = form = "rotor"
+    A: float = 1.5
+    x0: float = 0.0
+    y0: float = 0.0  # Lagrange's top: omega3 is an integral
 
     def invariants(self):
         _, m_gamma, energy = super().invariants()
         return (replace(energy, value=lambda y: energy.value(y) + 0.5 * m_gamma.value(y)),)
 
+@topcli.top
 class Nameless(Heavy):
     '''Heavy top without an invariant that is its energy.'''
 
     kind = form = "nameless"
     energy = "H"
-
-TOPS.update({"renamed": Renamed, "rotor": Rotor, "nameless": Nameless})
 """
 
 

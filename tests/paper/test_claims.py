@@ -105,7 +105,7 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
 
         code = 0
         try:
-            command(replace(STUDY, measure=measure))(as_json=as_json, scheme_files=None, markdown=False)
+            command(replace(STUDY, measure=measure))(as_json=as_json, markdown=False)
         except typer.Exit as leaving:
             code = leaving.exit_code
         return code, *capsys.readouterr()

@@ -22,8 +22,12 @@ from topcli.tops import TOPS
 FILES = read_page(ROOT / "docs" / "own-scheme.md").files()
 
 
-FIELD = ("(A - B) * y[0] * y[1] / C", "(A - B) * y[1] * y[0] / C")
+FIELD = ("(A - B) * w1 * w2 / C", "(A - B) * w2 * w1 / C")
 """The same field, written otherwise: another one would not conserve the integrals of the file."""
+
+
+ENERGY = ("+ p[2] * y[2] ** 2) / 2", "+ p[2] * y[2] ** 2) / 3")
+"""Another integral."""
 
 
 COMPOSED = """
@@ -67,9 +71,10 @@ def digests(path: Path) -> dict[str, str]:
     ("old", "new", "changed"),
     [
         (*FIELD, {"heun", "rk4"}),
-        ("return (self.A, self.B, self.C, self.b)", "return (self.A, self.C, self.B, self.b)", {"heun", "rk4"}),
-        ("energy(y):\n            return 0.5 *", "energy(y):\n            return 1.5 *", {"heun", "rk4"}),
-        ('swing: ClassVar[str] = "omega2"', 'swing: ClassVar[str] = "omega1"', {"heun", "rk4"}),
+        ("A, B, C, b = p", "A, B, C = p[0], p[1], p[2]; b = p[3]", {"heun", "rk4"}),
+        (*ENERGY, {"heun", "rk4"}),
+        ('citation = "Volterra 1899"', 'citation = "Volterra 1899"; swing = "w2"', {"heun", "rk4"}),
+        ("b: float = 0.5", "b: float = 0.6", set()),  # the config gives b
         ("d = 0.5 * h", "d = 0.25 * h", {"heun"}),
         ("return Stepper(heun, 3)", "return Stepper(heun, 3, checked=2)", {"heun"}),
         ("d = 0.5 * h", "d = 0.5 * h  # half", set()),
@@ -111,7 +116,7 @@ def test_an_experiment_of_topcli_is_its_config() -> None:
 @pytest.mark.parametrize("name", ["heun", "rk4"])
 def test_an_edited_file_does_not_replace_the_earlier_run(cli: Callable[..., Said], folder: Path, name: str) -> None:
     """Under rk4 alike, although that is topcli's own scheme; with --force the earlier run is renamed, and said so."""
-    command = ("run", "rotor.yaml", "--scheme-file", "gyrostat.py", "--set", f"scheme={name}", "--name", "rotor")
+    command = ("run", "rotor.yaml", "--plugin", "gyrostat.py", "--set", f"scheme={name}", "--name", "rotor")
     assert cli(*command).code == 0
     registry.unload_scheme_files()
     manifest = json.loads(Path("results/rotor/manifest.json").read_text())
@@ -142,13 +147,9 @@ def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Sai
     """Also of an invariant, which no step uses."""
     sweep = "base: rotor.yaml\ngrid: {h: [0.01, 0.02]}\nmeasure: [deviation.energy]\n"
     (folder / "study.yaml").write_text(sweep)
-    command = ("sweep", "study.yaml", "--scheme-file", "gyrostat.py")
+    command = ("sweep", "study.yaml", "--plugin", "gyrostat.py")
     said = []
-    for old, new in (
-        ("", ""),
-        ("", ""),
-        ("energy(y):\n            return 0.5 *", "energy(y):\n            return 1.5 *"),
-    ):
+    for old, new in (("", ""), ("", ""), ENERGY):
         if old:
             edit(folder / "gyrostat.py", old, new)
         said.append(cli(*command))

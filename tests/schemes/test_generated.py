@@ -18,12 +18,13 @@ from topcli.schemes.registry import find_scheme, load_scheme_file, names_for
 from topcli.tops import TOPS
 
 TOP = """
+import topcli
 from pydantic import Field
-from topcli.contracts import Top
-from topcli.tops import TOPS
+from topcli.contracts import Invariant
 
 
-class {name}(Top):
+@topcli.top
+class {name}(topcli.Top):
     kind = form = "{kind}"
     title, citation = "{kind}", "none"
     components = {components}
@@ -43,9 +44,6 @@ class {name}(Top):
     @staticmethod
     def field(y, p):
         {field}
-
-
-TOPS["{kind}"] = {name}
 """
 CLEBSCH = """m, q, k = y[:3], y[3:], tuple(c * x for c, x in zip(p, y[3:]))  # the compiler refuses generators
         cross = lambda u, v: (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
@@ -112,7 +110,6 @@ def test_a_declared_integral_that_is_none_is_named(own_registry: None, tmp_path:
         name="Drawn", kind="drawn", components=("x", "v"), swing="x", d=2, field="return (y[1], -p[0] * y[0])"
     )
     declared = "(Invariant('energy', 'E', 'E', 'energy', lambda y: y[:, 1] ** 2 + {} * y[:, 0] ** 2, abs),)"
-    text = text.replace("import Top\n", "import Invariant, Top\n")
     path = tmp_path / "drawn.py"
     for factor, broken in ((3.0, True), (2.0, False)):
         path.write_text(text.replace("return ()", f"return {declared.format(factor)}"))

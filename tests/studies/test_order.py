@@ -264,7 +264,7 @@ PLACES = {
 def own(cli: Callable[..., Said]) -> Iterator[Callable[..., Said]]:
     """Call a command with the scheme file."""
     Path("own.py").write_text(FILE)
-    yield lambda *arguments: cli(*arguments, "--scheme-file", "own.py")
+    yield lambda *arguments: cli(*arguments, "--plugin", "own.py")
     registry.unload_scheme_files()
 
 
@@ -400,7 +400,7 @@ def build(top, options):
 def test_a_compiled_step_that_raises_ends_the_run(tmp_path: Path) -> None:
     """Compiled code reports the error on its own and takes no step; the loop must not ask again without end."""
     (tmp_path / "own.py").write_text(HIDDEN)
-    settings = ["--set", "scheme=hidden", "--set", "h=0.1", "--set", "N=500", "--scheme-file", "own.py"]
+    settings = ["--set", "scheme=hidden", "--set", "h=0.1", "--set", "N=500", "--plugin", "own.py"]
     done = subprocess.run(
         [sys.executable, "-m", "topcli", "run", "kowalevski_generic_hk", *settings],
         capture_output=True,

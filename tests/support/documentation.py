@@ -6,7 +6,7 @@ in front of a block:
 - ``<!-- not executed: reason -->``
 - ``<!-- exits with 4 -->``
 - ``<!-- file: name -->``: the block is a file that the commands of its page find in their folder.
-- ``<!-- with: name -->``: the config needs this file of its page as ``--scheme-file``.
+- ``<!-- with: name -->``: the config needs this file of its page as ``--plugin``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Scheme files written by tests: load one as ``--scheme-file`` does, run it, and leave no trace in the registry."""
+"""Scheme files written by tests: load one as ``--plugin`` does, run it, and leave no trace in the registry."""
 
 from __future__ import annotations
 

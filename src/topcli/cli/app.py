@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, MutableMapping
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -12,16 +14,65 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from topcli.cli.output import emit, print_error, print_message, print_message_text
-from topcli.errors import ExitCode, TopcliError, clipped
+from topcli.errors import ExitCode, TopcliError, UsageError, clipped
 from topcli.studies import STUDIES, find_study
 
 STUDY = "study"
 """Place of a command that follows from a study."""
 _TYPE = re.compile(r" <[^>]*>$")
+WITHOUT_PLUGINS = frozenset(("verify", "table", "claims", "compositions", "scenes", "sweeps", "runs"))
+"""Commands that meet no scheme, top, measure, figure or case of a user: they have no option ``--plugin``."""
+
+
+FAILED_PLUGINS = "topcli.plugins.failed"
+"""Key of the messages about the files of ``--plugin`` that failed, in the context of ``topcli doctor``."""
+
+
+def _load_plugins(ctx: typer.Context, paths: list[Path] | None) -> None:
+    """Register what the files given by ``--plugin`` define; ``topcli doctor`` reports those that fail."""
+    for path in paths or ():
+        from topcli.schemes.registry import load_scheme_file
+
+        try:
+            load_scheme_file(path)
+        except UsageError as error:
+            if ctx.command.name != "doctor":
+                raise
+            ctx.meta.setdefault(FAILED_PLUGINS, []).append(str(error))
+
+
+def _with_plugins(
+    plugins: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--plugin",
+            "--scheme-file",
+            metavar="FILE",
+            help="Load tops, schemes, measures, figures, cases from a file.",
+            callback=_load_plugins,
+            expose_value=False,
+            is_eager=True,  # the completion of other options knows them
+        ),
+    ] = None,
+) -> None:
+    pass
+
+
+@cache
+def _plugin_option() -> Any:
+    """The option ``--plugin``, which all commands share."""
+    single = typer.Typer(add_completion=False, rich_markup_mode=None)
+    single.command()(_with_plugins)
+    return get_command(single).params[0]
 
 
 class Command(TyperCommand):
-    """A command whose help lists arguments without types such as ``<list[str]>``."""
+    """A command with the option ``--plugin``, whose help lists arguments without types such as ``<list[str]>``."""
+
+    def __init__(self, name: str | None, **attributes: Any) -> None:
+        super().__init__(name, **attributes)
+        if name not in WITHOUT_PLUGINS:
+            self.params.append(_plugin_option())
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments and the options."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, SchemeFiles, Schemes, Sets, config_option, load_scheme_files
+from topcli.cli.options import Json, Schemes, Sets, config_option
 from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
 from topcli.errors import ExitCode
 
@@ -118,7 +118,6 @@ def bench(
     all_points: Points = False,
     out: ResultsOut = Path("results/bench"),
     as_json: Json = False,
-    scheme_files: SchemeFiles = None,
 ) -> None:
     """Measure speed against error and name the fastest schemes.
 
@@ -131,7 +130,6 @@ def bench(
     from topcli.studies.bench.measure import bench as measure
     from topcli.studies.bench.result import require_bench_folder, store_bench
 
-    load_scheme_files(scheme_files)
     peers = _peers(against)
     problems = bench_problems(scenes or (), configs or (), sets or (), samples)
     fields = _contest(problems, schemes or ())

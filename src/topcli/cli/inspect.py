@@ -9,15 +9,14 @@ from typing import Annotated
 
 import typer
 
+from topcli.cli.app import FAILED_PLUGINS
 from topcli.cli.options import (
     Json,
     Overwrite,
-    SchemeFiles,
     Sets,
     complete_config,
     complete_scheme,
     hint_instead,
-    load_scheme_files,
     show_hint,
     top_option,
     write_text,
@@ -58,13 +57,11 @@ def show(
     ] = False,
     sets: Sets = None,
     as_json: Json = False,
-    scheme_files: SchemeFiles = None,
 ) -> None:
     """Show a config with defaults, a scheme, or a row of a sweep."""
     from topcli.config.load import load_named
     from topcli.studies.scheme_page import scheme_data, scheme_forms, scheme_text
 
-    load_scheme_files(scheme_files)
     if motion:
         return show_motion(config, row, sets or [], as_json)
     folder, stored = Path(config), Path(config) / "config.yaml"
@@ -110,7 +107,6 @@ def init(
             autocompletion=complete_scheme,
         ),
     ] = None,
-    scheme_files: SchemeFiles = None,
     force: Overwrite = False,
 ) -> None:
     """Write a commented starter config and its JSON Schema.
@@ -123,7 +119,6 @@ def init(
     from topcli.config.schema import config_schema, starter_config
     from topcli.errors import UsageError
 
-    load_scheme_files(scheme_files)
     schema_path = path.with_name("topcli.schema.json")
     if path.suffix not in SUFFIXES:
         raise UsageError(f"{path}: unknown type of config; use a name ending in .yaml or .toml")
@@ -146,19 +141,12 @@ def schema() -> None:
     print_document(config_schema())
 
 
-def doctor(as_json: Json = False, scheme_files: SchemeFiles = None) -> None:
+def doctor(context: typer.Context, as_json: Json = False) -> None:
     """Report versions, CPU, compilation cache and plugins."""
-    from topcli.errors import UsageError
     from topcli.studies.health import diagnosis
 
-    broken = []
-    for path in scheme_files or ():
-        try:
-            load_scheme_files([path])
-        except UsageError as error:
-            broken.append(str(error))
     data = diagnosis()
-    data["problems"] += broken
+    data["problems"] += context.meta.get(FAILED_PLUGINS, [])
     if as_json:
         print_json("doctor", data)
         return

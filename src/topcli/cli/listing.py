@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from topcli.cli.app import Command
-from topcli.cli.options import Json, SchemeFiles, complete_scheme, complete_top, load_scheme_files, top_option
+from topcli.cli.options import Json, complete_scheme, complete_top, top_option
 from topcli.cli.output import emit_text, print_cells, print_json, print_message
 from topcli.errors import shortened
 from topcli.table import Column, Table
@@ -102,8 +102,11 @@ def tops(as_json: Json = False) -> Listing:
 
     The parameters are keys of a config. A step does not get them, but p, the constants of the equations of motion.
     """
+    from topcli.schemes.plugins import top_origin
+    from topcli.schemes.registry import plugin_failures
     from topcli.tops import TOPS
 
+    plugin_failures()  # tops of installed packages are listed too
     items = [
         {
             "name": top.kind,
@@ -113,6 +116,7 @@ def tops(as_json: Json = False) -> Listing:
             "components": list(top.components),
             "invariants": [invariant.name for invariant in top.new().invariants()],
             "citation": top.citation,
+            "origin": top_origin(top),
         }
         for top in TOPS.values()
     ]
@@ -126,7 +130,6 @@ def schemes(
     as_markdown: Annotated[
         bool, typer.Option("--markdown", help="Print the documentation page of the schemes.")
     ] = False,
-    scheme_files: SchemeFiles = None,
 ) -> Listing | None:
     """List the schemes with their declared traits.
 
@@ -135,7 +138,6 @@ def schemes(
     from topcli.schemes.registry import all_schemes
     from topcli.studies.scheme_page import scheme_data, schemes_page
 
-    load_scheme_files(scheme_files)
     wanted = _forms(top)
     if as_markdown:
         emit_text(schemes_page())
@@ -202,14 +204,13 @@ def cases(top: OnlyTop = None, as_json: Json = False) -> Listing:
 
 
 @_listed
-def measures(top: OnlyTop = None, as_json: Json = False, scheme_files: SchemeFiles = None) -> Listing:
+def measures(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the measures of topcli sweep.
 
     With --top, families such as drift.NAME are listed measure by measure.
     """
     from topcli.sweeps.measures import all_measures, measures_of_form
 
-    load_scheme_files(scheme_files)
     listed = all_measures() if top is None else measures_of_form(next(iter(_forms(top))))
     items = [_fields(measure, "name", "unit", "summary", "of_failed", "reproducible", "origin") for measure in listed]
     _print_plugin_failures()
@@ -285,12 +286,10 @@ def cite(
         ),
     ] = None,
     as_json: Json = False,
-    scheme_files: SchemeFiles = None,
 ) -> None:
     """Print the BibTeX of a scheme, a top, or topcli itself."""
     from topcli.studies.citations import own_works, works_of
 
-    load_scheme_files(scheme_files)
     works = {entry.key: entry for name in names or () for entry in works_of(name)}
     entries = list(works.values()) if names else own_works()
     if as_json:

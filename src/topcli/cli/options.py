@@ -84,21 +84,6 @@ Force = Annotated[
     bool,
     typer.Option("--force", help="Run again; an existing different run is renamed, not overwritten."),
 ]
-SchemeFiles = Annotated[
-    list[Path] | None,
-    typer.Option("--scheme-file", metavar="FILE", help="Load your own schemes or measures from a Python file."),
-]
-
-
-def load_scheme_files(paths: list[Path] | None) -> None:
-    """Register what the files given by ``--scheme-file`` define."""
-    if paths:
-        from topcli.schemes.registry import load_scheme_file
-
-        for path in paths:
-            load_scheme_file(path)
-
-
 Overwrite = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 
 

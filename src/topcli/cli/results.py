@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from topcli.cli.options import Json, Out, Overwrite, SchemeFiles, load_scheme_files, require_new, write_text
+from topcli.cli.options import Json, Out, Overwrite, require_new, write_text
 from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table, table_lines
 from topcli.errors import ExitCode
 
@@ -158,7 +158,6 @@ def report(
     title: Title = None,
     force: Overwrite = False,
     as_json: Json = False,
-    scheme_files: SchemeFiles = None,
 ) -> None:
     """Write one self-contained HTML page on stored results.
 
@@ -172,7 +171,6 @@ def report(
     if out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: unknown type of page; use a name ending in .html")
     require_new(out, force)
-    load_scheme_files(scheme_files)
     page = report_page(places, results, title)
     write_text(page.text, out)
     if as_json:

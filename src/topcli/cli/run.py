@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Force, Json, Out, SchemeFiles, Sets, complete_config, load_scheme_files
+from topcli.cli.options import Force, Json, Out, Sets, complete_config
 from topcli.cli.output import ProgressDisplay, emit, print_error, print_json, print_message, print_table, print_warnings
 from topcli.errors import ExitCode, TopcliError, UsageError, quoted
 
@@ -223,7 +223,6 @@ def run(
     threads: Threads = None,
     quiet: Quiet = False,
     fail_fast: FailFast = False,
-    scheme_files: SchemeFiles = None,
 ) -> None:
     """Run experiments and report on their conservation laws.
 
@@ -246,7 +245,6 @@ def run(
 
     overrides = (*(sets or ()), *([f"output.format={output_format}"] if output_format else ()))
     request = _Request(out, overrides, name, dry_run, quiet, as_json, len(configs) > 1)
-    load_scheme_files(scheme_files)
     reports: list[dict[str, Any]] = []
     codes: list[ExitCode] = []
     display = ProgressDisplay(len(configs), quiet)

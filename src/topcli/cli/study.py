@@ -16,11 +16,9 @@ from topcli.cli.options import (
     Json,
     Out,
     Overwrite,
-    SchemeFiles,
     complete_config,
     complete_scheme,
     complete_top,
-    load_scheme_files,
     require_new,
 )
 from topcli.cli.output import (
@@ -89,12 +87,11 @@ def command(study: Study) -> Callable[..., None]:
         shared["out"] = (Out, Path("results"))
     if study.saved:
         shared |= {"save": (Save, None), "force": (Overwrite, False)}
-    shared |= {"as_json": (Json, False), "scheme_files": (SchemeFiles, None)}
+    shared |= {"as_json": (Json, False)}
 
     def call(
         *,
         as_json: bool,
-        scheme_files: list[Path] | None,
         plot: bool = False,
         out: Path | None = None,
         save: Path | None = None,
@@ -108,7 +105,6 @@ def command(study: Study) -> Callable[..., None]:
         for alone in [_flag(flag)[1].option for flag in flags if _flag(flag)[1].alone and given[flag.name]]:
             if as_json:
                 raise UsageError(f"--json and {alone} exclude each other; choose one")
-        load_scheme_files(scheme_files)
         arguments, options = _arguments(measured, given)
         watch = _CommandWatch(study, as_json, out, plot)
         try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, Out, SchemeFiles, load_scheme_files
+from topcli.cli.options import Json, Out
 from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table
 from topcli.cli.run import Interruption
 from topcli.errors import ExitCode, UsageError, shortened
@@ -158,7 +158,6 @@ def sweep(
     dask: Dask = None,
     as_json: Json = False,
     quiet: Quiet = False,
-    scheme_files: SchemeFiles = None,
 ) -> None:
     """Run every combination of a sweep file.
 
@@ -172,7 +171,6 @@ def sweep(
         raise UsageError("--threads does not go with --dask: each worker has its own number of threads")
     if not time_limit >= 0.0:
         raise UsageError(f"--time-limit {time_limit:g}: must be a number of seconds, at least 0")
-    load_scheme_files(scheme_files)
     loaded = load_sweep(file, sets or [])
     options = SweepOptions(yes, retry_failed, fail_fast, time_limit, threads)
     if dry_run:

@@ -167,6 +167,8 @@ SCHEMA_FILE = "topcli.schema.json"
 DEFAULT_SCHEMES = ("hybrid", "hk")
 """Default scheme of a starter config: the first of these that the top has."""
 _VECTOR = [2, 0, 0]
+_COMPONENTS = (0.9, -0.4, 1.2, 0.6, -0.5, 0.8)
+"""Values of components that belong to no vector of three."""
 _UNIT_VECTOR = ["auto", 0, 1e-3]
 
 Line = tuple[str, Any, str]
@@ -213,7 +215,7 @@ def _lines(cls: type[Top], scheme: Scheme, schema: str, toml: bool) -> list[str]
             lines.append(indent + text + (f"  # {note}" if note else ""))
         lines.append("")
         if title == "initial":
-            lines += [*_ensemble(cls, toml), ""]
+            lines += [*block, ""] if (block := _ensemble(cls, toml)) else []
     return lines[:-1]
 
 
@@ -263,6 +265,10 @@ def _initial(cls: type[Top]) -> list[Line]:
     for name, (start, stop) in cls.vectors.items():
         unit = name in cls.unit_vectors
         names = ", ".join(cls.components[start:stop])
+        if stop - start != 3:
+            start_values = [_COMPONENTS[i % len(_COMPONENTS)] for i in range(start, stop)]
+            lines.append((name, start_values if stop - start > 1 else start_values[0], ""))
+            continue
         note = f"({names}); auto completes it to a unit vector, -auto with a minus sign" if unit else f"({names})"
         lines.append((name, list(_UNIT_VECTOR if unit else _VECTOR), note))
     if cls.unit_vectors:
@@ -271,11 +277,14 @@ def _initial(cls: type[Top]) -> list[Line]:
 
 
 def _ensemble(cls: type[Top], toml: bool) -> list[str]:
-    """Block to uncomment for many trajectories instead of one."""
+    """Block to uncomment for many trajectories instead of one, of a top with vectors that can be drawn."""
+    drawn = [name for name, (start, stop) in cls.vectors.items() if stop - start == 3]
+    if not drawn:
+        return []
     lines = ["[ensemble.random]"] if toml else ["ensemble:", "  random:"]
     indent, sign = ("", " = ") if toml else ("    ", ": ")
     lines += [f"{indent}{key}{sign}{value}" for key, value in (("count", 100), ("seed", 0))]
-    for name in cls.vectors:
+    for name in drawn:
         first, *others = draw_examples(cls, name)
         text = '"sphere"' if toml and first == "sphere" else first
         lines.append(f"{indent}{name}{sign}{text.replace(': ', sign)}  # or {', '.join(others).replace(': ', sign)}")

@@ -97,7 +97,8 @@ class Vector:
     def type(self) -> Any:
         """Annotation of a field of pydantic."""
         size, number = len(self.components), float | Literal["auto", "+auto", "-auto"] if self.unit else float
-        numbers = Annotated[list[number], Field(min_length=size, max_length=size)]  # type: ignore[valid-type]
+        numbers: Any = Annotated[list[number], Field(min_length=size, max_length=size)]  # type: ignore[valid-type]
+        numbers = number | numbers if size == 1 else numbers
         return Annotated[
             list[float],
             PlainValidator(
@@ -112,7 +113,12 @@ class Vector:
         return f"({', '.join(self.components)}){auto}"
 
     def read(self, raw: object, normalize: bool) -> list[float]:
-        """Return the vector, completed, or scaled if it is to be normalized. Raises ValueError."""
+        """Return the vector, completed, or scaled if it is to be normalized; a number is one component.
+
+        Raises ValueError.
+        """
+        if len(self.components) == 1 and not isinstance(raw, list):
+            raw = [raw]
         if not isinstance(raw, list) or len(raw) != len(self.components):
             given = len(raw) if isinstance(raw, list) else describe(raw)
             wanted = f"{len(self.components)} numbers ({', '.join(self.components)})"

@@ -1,9 +1,11 @@
-"""Plugins: the tables that they extend, the modules beside a scheme file, and the line to name when they raise."""
+"""Plugins: the tables that they extend, the modules beside a plugin file, and the line to name when they raise."""
 
 from __future__ import annotations
 
 import importlib.abc
 import importlib.machinery
+import inspect
+import pkgutil
 import sys
 import sysconfig
 import traceback
@@ -11,6 +13,8 @@ import types
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -21,7 +25,7 @@ from topcli.tops import TOPS
 
 ENTRY_POINT_GROUP = "topcli.schemes"
 SCHEME_FILE = "topcli_scheme_file_"
-"""Start of the names of the modules of scheme files; a digest of the path follows."""
+"""Start of the names of the modules of plugin files; a digest of the path follows."""
 _NOT_BESIDE = sys.stdlib_module_names | {"topcli"}
 
 
@@ -31,7 +35,7 @@ def is_built_in(value: Any) -> bool:
 
 
 def named_module(value: Any) -> str:
-    """Name of the module of a function or class, the same for a scheme file wherever it lies."""
+    """Name of the module of a function or class, the same for a plugin file wherever it lies."""
     return SCHEME_FILE if value.__module__.startswith(SCHEME_FILE) else value.__module__
 
 
@@ -43,7 +47,7 @@ def file_of(value: Any) -> str:
 
 @dataclass(frozen=True)
 class SchemeFile:
-    """Loaded scheme file: its ``path`` as given, its ``folder``, and the content of its modules by relative path."""
+    """Loaded plugin file: its ``path`` as given, its ``folder``, and the content of its modules by relative path."""
 
     path: str
     folder: str
@@ -96,6 +100,24 @@ class Registry:
 registry = Registry()
 
 
+@cache
+def built_in_modules() -> tuple[str, ...]:
+    """Names of the built-in modules that may register schemes: all modules in the packages beside this file."""
+    root = Path(__file__).parent
+    return tuple(
+        f"topcli.schemes.{folder.name}.{module.name}"
+        for folder in pkgutil.iter_modules([str(root)])
+        if folder.ispkg
+        for module in pkgutil.iter_modules([str(root / folder.name)])
+    )
+
+
+def import_built_in() -> None:
+    """Import all modules that register schemes of topcli."""
+    for module in built_in_modules():
+        import_module(module)
+
+
 def plugin_table(table: Table) -> None:
     """Let plugins extend ``table``, which holds what is built in; those of a plugin that fails are removed."""
     registry.extend(table)
@@ -106,6 +128,12 @@ def origin_of(function: Callable[..., Any]) -> str:
     if is_built_in(function):
         return "topcli"
     return file_of(function) if registry.origin == "topcli" else registry.origin
+
+
+def line_of(function: Callable[..., Any]) -> str:
+    """``file:line`` of the definition of a function; its file for anything else."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return f"{code.co_filename}:{code.co_firstlineno}" if code else file_of(function)
 
 
 def top_origin(top: type[Top]) -> str:
@@ -156,7 +184,7 @@ def modules_beside(folder: Path) -> Iterator[list[Path]]:
     """Make the modules of ``folder`` importable, before all others but those of the standard library and topcli.
 
     The value is the growing list of the files of those that are imported. The modules are
-    forgotten at the end: a module of the same name beside another scheme file is another module.
+    forgotten at the end: a module of the same name beside another plugin file is another module.
     """
     beside = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__init__.py")}
     beside -= _NOT_BESIDE
@@ -216,39 +244,34 @@ def reason_of(error: BaseException) -> str:
 
 @dataclass(frozen=True)
 class PluginFailure:
-    """Plugin that could not be imported, with the reason in one line."""
+    """Plugin that could not be imported: its name, its distribution or file, and the reason in one line."""
 
     name: str
+    origin: str
     reason: str
 
 
-def _require_integrals(form: str) -> None:
-    """Raise UsageError if the field of a top does not conserve an integral that it declares."""
-    from topcli.field.integrals import broken_integral
-
-    if fault := broken_integral(TOPS[form].new()):
-        raise UsageError(f"top {form!r}: {fault}")
+def _failure(error: BaseException) -> str:
+    """Reason why a plugin cannot be imported, with the place, in one line."""
+    if isinstance(error, TopcliError):
+        return error.lines[0]
+    place = users_place(error)
+    return f"{place}: {reason_of(error)}" if place else reason_of(error)
 
 
 def import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
     """Import a plugin; if that fails, remove what it had registered and return the failure."""
     before, tops, previous = registry.snapshot(), set(TOPS), registry.origin
-    every_top = dict(registry.for_every_top)
     registry.origin = origin
     try:
         load()
-        for form in TOPS.keys() - tops:
-            registry.top_origins[form] = origin
-            _require_integrals(form)
-            for known, register_for in every_top.items():
-                if (known, form) not in registry.schemes:  # the plugin may bring its own
-                    register_for(form)
+        if bare := TOPS.keys() - tops - registry.top_origins.keys():
+            raise UsageError(f"top {min(bare)!r} is registered without @topcli.top; decorate its class")
     except (KeyboardInterrupt, MemoryError):
         raise
     except BaseException as error:  # including SystemExit: a plugin must not end the program
         registry.restore(before)
-        place = users_place(error)
-        return PluginFailure(name, reason_of(error) + (f" ({place})" if place else ""))
+        return PluginFailure(name, origin, _failure(error))
     finally:
         registry.origin = previous
     return None

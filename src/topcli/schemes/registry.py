@@ -6,7 +6,6 @@ import hashlib
 import importlib.util
 import inspect
 import os
-import pkgutil
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -21,6 +20,7 @@ from pydantic import BaseModel
 
 from topcli.contracts import Block, Floats, Integrability, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.compose import compose, find_composition, obstacle
 from topcli.schemes.plugins import (
     ENTRY_POINT_GROUP,
@@ -28,11 +28,16 @@ from topcli.schemes.plugins import (
     FromSource,
     PluginFailure,
     SchemeFile,
+    built_in_modules,
+    import_built_in,
     import_plugin,
+    is_built_in,
+    line_of,
     modules_beside,
     origin_of,
     registry,
     users_error,
+    users_place,
 )
 from topcli.tops import TOPS
 
@@ -58,7 +63,7 @@ def scheme(
     order_with: Callable[[Any], int | None] | None = None,
     formula: str = "",
     integrable: Integrability | Callable[[Top], Integrability | None] | None = None,
-    later: Callable[[Top], bool] | None = None,
+    later: Callable[[Top], object] | None = None,
 ) -> Callable[[Build], Build]:
     """Register the decorated function ``build(top, options)`` as a scheme.
 
@@ -107,7 +112,8 @@ def scheme(
         Lax pair and Poisson bracket of an integrable map, or a function ``integrable(top)`` returning them or None.
     later : callable, optional
         ``later(top)`` is true if the scheme also integrates a top that is registered later, such as one of a user's
-        file. With ``top=None`` it integrates all of them.
+        file; otherwise it is false, or raises UsageError with the reason. With ``top=None`` and without ``later`` it
+        integrates all of them.
 
     Returns
     -------
@@ -161,7 +167,7 @@ def scheme(
         )
 
         def register_for(form: str) -> None:
-            _require_free(name, form)
+            _require_free(name, form, origin)
             registry.schemes[name.lower(), form] = declared(
                 top=form,
                 conserves=tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves),
@@ -192,35 +198,27 @@ def _description(name: str, title: str, build: Build, options: type[BaseModel]) 
     return inspect.cleandoc(doc)
 
 
-def _require_free(name: str, form: str) -> None:
-    """Raise ValueError if there is no such top, or if it has a scheme of this name."""
-    if known := registry.schemes.get((name.lower(), form)):
+def _require_free(name: str, form: str, origin: str) -> None:
+    """Raise ValueError if there is no such top, or if it has a scheme of this name.
+
+    A scheme of topcli for a top from outside may be replaced by one from outside.
+    """
+    known = registry.schemes.get((name.lower(), form))
+    if known and (origin == "topcli" or known.origin != "topcli" or is_built_in(TOPS[form])):
         raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {known.origin}")
     if form not in TOPS:
         raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
 
 
-@cache
-def _modules() -> tuple[str, ...]:
-    """Names of the built-in modules that may register schemes: all modules in the packages beside this file."""
-    root = Path(__file__).parent
-    return tuple(
-        f"topcli.schemes.{folder.name}.{module.name}"
-        for folder in pkgutil.iter_modules([str(root)])
-        if folder.ispkg
-        for module in pkgutil.iter_modules([str(root / folder.name)])
-    )
-
-
 def _likely_first(name: str, top: str) -> list[str]:
-    """Return ``_modules()``, starting with those named after the scheme, then those in the package of its top."""
+    """Return the built-in modules, starting with those named after the scheme, then those in the package of its top."""
     words, family = set(name.split("-")), re.split(r"[+/]", top)[0]
 
     def rank(module: str) -> tuple[bool, bool]:
         folder, stem = module.split(".")[-2:]
         return words.isdisjoint(stem.split("_")), folder != family
 
-    return sorted(_modules(), key=rank)
+    return sorted(built_in_modules(), key=rank)
 
 
 def _checked(build: Build, name: str) -> Build:
@@ -246,8 +244,7 @@ def _checked(build: Build, name: str) -> Build:
 @cache
 def plugin_failures() -> tuple[PluginFailure, ...]:
     """Import the built-in schemes and the plugins of the entry-point group; return the plugins that failed."""
-    for module in _modules():
-        import_module(module)
+    import_built_in()
     failures = []
     plugins: list[EntryPoint] = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
     for entry in plugins:
@@ -260,17 +257,17 @@ def plugin_failures() -> tuple[PluginFailure, ...]:
 
 @cache
 def load_scheme_file(path: Path) -> None:
-    """Import the schemes of a Python file (``--scheme-file``), which may import modules that lie beside it.
+    """Import the schemes of a Python file (``--plugin``), which may import modules that lie beside it.
 
     Raises UsageError if the file cannot be read or imported, or registers nothing.
     """
     plugin_failures()
     if not os.path.isfile(path):  # False also for what cannot be a path
-        raise UsageError(f"scheme file {path}: no such file")
+        raise UsageError(f"plugin {path}: no such file")
     name = SCHEME_FILE + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(name, path, loader=FromSource(name, str(path)))
     if spec is None or spec.loader is None:
-        raise UsageError(f"scheme file {path}: not a Python file (expected a name ending in .py)")
+        raise UsageError(f"plugin {path}: not a Python file (expected a name ending in .py)")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     known = registry.registered()
@@ -281,23 +278,24 @@ def load_scheme_file(path: Path) -> None:
     with modules_beside(folder) as imported:
         failure = import_plugin(str(path), str(path), lambda: loader.exec_module(module))
     if failure:
-        raise UsageError(f"scheme file {path}: {failure.reason}")
+        placed = failure.reason.startswith(str(path))
+        raise UsageError(failure.reason if placed else f"plugin {path}: {failure.reason}")
     if registry.registered() == known:
         raise UsageError(
-            f"scheme file {path}: registers no scheme or measure; decorate a function with @topcli.scheme(...) "
-            "or @topcli.measure(...)"
+            f"plugin {path}: registers nothing; decorate a class with @topcli.top, or a function with "
+            "@topcli.scheme(...) or @topcli.measure(...)"
         )
     modules = {file.relative_to(folder).as_posix(): file.read_bytes() for file in imported}
     registry.files.append(SchemeFile(str(path), str(folder), {path.name: path.read_bytes(), **modules}))
 
 
 def loaded_scheme_files() -> tuple[SchemeFile, ...]:
-    """Scheme files that have been loaded, in that order."""
+    """Plugin files that have been loaded, in that order."""
     return tuple(registry.files)
 
 
 def unload_scheme_files() -> None:
-    """Forget what scheme files have registered."""
+    """Forget what plugin files have registered."""
     if registry.before_files is not None:
         registry.restore(registry.before_files)
         registry.before_files = None
@@ -353,11 +351,28 @@ def find_scheme(name: str, top: str) -> Scheme:
         return registry.schemes[key]
     fits = sorted(kind for known, kind in registry.schemes if known == name.lower())
     if fits:
+        reason = _misfit(name.lower(), top) or f"it fits {', '.join(fits)}"
         raise SchemeMisfitError(
-            f"scheme {quoted(name)} does not fit top {top!r}; it fits {', '.join(fits)}; "
+            f"scheme {quoted(name)} does not fit top {top!r}; {reason}; "
             f"schemes for {top}: {', '.join(names_for(top)) or 'none'}"
         )
     raise UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, names_for(top))}")
+
+
+def _misfit(name: str, form: str) -> str:
+    """Reason why a scheme for every top does not integrate one from outside; empty for other schemes and tops."""
+    if name not in registry.for_every_top or is_built_in(TOPS[form]):
+        return ""
+    top = TOPS[form].new()
+    try:
+        registry.for_every_top[name](form)
+    except UsageError as error:
+        return str(error)
+    try:
+        return f"its field is a polynomial of degree {max(rate.degree for rate in field_of(top))}"
+    except NotPolynomialError as error:
+        place = users_place(error) or (error.__context__ and users_place(error.__context__)) or line_of(top.field)
+        return f"it needs a polynomial field, and the field {error} ({place})"
 
 
 def composed(base: Scheme, name: str) -> Scheme:

@@ -70,7 +70,7 @@ class Job:
 
     @property
     def content(self) -> str:
-        """Digest of the scheme files; empty if there are none."""
+        """Digest of the plugin files; empty if there are none."""
         return hashlib.sha256(pickle.dumps([sorted(file.content.items()) for file in self.files])).hexdigest()
 
 
@@ -83,9 +83,9 @@ class _State:
     """By the token of each job that has been prepared: why this worker cannot do it; empty if it can."""
     jobs: dict[str, Job] = field(default_factory=dict)
     loaded: str = ""
-    """Digest of the scheme files that are loaded."""
+    """Digest of the plugin files that are loaded."""
     folder: Path | None = None
-    """Folder of the scheme files that are loaded."""
+    """Folder of the plugin files that are loaded."""
     stopped: set[str] = field(default_factory=set)
 
 
@@ -99,7 +99,7 @@ class Preparation(WorkerPlugin):
         self.job, self.name = job, f"topcli-{job.token}"
 
     def setup(self, worker: Any) -> None:
-        """Compare the versions, load the scheme files and limit the threads."""
+        """Compare the versions, load the plugin files and limit the threads."""
         fault = difference(self.job.versions, versions())
         with _state.lock, suppress(TopcliError):
             if not fault:
@@ -111,7 +111,7 @@ class Preparation(WorkerPlugin):
             _state.jobs[self.job.token], _state.faults[self.job.token] = self.job, fault
 
     def teardown(self, worker: Any) -> None:
-        """Forget the job; its scheme files stay until other ones come."""
+        """Forget the job; its plugin files stay until other ones come."""
         _state.jobs.pop(self.job.token, None)
         _state.faults.pop(self.job.token, None)
 
@@ -126,10 +126,10 @@ def _set_threads(count: int) -> None:
 
 
 def _load(job: Job, place: str) -> None:
-    """Load the scheme files of a job unless they are loaded; others are unloaded."""
+    """Load the plugin files of a job unless they are loaded; others are unloaded."""
     if not job.files or _state.loaded == job.content:
         return
-    import topcli.sweeps.measures  # noqa: F401 (its table is among those that scheme files extend)
+    import topcli.sweeps.measures  # noqa: F401 (its table is among those that plugin files extend)
 
     unload_scheme_files()
     forget()
@@ -144,7 +144,7 @@ def _load(job: Job, place: str) -> None:
 
 
 def _with_places_of_client(text: str, job: Job) -> str:
-    """``text`` with the paths of the scheme files as they are for the client, so that rows have the same messages."""
+    """``text`` with the paths of the plugin files as they are for the client, so that rows have the same messages."""
     for number, file in enumerate(job.files):
         folder = f"{_state.folder}/{number}"
         text = text.replace(f"{folder}/{Path(file.path).name}", file.path).replace(folder, file.folder)
@@ -159,7 +159,7 @@ def _require_ready(token: str) -> Job:
         raise UsageError(f"{where}: {fault}")
     job = _state.jobs[token]
     if job.files and _state.loaded != job.content:
-        raise UsageError(f"{where}: another sweep has loaded other scheme files; use other workers")
+        raise UsageError(f"{where}: another sweep has loaded other plugin files; use other workers")
     return job
 
 
@@ -167,7 +167,7 @@ def evaluate(token: str, work: Work, rows: bytes) -> Results:
     """Evaluate pickled rows on a worker that is prepared for the job ``token``. Raises UsageError if it is not."""
     job = _require_ready(token)
     results = work(pickle.loads(rows), lambda: token in _state.stopped)
-    _require_ready(token)  # other scheme files may have been loaded in the meantime
+    _require_ready(token)  # other plugin files may have been loaded in the meantime
     if job.files:
         results.message[:] = [_with_places_of_client(text, job) for text in results.message]
     return results

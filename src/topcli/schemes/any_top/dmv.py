@@ -36,6 +36,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 from pydantic import Field
@@ -353,6 +354,7 @@ FREE_MAP = Integrability(
 @scheme(
     "dmv",
     top=None,
+    later=partial(checked_equations, needed_by=NEEDED_BY),
     title="Discrete Moser-Veselov scheme (RATTLE)",
     order=2,
     explicit=False,

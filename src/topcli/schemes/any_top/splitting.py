@@ -23,6 +23,7 @@ different scheme.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 from pydantic import Field
@@ -192,6 +193,7 @@ def kicked_change(free: Free) -> Change:
 @scheme(
     "splitting",
     top=None,
+    later=partial(checked_equations, needed_by=NEEDED_BY),
     title="Splitting into kicks and rotations",
     order=2,
     explicit=True,

@@ -1,0 +1,75 @@
+"""``--plugin`` on every command that can meet a top or a scheme of a user, and what the commands do with one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+from conftest import ROOT, Said
+from documentation import read_page
+from topcli.cli.app import app
+from topcli.cli.listing import list_app
+from topcli.schemes.registry import unload_scheme_files
+
+CANNOT = {
+    "verify": "compares checksums",
+    "table": "reads the table of a sweep",
+    "claims": "runs the experiments of the paper",
+    "list compositions": "those of topcli",
+    "list scenes": "those of topcli",
+    "list sweeps": "those of topcli",
+    "list runs": "reads manifests",
+}
+COMMANDS = [name for name in get_command(app).commands if name != "list"]  # pyright: ignore[reportAttributeAccessIssue]
+LISTS = [f"list {name}" for name in get_command(list_app).commands]  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, *LISTS])
+def test_a_command_that_can_meet_a_plugin_loads_it(cli: Callable[..., Said], name: str) -> None:
+    for option in ("--plugin", "--scheme-file"):
+        said = cli(*name.split(), option, "nowhere.py")
+        reason = "no such option" if name in CANNOT else "plugin nowhere.py: no such file"
+        assert reason in said.out + said.err
+        assert said.code == (0 if name == "doctor" else 2)
+
+
+@pytest.fixture
+def gyrostat(cli: Callable[..., Said]) -> Iterator[Callable[..., Said]]:
+    """Call a command with the top and the scheme of the documentation."""
+    for name, text in read_page(ROOT / "docs" / "own-scheme.md").files().items():
+        Path(name).write_text(text)
+    yield lambda *arguments: cli(*arguments, "--plugin", "gyrostat.py")
+    unload_scheme_files()
+
+
+def test_an_own_top_is_listed_with_schemes_that_run(gyrostat: Callable[..., Said]) -> None:
+    tops = {top["name"]: top for top in gyrostat("list", "tops", "--json").json()["tops"]}
+    assert tops["gyrostat"]["components"] == ["w1", "w2", "w3"]
+    assert tops["gyrostat"]["origin"] == "gyrostat.py"
+    assert tops["heavy"]["origin"] == "topcli"
+    listed = gyrostat("list", "schemes", "--top", "gyrostat", "--json").json()["schemes"]
+    names = {scheme["name"]: scheme["origin"] for scheme in listed}
+    assert names["heun"] == "gyrostat.py"
+    assert names["hk"] == "topcli"
+    runnable = [name for name in names if name != "taylor"]
+    for name in runnable:
+        said = gyrostat("run", "rotor.yaml", "--set", f"scheme={name}", "--set", "T=0.1", "--quiet")
+        assert said.code == 0, said.err
+
+
+def test_init_writes_a_config_of_an_own_top_that_runs(gyrostat: Callable[..., Said]) -> None:
+    assert gyrostat("init", "mine.yaml", "--top", "gyrostat").code == 0
+    assert gyrostat("show", "mine.yaml", "--json").json()["config"]["initial"] == {
+        "w1": [0.9],
+        "w2": [-0.4],
+        "w3": [1.2],
+    }
+    assert gyrostat("init", "mine.toml", "--top", "gyrostat", "--force").code == 0
+    assert gyrostat("run", "mine.toml", "--set", "N=10").code == 0
+
+
+def test_cite_prints_the_citation_of_an_own_top(gyrostat: Callable[..., Said]) -> None:
+    assert "Volterra 1899" in gyrostat("cite", "gyrostat").out
