@@ -223,10 +223,35 @@ class Top(BaseModel):
         tuple of Invariant
             In the order of the report. By default those of ``integrals``.
         """
+        return self._invariants(self.integrals)
+
+    def integrals_of(self, scheme: str, h: float) -> Mapping[str, Integral]:
+        """Return the integrals of a scheme's map for this top, its modified integrals.
+
+        Parameters
+        ----------
+        scheme : str
+            Name of the scheme.
+        h : float
+            Step size.
+
+        Returns
+        -------
+        mapping of str to callable
+            Functions ``integral(state, constants)`` by name, which the map conserves exactly; at h = 0 they are
+            integrals of the motion. By default there are none. The same symbols and levels apply as to ``integrals``.
+        """
+        return {}
+
+    def modified_invariants(self, scheme: str, h: float) -> tuple[Invariant, ...]:
+        """Return ``integrals_of`` as invariants."""
+        return self._invariants(self.integrals_of(scheme, h))
+
+    def _invariants(self, integrals: Mapping[str, Integral]) -> tuple[Invariant, ...]:
         p = self.constants()
         return tuple(
             invariant_of(name, integral, p, self.symbols.get(name), self.holds_on.get(name))
-            for name, integral in self.integrals.items()
+            for name, integral in integrals.items()
         )
 
     def euler_poisson(self) -> EulerPoisson:

@@ -33,7 +33,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.arithmetic.fused import compensated_sum, unlikely
-from topcli.contracts import Floats, StepFunction, Stepper, Top
+from topcli.contracts import Floats, Invariant, StepFunction, Stepper, Top
 
 SINGULAR = (
     "For certain step sizes of the order of 1/|omega| and larger, the determinant of the linear system vanishes, and "
@@ -123,26 +123,43 @@ E = \tfrac12 m^2 + u, \qquad u_1 \leq u_2 \leq u_3 \text{ the zeros of } \dot u^
 LINES = 3
 
 
+def is_body(top: Top) -> bool:
+    """True if ``top`` is a case of the Euler-Poisson equations."""
+    try:
+        return bool(top.euler_poisson())
+    except NotImplementedError:
+        return False
+
+
 def polynomial_invariants(top: Top, degree: int) -> tuple[str, ...]:
     """Return the names of the invariants of ``top`` that are polynomials of the state of at most ``degree``.
 
-    This is determined numerically: along a line, the finite difference of order ``degree + 1`` of such a polynomial
-    vanishes. Three lines in general position are used, with a tolerance for round-off.
+    One that only some motions conserve is left out, unless it is linear and its own level is the condition: then the
+    motion remains on a hyperplane, and so do the stages of a method.
     """
     d = len(top.components)
+    return tuple(
+        invariant.name
+        for invariant in top.invariants()
+        if invariant.on.keys() <= {invariant.name} and _is_polynomial(invariant, d, 1 if invariant.on else degree)
+    )
+
+
+def _is_polynomial(invariant: Invariant, d: int, degree: int) -> bool:
+    """True if an invariant of ``d`` components is a polynomial of at most ``degree``, determined numerically.
+
+    Along a line, the finite difference of order ``degree + 1`` of such a polynomial vanishes. Three lines in general
+    position are used, with a tolerance for round-off.
+    """
     orders = np.arange(degree + 2.0)
     weights = np.array([(-1.0) ** k * comb(degree + 1, k) for k in range(degree + 2)])
-    names = []
-    for invariant in top.invariants():
-        excess = 0.0
-        for line in range(LINES):
-            start, along = np.cos(np.arange(2.0 * d) + 2.0 * d * line + 1.0).reshape(2, d)
-            states = start + orders[:, None] * along
-            scale = float(invariant.scale(states).max()) or 1.0
-            excess = max(excess, abs(float(weights @ invariant.value(states))) / scale)
-        if excess < 1e-13 * 2.0 ** (degree + 1):
-            names.append(invariant.name)
-    return tuple(names)
+    excess = 0.0
+    for line in range(LINES):
+        start, along = np.cos(np.arange(2.0 * d) + 2.0 * d * line + 1.0).reshape(2, d)
+        states = start + orders[:, None] * along
+        scale = float(invariant.scale(states).max()) or 1.0
+        excess = max(excess, abs(float(weights @ invariant.value(states))) / scale)
+    return excess < 1e-13 * 2.0 ** (degree + 1)
 
 
 Change = StepFunction

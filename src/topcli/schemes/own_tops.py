@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -76,9 +75,7 @@ def top(declared: type[Top]) -> type[Top]:
     form = declared.form
     TOPS[form] = declared
     registry.top_origins[form] = origin_of(declared)
-    for register_for in list(registry.for_every_top.values()):
-        with suppress(UsageError):
-            register_for(form)
+    registry.complete(form)
     return declared
 
 

@@ -11,7 +11,7 @@ import sysconfig
 import traceback
 import types
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -76,6 +76,13 @@ class Registry:
         """Tables that plugins extend, each with its built-in content."""
         for table in (self.schemes, TOPS.data, self.for_every_top, self.top_origins):
             self.extend(table)
+
+    def complete(self, form: str, name: str | None = None) -> None:
+        """Register the schemes for every top that integrate a form, or only the one called ``name``."""
+        for known in [*self.for_every_top] if name is None else {name} & self.for_every_top.keys():
+            if (known, form) not in self.schemes:
+                with suppress(UsageError):  # the reason why it does not integrate this one
+                    self.for_every_top[known](form)
 
     def extend(self, table: Table) -> None:
         """Let plugins extend ``table``, which holds what is built in."""

@@ -39,7 +39,7 @@ from topcli.schemes.plugins import (
     users_error,
     users_place,
 )
-from topcli.tops import TOPS
+from topcli.tops import CATALOGUE, TOPS
 
 Build = Callable[[Any, Any], Method]
 
@@ -111,8 +111,8 @@ def scheme(
     integrable : Integrability or callable, optional
         Lax pair and Poisson bracket of an integrable map, or a function ``integrable(top)`` returning them or None.
     later : callable, optional
-        ``later(top)`` is true if the scheme also integrates a top that is registered later, such as one of a user's
-        file; otherwise it is false, or raises UsageError with the reason. With ``top=None`` and without ``later`` it
+        ``later(top)`` is true if the scheme also integrates a top of the catalogue, or one that is registered later,
+        such as that of a user's file; otherwise it is false, or raises UsageError with the reason. With ``top=None`` and without ``later`` it
         integrates all of them.
 
     Returns
@@ -142,7 +142,8 @@ def scheme(
     >>> build(None, None).step((1.0, 2.0, 3.0), 0.5, (3.0, 2.0, 1.0, 1.0, -2.0, 1.0))
     (4.0, -1.0, 4.0)
     """
-    forms = TOPS if top is None else (top,) if isinstance(top, str) else tuple(top)
+    every = [form for form in TOPS if form not in CATALOGUE]
+    forms = every if top is None else (top,) if isinstance(top, str) else tuple(top)
 
     def register(build: Build) -> Build:
         origin = origin_of(build)
@@ -157,7 +158,6 @@ def scheme(
             equations=equations,
             build=build if origin == "topcli" else _checked(build, name.lower()),
             options=options,
-            modified=modified,
             adaptive=adaptive,
             longest_step=longest_step,
             doc=_description(name, title, build, options),
@@ -166,26 +166,37 @@ def scheme(
             formula=formula,
         )
 
-        def register_for(form: str) -> None:
+        def register_for(form: str, modified: Any = modified) -> None:
             _require_free(name, form, origin)
             registry.schemes[name.lower(), form] = declared(
                 top=form,
                 conserves=tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves),
                 limits=dict(limits(TOPS[form].new()) if callable(limits) else limits),
                 integrable=integrable(TOPS[form].new()) if callable(integrable) else integrable,
+                modified=modified,
             )
 
         def register_later(form: str) -> None:
-            if later is None or later(TOPS[form].new()):
-                register_for(form)
+            top = TOPS[form].new()
+            if later is None or later(top):
+                declared = top.integrals_of(name.lower(), 1.0)
+                register_for(form, modified or (_declared_by_top(name.lower()) if declared else None))
 
         for form in forms:
             register_for(form)
         if top is None or later:
             registry.for_every_top[name.lower()] = register_later
+            if origin != "topcli":  # those of the built-in schemes are registered when they are needed
+                for form in CATALOGUE:
+                    registry.complete(form, name.lower())
         return build
 
     return register
+
+
+def _declared_by_top(name: str) -> Callable[[Top, float, Any], tuple[Invariant, ...]]:
+    """Integrals of the scheme ``name`` that each top declares (``Top.integrals_of``)."""
+    return lambda top, h, options: top.modified_invariants(name, h)
 
 
 def _description(name: str, title: str, build: Build, options: type[BaseModel]) -> str:
@@ -245,6 +256,8 @@ def _checked(build: Build, name: str) -> Build:
 def plugin_failures() -> tuple[PluginFailure, ...]:
     """Import the built-in schemes and the plugins of the entry-point group; return the plugins that failed."""
     import_built_in()
+    for form in CATALOGUE:
+        registry.complete(form)
     failures = []
     plugins: list[EntryPoint] = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
     for entry in plugins:
@@ -344,6 +357,8 @@ def find_scheme(name: str, top: str) -> Scheme:
     # names are unique: once a module has registered this one, the others need not be imported
     for module in _likely_first(*key):
         import_module(module)
+        if top in CATALOGUE:
+            registry.complete(top, key[0])
         if key in registry.schemes:
             return registry.schemes[key]
     plugin_failures()
@@ -360,8 +375,8 @@ def find_scheme(name: str, top: str) -> Scheme:
 
 
 def _misfit(name: str, form: str) -> str:
-    """Reason why a scheme for every top does not integrate one from outside; empty for other schemes and tops."""
-    if name not in registry.for_every_top or is_built_in(TOPS[form]):
+    """Reason why a scheme for every top does not integrate a declared one; empty for other schemes and tops."""
+    if name not in registry.for_every_top or (is_built_in(TOPS[form]) and form not in CATALOGUE):
         return ""
     top = TOPS[form].new()
     try:

@@ -18,6 +18,12 @@ import numpy as np
 from topcli.contracts import Array, Invariant, Top
 from topcli.errors import UnknownNameError, nearest, quoted
 
+CATALOGUE = {
+    "volterra": "volterra.Volterra",
+    "clebsch": "clebsch.Clebsch",
+}
+"""Tops that are declared by their field and integrals alone; the schemes that a field is enough for step them."""
+
 BUILT_IN = {
     "kowalevski": "kowalevski.Kowalevski",
     "euler": "euler.Euler",
@@ -25,6 +31,7 @@ BUILT_IN = {
     "lagrange": "lagrange.Lagrange",
     "lagrange/inertial": "lagrange.LagrangeInertial",
     "heavy": "heavy.Heavy",
+    **CATALOGUE,
 }
 """Module and class of each built-in form. A form is its kind, or begins with its kind and + or /."""
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from topcli.arithmetic.vectors import add, axpy
 from topcli.contracts import Array, Floats, NoOptions, StepFunction, Stepper, Top, check_stop
 from topcli.schemes.layout import explicit_limits, linear_invariants, rk2_limits
 from topcli.schemes.registry import scheme
@@ -18,26 +19,16 @@ Axpy = Callable[[Floats, float, Floats], Floats]
 Add = Callable[[Floats, Floats], Floats]
 
 
-def axpy3(s: Floats, a: float, k: Floats) -> Floats:
-    """Return s + a k for vectors of length three."""
-    return (s[0] + a * k[0], s[1] + a * k[1], s[2] + a * k[2])
-
-
-def add3(v: Floats, w: Floats) -> Floats:
-    """Return v + w for vectors of length three."""
-    return (v[0] + w[0], v[1] + w[1], v[2] + w[2])
-
-
-VECTOR_OPERATIONS: dict[int, tuple[Axpy, Add]] = {3: (axpy3, add3), 6: (axpy, add)}
-
-
-def _vector_operations(top: Top) -> tuple[Axpy, Add]:
-    """Vector operations for the state of ``top``."""
-    d = len(top.components)
-    if d not in VECTOR_OPERATIONS:
-        known = " or ".join(str(length) for length in VECTOR_OPERATIONS)
-        raise ValueError(f"top {top.form!r} has {d} components; rk2 and rk4 support only {known}")
-    return VECTOR_OPERATIONS[d]
+@cache
+def vector_operations(d: int) -> tuple[Axpy, Add]:
+    """Functions that return s + a k and v + w for vectors of length ``d``."""
+    text = (
+        f"def axpy(s, a, k):\n    return ({', '.join(f's[{i}] + a * k[{i}]' for i in range(d))},)\n"
+        f"def add(v, w):\n    return ({', '.join(f'v[{i}] + w[{i}]' for i in range(d))},)\n"
+    )
+    scope: dict[str, Any] = {"__name__": __name__}
+    exec(compile(text, f"<vectors {d}>", "exec"), scope)
+    return scope["axpy"], scope["add"]
 
 
 def rk2_step(field: VectorField, axpy: Axpy) -> StepFunction:
@@ -77,7 +68,7 @@ def rk4_step(field: VectorField, axpy: Axpy, add: Add) -> StepFunction:
 )
 def build_rk2(top: Top, options: NoOptions) -> Stepper:
     """General-purpose baseline of order two: not reversible, conserves linear integrals only."""
-    return Stepper(rk2_step(top.field, _vector_operations(top)[0]), len(top.components))
+    return Stepper(rk2_step(top.field, vector_operations(len(top.components))[0]), len(top.components))
 
 
 @scheme(
@@ -98,7 +89,7 @@ k_1 = f(y), \quad k_2 = f(y + \tfrac h2 k_1), \quad k_3 = f(y + \tfrac h2 k_2), 
 )
 def build_rk4(top: Top, options: NoOptions) -> Stepper:
     """General-purpose baseline of order four: not reversible, conserves linear integrals only."""
-    return Stepper(rk4_step(top.field, *_vector_operations(top)), len(top.components))
+    return Stepper(rk4_step(top.field, *vector_operations(len(top.components))), len(top.components))
 
 
 MAX_EVALUATIONS = 1_000_000
