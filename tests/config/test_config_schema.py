@@ -11,6 +11,7 @@ import pytest
 from cases import cases_of, table_of
 from config_texts import CONFIGS, FILES, PLAIN, write
 from conftest import ROOT
+from declared import SCHEMES
 from json_schema import fits
 from topcli.analysis.columns import spellings
 from topcli.config.ensemble import EnsembleExperiment
@@ -19,12 +20,11 @@ from topcli.config.schema import config_schema, starter_config
 from topcli.config.text import parse_yaml
 from topcli.errors import TopcliError, UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS
-from topcli.schemes.registry import names_for
 from topcli.studies.lax_checks import lax_experiment
-from topcli.tops import TOPS, top_class
+from topcli.tops import CATALOGUE, TOPS, top_class
 
 schema_of_configs = cache(config_schema)
-PAIRS = [(form, name) for form in TOPS for name in names_for(form)]
+PAIRS = [*((scheme.top, scheme.name) for scheme in SCHEMES), *((form, "hk") for form in CATALOGUE)]
 
 
 @pytest.mark.slow

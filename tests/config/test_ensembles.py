@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from config_texts import ENSEMBLES, PLAIN, refusal, write
+from declared import BODIES
 from json_schema import fits
 from scheme_files import loaded_file
 from topcli.analysis.leaving import step_of_leaving
@@ -159,7 +160,7 @@ def body_energy(top: Top, states: Array) -> tuple[Array, Array]:
     return terms.sum(axis=1), np.abs(terms).sum(axis=1)
 
 
-@pytest.mark.parametrize("form", TOPS)
+@pytest.mark.parametrize("form", BODIES)
 def test_energies_are_exact(form: str) -> None:
     """To round-off of the terms, for every form of a top, with directions uniform on the sphere."""
     cls = TOPS[form]

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from cases import table_of
 from conftest import GEN
+from declared import BODIES
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Stepper, StopAsked, check_stop, stop_asked
@@ -88,7 +89,7 @@ def test_order_is_that_of_the_scheme(top: str, scheme: str, order: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("top", list(INITIAL))
+@pytest.mark.parametrize("top", BODIES)
 @pytest.mark.parametrize("h", [0.1, 1.0])
 def test_taylor_turns_to_round_off(top: str, h: float) -> None:
     assert error(top, "taylor", h) < 2e-12  # of the reference

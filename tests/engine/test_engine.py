@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from conftest import GEN
+from declared import SCHEMES
 from steppers import RK2
 from topcli.contracts import Outcome, Stepper
 from topcli.engine import native
 from topcli.engine.run import Run
-from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
@@ -24,7 +24,7 @@ def rows(run: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}/{s.top}")
 def test_chunked_equals_whole(scheme, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cutting a run into pieces of awkward sizes, and recording some rows only, changes no bit and loses no row."""
     top, N = TOPS[scheme.top](), 400

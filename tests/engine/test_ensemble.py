@@ -10,12 +10,12 @@ import pytest
 
 from cases import table_of
 from conftest import random_states
+from declared import SCHEMES
 from steppers import built
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import ensemble
 from topcli.engine.ensemble import TILE, EnsembleRun, Execution, Piece
 from topcli.engine.run import Run
-from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
@@ -74,7 +74,7 @@ def assert_same(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}/{s.top}")
 def test_a_trajectory_has_the_bits_of_a_single_run(scheme, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ensemble, "PIECE_ROWS", 37)
     monkeypatch.setattr(ensemble, "PIECE_STEPS", 61)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cases import parts_of
+from declared import BODIES
 from scheme_files import run_scheme, write_scheme
 from topcli.contracts import Stepper
 from topcli.engine.fingerprint import fingerprint, same_method
@@ -245,7 +246,7 @@ def test_a_closure_that_holds_itself_ends() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", sorted(TOPS))
+@pytest.mark.parametrize("form", BODIES)
 def test_what_is_the_same_has_the_same_fingerprint(form: str) -> None:
     """For every scheme, with tops of different parameters: the verdict is never wrong, and positive for some."""
     cls = TOPS[form]

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from conftest import GEN, PAPER, ROOT
+from declared import SCHEMES
 from steppers import built
 from topcli.analysis import reference
 from topcli.analysis.tally import InvariantTally
@@ -34,7 +35,7 @@ from topcli.schemes.any_top import dmv, rk2_rk4_dop853
 from topcli.schemes.any_top.taylor import MAX_EXPANSIONS, SHORTEST_REACH
 from topcli.schemes.kowalevski import exact
 from topcli.schemes.kowalevski.exact import ExactSetup
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
@@ -251,7 +252,7 @@ def test_slow_interpreted_steps_are_timed_few_at_a_time() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("h", [5e-324, -1e-300])
 @pytest.mark.parametrize(
-    "one", [one for one in all_schemes() if "+" not in one.name], ids=lambda one: f"{one.top}-{one.name}"
+    "one", [one for one in SCHEMES if "+" not in one.name], ids=lambda one: f"{one.top}-{one.name}"
 )
 def test_a_tiny_step_moves_nothing_or_is_refused(one: Scheme, h: float, impatient: None) -> None:
     """Scaled working states lose digits among denormal numbers; the motion over the run is far below round-off."""
@@ -273,7 +274,7 @@ QUESTIONS = 100
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "one", [one for one in all_schemes() if "+" not in one.name], ids=lambda one: f"{one.top}-{one.name}"
+    "one", [one for one in SCHEMES if "+" not in one.name], ids=lambda one: f"{one.top}-{one.name}"
 )
 def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: None) -> None:
     top = TOPS[one.top]()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cases import table_of
+from declared import SCHEMES
 from topcli.arithmetic.fused import fma, follow_precision
 from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.precise import PreciseRun, Rebuilder, longest, obstacle, precise_loop, prepared
@@ -31,7 +32,7 @@ from topcli.engine.precise_numbers import (
 from topcli.engine.run import Recorded, Run
 from topcli.errors import UsageError
 from topcli.runs.report import ORDINARY
-from topcli.schemes.registry import all_schemes, composed, find_scheme
+from topcli.schemes.registry import composed, find_scheme
 from topcli.tops import TOPS
 
 LIMIT = 1e-12
@@ -159,8 +160,8 @@ H = Fraction(1, 20)
 STATE = tuple(map(Fraction, ("3/2", "2/5", "-7/10", "2/7", "3/7", "6/7")))
 """A state in general position; gamma is a rational unit vector."""
 BELOW = 1e-45
-CAN = [scheme for scheme in all_schemes() if not obstacle(scheme, TOPS[scheme.top].new(), scheme.options())]
-CANNOT = [scheme for scheme in all_schemes() if scheme not in CAN]
+CAN = [scheme for scheme in SCHEMES if not obstacle(scheme, TOPS[scheme.top].new(), scheme.options())]
+CANNOT = [scheme for scheme in SCHEMES if scheme not in CAN]
 EXACT = [scheme for scheme in CAN if scheme.conserves or scheme.modified]
 
 

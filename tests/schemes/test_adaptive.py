@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from conftest import GEN, random_states
+from declared import BODIES, SCHEMES
 from plain_vectors import advance
 from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
@@ -19,7 +20,7 @@ from topcli.errors import UsageError
 from topcli.schemes.any_top import taylor as loop_text
 from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, extended_precision, order_for, quotients
 from topcli.schemes.any_top.taylor_series import FREE, GENERAL, SYMMETRIC, Arrangement, arrangement_of
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -27,7 +28,7 @@ from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 
 TOPS_TRIED: list[Top] = [
-    *(top.new() for top in TOPS.values()),
+    *(TOPS[form].new() for form in BODIES),
     Kowalevski(c0=-1.5),
     EulerGamma(A=1.0, B=1.0, C=1.0),
     Heavy(A=0.7, B=1.1, C=1.6, x0=-0.4, y0=1.2, z0=0.3),
@@ -273,7 +274,7 @@ def test_taylor_cannot_be_composed() -> None:
 
 # DOP853
 
-ADAPTIVE = [scheme for scheme in all_schemes() if scheme.adaptive and scheme.order is not None]
+ADAPTIVE = [scheme for scheme in SCHEMES if scheme.adaptive and scheme.order is not None]
 adaptive = pytest.mark.parametrize("scheme", ADAPTIVE, ids=lambda s: f"{s.name}/{s.top}")
 LOOSE = {"rtol": 1e6, "atol": 1e6}
 """Tolerances that accept every step, so that one step of the formula is taken a step h."""

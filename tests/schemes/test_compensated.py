@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import declared
 from conformance import ExactStep, Subject
 from conftest import GEN, random_states
 from declared import TRIALS, gen
@@ -20,12 +21,12 @@ from topcli.engine.precise_numbers import Floating
 from topcli.schemes.compose import COMPOSITIONS, compose
 from topcli.schemes.kowalevski.hk import hk_kowalevski_change, hk_kowalevski_compensated
 from topcli.schemes.layout import CompensatedOption, stepper
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
 EPS = 2.0**-52
-SCHEMES = [one for one in all_schemes() if "compensated" in one.options.model_fields]
+SCHEMES = [one for one in declared.SCHEMES if "compensated" in one.options.model_fields]
 by_name = pytest.mark.parametrize("scheme", SCHEMES, ids=lambda one: f"{one.name}/{one.top}")
 
 
@@ -52,7 +53,7 @@ class Driven:
 
 def test_every_hk_and_the_hybrids_have_the_option() -> None:
     found = {(one.name, one.top) for one in SCHEMES}
-    assert {(one.name, one.top) for one in all_schemes() if one.name in ("hk", "midpoint")} <= found
+    assert {(one.name, one.top) for one in declared.SCHEMES if one.name in ("hk", "midpoint")} <= found
     assert {("hybrid-xi", "kowalevski"), ("hybrid-sym", "kowalevski"), ("bs", "euler")} <= found
     assert all(issubclass(one.options, CompensatedOption) and one.options().compensated is False for one in SCHEMES)
 

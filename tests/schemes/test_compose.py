@@ -11,17 +11,18 @@ import pytest
 
 from conformance import compositions_of
 from conftest import GEN
+from declared import SCHEMES
 from kick_turn import KICK_TURN, SPLIT
 from topcli.contracts import Outcome, Sampler, Scheme, Stepper
 from topcli.engine.run import Run
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, obstacle, palindrome
-from topcli.schemes.registry import all_schemes, composed, find_scheme
+from topcli.schemes.registry import composed, find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
 HK = find_scheme("hk", "kowalevski")
-BASES = [SPLIT, *(scheme for scheme in all_schemes() if not obstacle(scheme))]
+BASES = [SPLIT, *(scheme for scheme in SCHEMES if not obstacle(scheme))]
 by_composition = pytest.mark.parametrize("name", COMPOSITIONS)
 
 

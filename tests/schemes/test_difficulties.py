@@ -11,6 +11,7 @@ import pytest
 
 import topcli
 from conftest import GEN, PAPER, Said
+from declared import SCHEMES
 from steppers import RK2
 from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
 from topcli.engine.loop import plain_loop
@@ -166,7 +167,7 @@ def test_a_run_warns_of_what_it_counted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", all_schemes(), ids=lambda one: f"{one.name}/{one.top}")
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda one: f"{one.name}/{one.top}")
 def test_normal_counts_give_no_warning(scheme: Scheme) -> None:
     """On an ordinary run nothing that a scheme counts is a warning; what can be one has a limit that explains it."""
     top = TOPS[scheme.top].new()

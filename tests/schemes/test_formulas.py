@@ -16,7 +16,7 @@ from scipy.linalg import expm
 
 from conformance import ExactStep, Subject, plain_step, subjects
 from conftest import random_states
-from declared import SCHEMES, TRIALS
+from declared import BODIES, SCHEMES, TRIALS
 from split_motions import axes, closed, kicked, moser_veselov, poisson_defect
 from stepping import gradients, states_of
 from topcli.contracts import Top
@@ -347,7 +347,7 @@ def test_maps_declared_integrable() -> None:
         assert len(one.conserves) + len(modified) >= len(top.invariants()), one
 
 
-@pytest.mark.parametrize("top", [top for tops in TRIALS.values() for top in tops], ids=repr)
+@pytest.mark.parametrize("top", [top for form in BODIES for top in TRIALS[form]], ids=repr)
 def test_equations_and_invariants_of_a_top(top: Top) -> None:
     """The field is that of Euler and Poisson, written with vectors, and leaves all invariants constant."""
     J, r = body(top)

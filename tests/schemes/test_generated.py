@@ -49,7 +49,7 @@ CLEBSCH = """m, q, k = y[:3], y[3:], tuple(c * x for c, x in zip(p, y[3:]))  # t
         cross = lambda u, v: (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
         return (*cross(q, k), *cross(q, m))"""
 FIELDS = {
-    "clebsch": (6, CLEBSCH),
+    "fluid": (6, CLEBSCH),
     "lorenz": (3, "return (p[0] * (y[1] - y[0]), y[0] * (p[1] - y[2]) - y[1], y[0] * y[1] - p[2] * y[2] + 1)"),
     "cubic": (2, "return (y[1], p[0] * y[0] - y[0] ** 3)"),
     "pendulum": (2, "import math\n        return (y[1], -math.sin(y[0]))"),
@@ -76,7 +76,7 @@ def end(name: str, kind: str, h: float, N: int, **options: bool) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("compensated", [False, True])
 @pytest.mark.parametrize(
-    ("name", "kind"), [("hk", "clebsch"), ("hk", "lorenz"), ("midpoint", "clebsch"), ("midpoint", "cubic")]
+    ("name", "kind"), [("hk", "fluid"), ("hk", "lorenz"), ("midpoint", "fluid"), ("midpoint", "cubic")]
 )
 def test_tops_of_a_file_have_generated_schemes(tops: None, name: str, kind: str, compensated: bool) -> None:
     """Compiled, of order two, and undone by a step back; the integrator that it is compared with is another."""
@@ -99,7 +99,7 @@ def test_the_midpoint_rule_keeps_quadratic_integrals(tops: None) -> None:
         return np.array([q @ q, m @ q, m @ m + np.array([2.0, 3.0, 0.7]) @ q**2])
 
     start = integrals(np.array(START))
-    kept, control = (np.abs(integrals(end(name, "clebsch", 0.1, 20_000)) - start) for name in ("midpoint", "hk"))
+    kept, control = (np.abs(integrals(end(name, "fluid", 0.1, 20_000)) - start) for name in ("midpoint", "hk"))
     assert kept.max() < 1e-13
     assert control.min() > 1e-6
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from conftest import GEN
+from declared import BODIES
 from stepping import Steps, made, ran, root_mean_square, states_of
 from topcli.analysis.reference import reference_states
 from topcli.arithmetic.vectors import orthogonal_rodrigues_increment, rodrigues_increment, rotation_coefficients
@@ -20,7 +21,7 @@ from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 
-TOPS_TRIED = [*(top.new() for top in TOPS.values()), Euler(A=2.0, B=2.0, C=0.7), EulerGamma(A=1.1, B=1.1, C=0.4)]
+TOPS_TRIED = [*(TOPS[form].new() for form in BODIES), Euler(A=2.0, B=2.0, C=0.7), EulerGamma(A=1.1, B=1.1, C=0.4)]
 
 
 @pytest.mark.parametrize("change", [2.0**-52, -(2.0**-53), 1e-9, 1e-3, -1e-3])

@@ -12,6 +12,7 @@ import pytest
 from mpmath import mp, mpc, mpf
 
 from cases import table_of
+from declared import SCHEMES
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Scheme, Stepper, Top
 from topcli.schemes.registry import all_schemes, find_scheme
@@ -223,7 +224,7 @@ def test_timing_of_flips_is_judged() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "scheme", [s for s in all_schemes() if s.self_adjoint and not s.adaptive], ids=lambda s: f"{s.name}/{s.top}"
+    "scheme", [s for s in SCHEMES if s.self_adjoint and not s.adaptive], ids=lambda s: f"{s.name}/{s.top}"
 )
 def test_self_adjoint_schemes_return(scheme: Scheme) -> None:
     """1e5 steps forward and 1e5 back: nothing but round-off's growth is left."""

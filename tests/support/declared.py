@@ -24,6 +24,8 @@ CHOSEN: dict[str, list[Top]] = {
     "lagrange": [Lagrange(), Lagrange(A=1.4, C=2.1, mu=-0.8), Lagrange(mu=0.0), Lagrange(A=1.0, C=1.0)],
     "lagrange/inertial": [LagrangeInertial()],
 }
+BODIES = [form for form in TOPS if form not in CATALOGUE]
+"""Forms of the tops that are cases of the Euler-Poisson equations."""
 TRIALS: dict[str, list[Top]] = {form: CHOSEN.get(form) or [top.new()] for form, top in TOPS.items()}
 """Tops to try the schemes of each form on, the default one if none is chosen; the first two are generic."""
 

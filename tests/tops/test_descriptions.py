@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from conftest import random_states
+from declared import BODIES
 from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson, Top, checked_equations
 from topcli.errors import UsageError
@@ -21,7 +22,7 @@ from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 
 TRUE = [
-    *(top.new() for top in TOPS.values()),
+    *(TOPS[form].new() for form in BODIES),
     Kowalevski(c0=-3e5, A=0.7),
     Kowalevski(c0=0.0),
     Lagrange(A=1e-3, C=7e2, mu=-1e-9),

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, Said, random_states
-from declared import TRIALS
+from declared import BODIES, TRIALS
 from injected import python_process
 from topcli.contracts import Top
 from topcli.errors import UsageError
 from topcli.runs.simulate import simulate
-from topcli.tops import BUILT_IN, TOPS, Tops, top_class, top_names
+from topcli.tops import BUILT_IN, CATALOGUE, TOPS, Tops, top_class, top_names
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.lagrange import Lagrange
@@ -28,7 +28,8 @@ def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:
         kind = fresh.kind(form)
         assert (fresh[form].form, fresh[form].kind) == (form, kind)
         assert fresh.kind(form) == kind
-    assert top_names() == ["kowalevski", "euler", "euler+gamma", "lagrange", "lagrange/inertial", "heavy"]
+    bodies = ["kowalevski", "euler", "euler+gamma", "lagrange", "lagrange/inertial", "heavy"]
+    assert top_names() == [*bodies, *CATALOGUE]
 
 
 def test_a_top_can_be_added_replaced_and_removed() -> None:
@@ -95,7 +96,7 @@ def terms_of(top: Top, y: np.ndarray) -> dict[str, Any]:
     return terms
 
 
-@pytest.mark.parametrize("top", [top for tops in TRIALS.values() for top in tops], ids=repr)
+@pytest.mark.parametrize("top", [top for form in BODIES for top in TRIALS[form]], ids=repr)
 def test_invariants_and_their_scales_are_those_of_their_terms(top: Top) -> None:
     """The sum of the terms and of their magnitudes; for k² = |omega² - c gamma|², of the terms within the square.
 

@@ -79,6 +79,8 @@ NO_FAR_STEPS = (
 
 def explicit_limits(top: Top) -> Mapping[str, str]:
     """Limits of explicit Runge-Kutta methods."""
+    if not is_body(top):
+        return {}
     limits = {"resonance": NO_FAR_STEPS}
     if top.form != "lagrange/inertial":
         limits["singular-step"] = NO_FAR_STEPS

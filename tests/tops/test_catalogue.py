@@ -1,0 +1,241 @@
+"""The tops of the catalogue: their fields, integrals and HK maps, exactly, and their schemes and scenes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from topcli.config.load import load_experiment
+from topcli.contracts import Outcome, Stepper, Top
+from topcli.engine.run import Run
+from topcli.field.integrals import rate_of_change
+from topcli.field.polynomial import Polynomial, decimal, field_of
+from topcli.runs.simulate import simulate
+from topcli.schemes.registry import find_scheme, names_for
+from topcli.tops import CATALOGUE, TOPS
+
+by_form = pytest.mark.parametrize("form", CATALOGUE)
+START = (0.7, -0.4, 1.1, 0.6, -0.48, 0.64)
+STEP = Fraction(1, 7)
+
+
+def constants(top: Top) -> tuple[Fraction, ...]:
+    return tuple(map(decimal, top.constants()))
+
+
+def variables(d: int) -> tuple[Polynomial, ...]:
+    return tuple(map(Polynomial.variable, range(d)))
+
+
+def start(top: Top) -> tuple[float, ...]:
+    return START[: len(top.components)]
+
+
+# the equations of motion
+
+
+def cross(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def so3(y: Sequence[Any], H: Sequence[Any]) -> list[Any]:
+    """Lie-Poisson bracket of so(3) with the gradient H: m' = m x H_m."""
+    return cross(y, H)
+
+
+def e3(y: Sequence[Any], H: Sequence[Any]) -> list[Any]:
+    """Lie-Poisson bracket of e(3): m' = m x H_m + p x H_p, p' = p x H_m."""
+    sums = zip(cross(y[:3], H[:3]), cross(y[3:], H[3:]), strict=True)
+    return [*(a + b for a, b in sums), *cross(y[3:], H[:3])]
+
+
+Bracket = Callable[[Sequence[Any], Sequence[Any]], list[Any]]
+BRACKETS: dict[str, Bracket] = {"volterra": so3, "clebsch": e3}
+
+
+@by_form
+def test_the_field_is_that_of_the_energy(form: str) -> None:
+    """By the Poisson bracket of the top, exactly."""
+    top = TOPS[form].new()
+    y = variables(len(top.components))
+    energy = top.integrals[top.energy](y, constants(top))
+    expected = BRACKETS[form](y, [energy.derivative(i) for i in range(len(y))])
+    assert list(field_of(top)) == expected
+
+
+@by_form
+def test_integrals_are_independent(form: str) -> None:
+    """At a random state; one that depends on the others, the control, is found."""
+    top = TOPS[form].new()
+    d = len(top.components)
+    y = variables(d)
+    integrals = [Polynomial.of(one(y, constants(top))) for one in top.integrals.values()]
+
+    def rank(functions: list[Polynomial]) -> int:
+        gradients = [[float(one.derivative(i).value(START[:d])) for i in range(d)] for one in functions]
+        return int(np.linalg.matrix_rank(np.array(gradients)))
+
+    assert rank(integrals) == len(integrals)
+    assert rank([*integrals, integrals[0] * integrals[-1] + integrals[0]]) == len(integrals)
+
+
+PRIME = 2**31 - 1
+
+
+def mod(c: Fraction) -> int:
+    return c.numerator * pow(c.denominator, -1, PRIME) % PRIME
+
+
+def rank_mod(rows: list[dict[Any, int]]) -> int:
+    """Rank of a sparse matrix over the integers modulo ``PRIME``."""
+    pivots: dict[Any, dict[Any, int]] = {}
+    for row in rows:
+        left = {key: c for key, c in row.items() if c}
+        while left:
+            key = min(left)
+            if key not in pivots:
+                scale = pow(left[key], -1, PRIME)
+                pivots[key] = {k: c * scale % PRIME for k, c in left.items()}
+                break
+            factor = left[key]
+            for k, c in pivots[key].items():
+                left[k] = (left.get(k, 0) - factor * c) % PRIME
+            left = {k: c for k, c in left.items() if c}
+    return len(pivots)
+
+
+def count_of_integrals(top: Top, degree: int) -> int:
+    """Dimension of the space of polynomial integrals without constants, up to a degree, by elimination."""
+    field, d = field_of(top), len(top.components)
+    monomials = [m for k in range(1, degree + 1) for m in itertools.combinations_with_replacement(range(d), k)]
+    rows = []
+    for monomial in monomials:
+        one = Polynomial({monomial: Fraction(1)})
+        rate = sum((one.derivative(i) * field[i] for i in set(monomial)), start=Polynomial({}))
+        rows.append({m: mod(c) for m, c in rate.terms.items()})
+    return len(monomials) - rank_mod(rows)
+
+
+def count_of_declared(top: Top, degree: int) -> int:
+    """Dimension of the space that the declared integrals and their products span, up to a degree."""
+    y = variables(len(top.components))
+    declared = [
+        Polynomial.of(one(y, constants(top))) for name, one in top.integrals.items() if name not in top.holds_on
+    ]
+    products = [
+        np.prod(np.array(chosen, dtype=object))
+        for k in range(1, degree + 1)
+        for chosen in itertools.combinations_with_replacement(declared, k)
+        if sum(one.degree for one in chosen) <= degree
+    ]
+    return rank_mod([{m: mod(c) for m, c in one.terms.items() if m} for one in products])
+
+
+@by_form
+def test_no_quadratic_integral_is_missed(form: str) -> None:
+    top = TOPS[form].new()
+    assert count_of_integrals(top, 2) == count_of_declared(top, 2) > 0
+
+
+# the HK map
+
+
+def kahan(top: Top, y: Sequence[Fraction], h: Fraction) -> list[Fraction]:
+    """Kahan's step in rational numbers: (1 - h/2 f'(y)) (y' - y) = h f(y), by elimination."""
+    field, d = field_of(top), len(y)
+    rows = [
+        [(i == j) - h / 2 * rate.derivative(j).value(y) for j in range(d)] + [h * rate.value(y)]
+        for i, rate in enumerate(field)
+    ]
+    for i in range(d):
+        pivot = next(k for k in range(i, d) if rows[k][i])
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        rows[i] = [x / rows[i][i] for x in rows[i]]
+        for k in range(d):
+            if k != i:
+                rows[k] = [a - rows[k][i] * b for a, b in zip(rows[k], rows[i], strict=True)]
+    return [old + row[-1] for old, row in zip(y, rows, strict=True)]
+
+
+def midpoint(top: Top, y: Sequence[Fraction], h: Fraction) -> list[Fraction]:
+    """The explicit midpoint rule in rational numbers."""
+    field = field_of(top)
+    half = [old + h / 2 * rate.value(y) for old, rate in zip(y, field, strict=True)]
+    return [old + h * rate.value(half) for old, rate in zip(y, field, strict=True)]
+
+
+@by_form
+def test_integrals_of_the_hk_map_are_exact(form: str) -> None:
+    """In rational numbers; at h = 0 they are integrals of the motion. Another map of the second order changes them."""
+    top = TOPS[form].new()
+    y, p = [decimal(x) for x in start(top)], constants(top)
+    for name, one in top.integrals_of("hk", STEP).items():
+        assert one(kahan(top, y, STEP), p) == one(y, p), name
+        assert one(midpoint(top, y, STEP), p) != one(y, p), name
+    for name, one in top.integrals_of("hk", 0).items():
+        plain = Polynomial.of(one(variables(len(y)), p))
+        assert plain.degree > 0
+        assert rate_of_change(field_of(top), plain) == {}, name
+
+
+HK_INTEGRALS = [form for form in CATALOGUE if TOPS[form].new().integrals_of("hk", 0.1)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", HK_INTEGRALS)
+def test_integrals_of_the_hk_map_stay_exact_to_round_off(form: str) -> None:
+    """Over 20,000 steps within 50 ulp of their terms times sqrt N; typically one. The midpoint rule fails."""
+    top, h, N = TOPS[form].new(), 0.1, 20_000
+    unit = 50.0 * np.finfo(float).eps * N**0.5
+    off = {}
+    for name in ("hk", "midpoint"):
+        scheme = find_scheme(name, form)
+        states = Run(top, scheme.build(top, scheme.options()), start(top), h, N, 10).collect().states
+        for one in top.modified_invariants("hk", h):
+            off[name, one.name] = np.abs(one.value(states) - one.value(states[:1])).max() / one.scale(states).max()
+    for (name, integral), worst in off.items():
+        assert (worst < unit) == (name == "hk"), (name, integral, worst)
+
+
+# schemes and scenes
+
+
+@by_form
+def test_schemes_have_their_order(form: str) -> None:
+    """Of steps in plain Python, compared with another integrator; those of order two are undone by a step back."""
+    top = TOPS[form].new()
+    y0, p, field = start(top), top.constants(), type(top).field
+    exact = solve_ivp(lambda t, y: field(tuple(y), p), (0.0, 0.5), y0, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    assert {"rk2", "rk4", "dop853", "hk", "midpoint"} <= set(names_for(form))
+    for name in ("rk2", "rk4", "hk", "midpoint"):
+        scheme = find_scheme(name, form)
+        method = scheme.build(top, scheme.options())
+        assert isinstance(method, Stepper)
+        constants, errors = method.parameters(top), []
+        for N in (16, 32):
+            s = method.enter(y0, 0.5 / N, p) if method.enter else y0
+            for _ in range(N):
+                s = method.step(s, 0.5 / N, constants)
+            y = method.leave(s, 0.5 / N, constants) if method.leave else s
+            errors.append(np.linalg.norm(np.subtract(y, exact)))
+        assert scheme.order is not None
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(scheme.order, abs=0.2), name
+        back = method.step(method.enter(tuple(y), -0.5 / N, p) if method.enter else y, -0.5 / N, constants)
+        last = method.step(back, 0.5 / N, constants)[: len(y0)]
+        assert (np.abs(np.subtract(last, y)).max() < 1e-14) == scheme.self_adjoint, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["gentle", "hard"])
+@by_form
+def test_scenes_run(form: str, case: str) -> None:
+    """The first thousand steps of each."""
+    scene = load_experiment(f"{form.replace('-', '_')}_{case}", ["N=1000"])
+    assert scene.top.form == form
+    assert simulate(scene.resolved()).ending.outcome is Outcome.COMPLETED
