@@ -72,4 +72,4 @@ def test_init_writes_a_config_of_an_own_top_that_runs(gyrostat: Callable[..., Sa
 
 
 def test_cite_prints_the_citation_of_an_own_top(gyrostat: Callable[..., Said]) -> None:
-    assert "Volterra 1899" in gyrostat("cite", "gyrostat").out
+    assert "{Volterra, Vito}" in gyrostat("cite", "gyrostat").out

@@ -101,12 +101,13 @@ def test_a_work_is_named_by_all_its_authors() -> None:
 
 
 def test_cite_prints_the_works_of_a_scheme_in_its_order(cli) -> None:
-    assert keys(cli("cite", "HK").out) == ["kahan1993", "hirota2000", "petrera2011", "sogo", "kimura2000"]
+    hk = keys(cli("cite", "HK").out)
+    assert hk == ["kahan1993", "hirota2000", "celledoni2013", "petrera2011", "sogo", "kimura2000"]
     assert keys(cli("cite", "backlund+kahan-li8").out) == ["kuznetsov2000", "bobenko1989", "kahan1997"]
     assert keys(cli("cite", "kowalevski").out) == ["kowalevski1889", "sogo"]
     assert keys(cli("cite", "suzuki4").out) == ["suzuki1990"]
     both = keys(cli("cite", "kowalevski", "hk").out)
-    assert both == ["kowalevski1889", "sogo", "kahan1993", "hirota2000", "petrera2011", "kimura2000"]
+    assert both == ["kowalevski1889", "sogo", *hk[:-2], "kimura2000"]
     assert "title = {Discretization of the {Euler} top}," in cli("cite", "hk").out
 
 
@@ -200,8 +201,8 @@ def test_properties_are_those_declared(made: Path) -> None:
     found = rows(text(made, "schemes/hk"))
     tops = sorted(one.top for one in all_schemes() if one.name == "hk")
     assert [re.sub(r"\[(.*)\].*", r"\1", cell) for cell in found[""]] == tops
-    assert (found["order"], found["self-adjoint"]) == (["2"] * 5, ["yes"] * 5)
-    hk = {key: dict(zip(tops, cells, strict=True)) for key, cells in found.items() if len(cells) == 5}
+    assert (found["order"], found["self-adjoint"]) == (["2"] * len(tops), ["yes"] * len(tops))
+    hk = {key: dict(zip(tops, cells, strict=True)) for key, cells in found.items() if len(cells) == len(tops)}
     assert hk["conserves exactly"]["lagrange"] == r"$m\cdot e_3$"
     assert hk["conserves exactly"]["kowalevski"] == "nothing"
     assert hk["not exactly"]["kowalevski"] == r"$\gamma^2$, $2\ell$, $E$, $k^2$"

@@ -226,7 +226,7 @@ claims qqq
 claims --json --markdown
     exclude each other
 order heun --top gyrostat --plugin gyrostat.py
-    --top: no scene for the top 'gyrostat'; known: euler
+    --top: no scene for the top 'gyrostat'; known: clebsch, euler
 order hk --h 0.1,0.05
     --h '0.1,0.05': must be one number; repeat the option for several: --h 0.1 --h 0.05
 order hk --h 0.1 --h "1e-2, 2e-2"
@@ -253,11 +253,9 @@ stress hybrid --case pole --set scheme.branch=odd
     nearest
 stress --case sleeping --top euler
     no such case for euler
-stress heun --top gyrostat --plugin gyrostat.py
-    the top gyrostat has no hard cases; those with cases: euler, euler+gamma
-stress --top gyrostat --plugin gyrostat.py
-    the top gyrostat has no hard cases; those with cases: euler, euler+gamma
-stress heun --plugin gyrostat.py
+stress --case sleeping --top gyrostat --plugin gyrostat.py
+    no such case for gyrostat
+stress heun --case sleeping --plugin gyrostat.py
     none of the schemes heun has one of the cases; see topcli list cases
 analyse mine.csv --config euler_hk
     mine.csv: no columns t, omega1, omega2, omega3; known: time, w_x, w_y, w_z; --columns t=COLUMN names it

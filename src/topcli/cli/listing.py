@@ -196,11 +196,11 @@ def sweeps(as_json: Json = False) -> Listing:
 @_listed
 def cases(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the hard cases of topcli stress."""
-    from topcli.studies.stress.cases import CASES
+    from topcli.studies.stress.cases import CASES, cases_of
 
-    wanted = _forms(top)
-    items = [{"name": case.name, "top": case.form, "question": case.question} for case in CASES if case.form in wanted]
-    return Listing(items, ["name", "top", "question"], f"no hard cases for {top}")
+    wanted = CASES if top is None else [case for form in _forms(top) for case in cases_of(form)]
+    items = [{"name": case.name, "top": case.form, "question": case.question} for case in wanted]
+    return Listing(items, ["name", "top", "question"])
 
 
 @_listed

@@ -112,8 +112,8 @@ def scheme(
         Lax pair and Poisson bracket of an integrable map, or a function ``integrable(top)`` returning them or None.
     later : callable, optional
         ``later(top)`` is true if the scheme also integrates a top of the catalogue, or one that is registered later,
-        such as that of a user's file; otherwise it is false, or raises UsageError with the reason. With ``top=None`` and without ``later`` it
-        integrates all of them.
+        such as that of a user's file; otherwise it is false, or raises UsageError with the reason. With ``top=None``
+        and without ``later`` it integrates all of them.
 
     Returns
     -------

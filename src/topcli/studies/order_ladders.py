@@ -28,6 +28,7 @@ from topcli.studies.bench.measure import Effort, Measurements, SchemeCompetitor,
 from topcli.studies.entries import scheme_with
 from topcli.studies.roundoff_copies import GENERIC, SCENES
 from topcli.studies.study import LADDER_STEPS
+from topcli.tops import CATALOGUE, gentle_scene
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
 """Schemes of the study that ``topcli plot order`` draws, on the generic motion of Kowalevski's top."""
@@ -83,7 +84,7 @@ class Ladders:
 
 def _default_config(names: Sequence[str], top: str | None) -> str:
     """Packaged scene of the form ``top``, or of the first one that all the schemes ``names`` fit."""
-    scenes = {**SCENES, "kowalevski": GENERIC}
+    scenes = {**SCENES, "kowalevski": GENERIC, **{form: gentle_scene(form) for form in CATALOGUE}}
     if top is not None:
         if top.lower() not in scenes:
             raise UnknownNameError(f"--top: no scene for the top {quoted(top)}; {nearest(top, scenes)}")

@@ -36,6 +36,11 @@ BUILT_IN = {
 """Module and class of each built-in form. A form is its kind, or begins with its kind and + or /."""
 
 
+def gentle_scene(form: str) -> str:
+    """Name of the packaged scene of a top of the catalogue that is easy for every scheme."""
+    return f"{form.replace('-', '_')}_gentle"
+
+
 class Tops(UserDict[str, Any]):
     """Classes of the tops by form; a built-in class is imported when it is first needed, which shortens start-up."""
 

@@ -12,6 +12,7 @@ Time loop of the Taylor series in LLVM IR; numba has no vector types. See ``tayl
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import count
 
 import numpy as np
@@ -20,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from topcli.contracts import Array, Block, EulerPoisson, Floats, Top, checked_equations
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of, expand, taylor_increment
 from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, two_sum
-from topcli.schemes.layout import is_body, linear_invariants
+from topcli.schemes.layout import linear_invariants
 from topcli.schemes.registry import scheme
 
 STEP, FRACTION, LAG, TIME, LOG2_TOL, TABLES = 0, 1, 2, 3, 4, 5
@@ -315,7 +316,7 @@ def log2_tolerance(tol: float) -> float:
 @scheme(
     "taylor",
     top=None,
-    later=is_body,
+    later=partial(checked_equations, needed_by="scheme 'taylor'"),
     title="Taylor series",
     order=None,
     explicit=True,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.reference import reference_states
+from topcli.config.load import load_experiment
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.field.polynomial import field_of
@@ -23,6 +24,7 @@ from topcli.studies.stress.checks import (
     stays_bounded,
     swings_at,
 )
+from topcli.tops import CATALOGUE, TOPS, gentle_scene
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -111,20 +113,29 @@ def general_cases(top: Top, regular: Floats = (), singular: bool = True) -> tupl
     regular = regular or generic
     bounded = "h = 1, about a turn a step: does it stay bounded, and does the iteration converge?"
     huge, tiny = _scaled(generic, 1e150), _scaled(generic, 1e-310)
-    back = "1e5 steps forward and 1e5 back: is only round-off's growth left?"
-    slope = "t = 1e5: do the claimed invariants have a slope beyond its uncertainty?"
     vanishes = "h at which HK's determinant vanishes in the first step: does omega stay of the motion's size?"
+    plain = _plain_cases(top, generic, regular)
     cases = (
-        _case("backwards", "h < 0: is the order what it is for h > 0?", top, generic, -0.02),
-        _case("one-step", "N = 1: does a single step have the error of its order?", top, generic, 0.1, 1),
+        *plain[:2],
         _case("resonance", bounded, top, fast, 1.0, 2000, stays_bounded),
         _case("huge", "omega of size 1e150, h of size 1e-152: is the order kept?", top, huge, 2e-152),
         _case("denormal", "omega of size 1e-310: is the order kept?", top, tiny),
-        _case("there-and-back", back, top, regular, 0.02, 100_000, returns),
-        _case("drift", slope, top, regular, 0.1, 1_000_000, does_not_drift),
+        *plain[2:],
         _case("singular-step", vanishes, top, generic, None, 50, stays_bounded),
     )
     return cases if singular else cases[:-1]
+
+
+def _plain_cases(top: Top, generic: Floats, regular: Floats) -> tuple[Case, ...]:
+    """The cases that make sense for any top."""
+    back = "1e5 steps forward and 1e5 back: is only round-off's growth left?"
+    slope = "t = 1e5: do the claimed invariants have a slope beyond its uncertainty?"
+    return (
+        _case("backwards", "h < 0: is the order what it is for h > 0?", top, generic, -0.02),
+        _case("one-step", "N = 1: does a single step have the error of its order?", top, generic, 0.1, 1),
+        _case("there-and-back", back, top, regular, 0.02, 100_000, returns),
+        _case("drift", slope, top, regular, 0.1, 1_000_000, does_not_drift),
+    )
 
 
 def swing_time(eps: float) -> float:
@@ -300,6 +311,21 @@ CASES = [
     *general_cases(LagrangeInertial(), singular=False),
 ]
 """All cases."""
+
+
+def cases_of(form: str) -> list[Case]:
+    """Cases of a form of a top; for one without its own, those that make sense for any top."""
+    return [case for case in CASES if case.form == form] or list(_cases_of_declared(form))
+
+
+@cache
+def _cases_of_declared(form: str) -> tuple[Case, ...]:
+    if form in CATALOGUE:
+        scene = load_experiment(gentle_scene(form))
+        return _plain_cases(scene.top, scene.y0, scene.y0)
+    top = TOPS[form].new()
+    state = (GENERIC * len(top.components))[: len(top.components)]
+    return _plain_cases(top, state, state)
 
 
 def case_names() -> list[str]:

@@ -26,7 +26,7 @@ from topcli.runs.identity import scheme_code
 from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.store.provenance import environment
-from topcli.studies.stress.cases import CASES, case_names, cases_named
+from topcli.studies.stress.cases import CASES, cases_named, cases_of
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, Finding, Trial, false_order
 from topcli.tops import TOPS, forms
 
@@ -123,7 +123,7 @@ def judged_trial(
 
 def generic_case(form: str) -> Case:
     """Case of a top on whose motion every scheme has its order."""
-    return next(case for case in CASES if case.form == form and case.name == GENERIC)
+    return next(case for case in cases_of(form) if case.name == GENERIC)
 
 
 def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tuple[list[Scheme], list[Case]]:
@@ -132,21 +132,20 @@ def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tup
     Raises UnknownNameError for unknown names, and UsageError if nothing is left to try.
     """
     fits = [form.form for form in forms(top)] if top else list(TOPS)
-    wanted = [case for name in dict.fromkeys(cases) for case in cases_named(name)] if cases else list(CASES)
-    wanted = [case for case in wanted if case.form in fits]
-    if not wanted and not cases:
-        known = sorted({case.form for case in CASES})
-        raise UsageError(f"the top {shortened(str(top))} has no hard cases; those with cases: {', '.join(known)}")
-    if not wanted:
+    named = list(dict.fromkeys(case.name for name in cases for case in cases_named(name)))
+    if top and cases and not {*named} & {*_names_for(fits)}:
         raise UsageError(f"--case {shortened(cases[0])}: no such case for {top}; {nearest(cases[0], _names_for(fits))}")
-    used: list[Scheme] = []
     if schemes:
-        for name in dict.fromkeys(name.lower() for name in schemes):
-            used += _forms_of(name, fits)
+        used = [scheme for name in dict.fromkeys(map(str.lower, schemes)) for scheme in _forms_of(name, fits)]
     else:
         used = [scheme for scheme in all_schemes() if scheme.top in fits]
-    asked = {case.form for case in wanted}
-    used = [scheme for scheme in used if scheme.top in asked]
+    asked = list(dict.fromkeys(scheme.top for scheme in used))
+    if top is None:  # the cases of tops without their own are tried if they are the only ones
+        own = {case.form for case in CASES}
+        asked = [form for form in asked if form in own] or asked
+    wanted = [case for form in asked for case in cases_of(form) if not cases or case.name in named]
+    wanted.sort(key=lambda case: named.index(case.name) if cases else 0)
+    used = [scheme for scheme in used if any(case.form == scheme.top for case in wanted)]
     if not used:
         raise UsageError(
             f"none of the schemes {shortened(', '.join(schemes))} has one of the cases; see topcli list cases"
@@ -165,7 +164,7 @@ def require_options(options: Iterable[str], schemes: Iterable[Scheme]) -> None:
 
 
 def _names_for(fits: Collection[str]) -> list[str]:
-    return [name for name in case_names() if any(case.form in fits for case in cases_named(name))]
+    return list(dict.fromkeys(case.name for form in fits for case in cases_of(form)))
 
 
 def _forms_of(name: str, fits: Sequence[str]) -> list[Scheme]:
