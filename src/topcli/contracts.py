@@ -291,6 +291,23 @@ class Top(BaseModel):
         """Return the top with its default parameters."""
         return cls()
 
+    def section(self, parameters: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return the section ``top`` of a config as plain data, with these ``parameters`` in place of the top's own."""
+        return {"kind": self.kind, **self.model_dump(mode="json"), **(parameters or {})}
+
+    @classmethod
+    def parameters_in(cls, section: object) -> dict[str, Any]:
+        """Return the parameters that a section ``top`` of a config gives; none for a bare name."""
+        return {key: value for key, value in section.items() if key != "kind"} if isinstance(section, dict) else {}
+
+    @classmethod
+    def initial_section(cls, state: Sequence[Any]) -> dict[str, Any]:
+        """Return the section ``initial`` of a config: each vector as a list, one of a single component as a number."""
+        return {
+            name: list(state[start:stop]) if stop - start > 1 else state[start]
+            for name, (start, stop) in cls.vectors.items()
+        }
+
 
 AGREEMENT = 1e-12
 """Relative difference between ``field`` and ``euler_poisson`` that rounding may explain, component by component."""

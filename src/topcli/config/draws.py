@@ -4,11 +4,12 @@ Random states are made from ``numpy.random.Generator(PCG64(seed)).random``, unif
 roots, sine and cosine only. Each candidate takes a fixed count of numbers, whether it is used or not, and the first
 ``count`` valid candidates are the ensemble; so a larger ensemble begins with the smaller one.
 
-The measures: ``sphere`` is uniform in area. ``near`` is uniform in area on a cap around a unit vector, and uniform in
-volume in a ball around any other vector. ``energy`` takes a direction uniform on the sphere and scales it until the
-whole state has the given energy; this is not the measure that the flow conserves, because directions of large moments
-do not get less weight. If the potential alone exceeds the energy, no scale exists and the candidate is skipped; the
-other vectors then stay distributed as drawn, on the part of their sphere that the energy allows.
+The measures: ``sphere`` is uniform in area. ``near`` is uniform in area on a cap around a unit vector, uniform in
+volume in a ball around any other vector, and uniform in length around a number. ``energy`` takes a direction uniform on
+the sphere and scales it until the whole state has the given energy; this is not the measure that the flow conserves,
+because directions of large moments do not get less weight. If the potential alone exceeds the energy, no scale exists
+and the candidate is skipped; the other vectors then stay distributed as drawn, on the part of their sphere that the
+energy allows.
 """
 
 from __future__ import annotations
@@ -83,8 +84,20 @@ def energy_fault(top: Top, vector: str) -> str:
     return f"{energy.name!r}, the energy of the top {top.form}, is not quadratic in {vector}; use sphere or near"
 
 
+def drawable(cls: type[Top]) -> list[str]:
+    """Vectors that can be drawn: those of three components, or of one."""
+    return [name for name, (start, stop) in cls.vectors.items() if stop - start in (1, 3)]
+
+
+def _is_number(cls: type[Top], vector: str) -> bool:
+    start, stop = cls.vectors[vector]
+    return stop - start == 1
+
+
 def draw_examples(cls: type[Top], vector: str) -> list[str]:
     """One example, as a config writes it, of each way to draw ``vector``."""
+    if _is_number(cls, vector):
+        return ["{near: 0.1}"]
     if vector in cls.unit_vectors:
         return ["sphere", "{near: 0.1}"]
     return ["{sphere: 2}", "{near: 0.1}", *([] if energy_fault(cls.new(), vector) else ["{energy: 1.5}"])]
@@ -106,6 +119,8 @@ def _draw_type(cls: type[Top], name: str) -> Any:
         kinds["sphere"] = Field(default=None, ge=1.0, le=1.0, description="uniform on the unit sphere")
     if fault:
         del kinds["energy"]
+    if _is_number(cls, name):
+        kinds = {"near": kinds["near"]}
     config = STRICT | {"json_schema_extra": {"minProperties": 1, "maxProperties": 1}}
     fields: dict[str, Any] = {kind: (float, field) for kind, field in kinds.items()}
     model: Any = create_model("Draw", __config__=config, **fields)
@@ -116,8 +131,9 @@ def _draw_type(cls: type[Top], name: str) -> Any:
         *others, last = [f"{name}: {example}" for example in draw_examples(cls, name)]
         if not isinstance(raw, dict) or len(raw) != 1 or not raw.keys() <= {*kinds, "energy"}:
             given = " and ".join(map(quoted, raw)) or "nothing" if isinstance(raw, dict) else describe(raw)
-            kinds_text = ", ".join(kinds)
-            raise ValueError(f"must have one of {kinds_text}, not {given}; write {', '.join(others)} or {last}")
+            ways = f"one of {', '.join(kinds)}" if others else next(iter(kinds))
+            examples = f"{', '.join(others)} or {last}" if others else last
+            raise ValueError(f"must have {ways}, not {given}; write {examples}")
         if fault and "energy" in raw:
             raise ValueError(f"cannot have an energy: {fault}")
         return raw
@@ -128,7 +144,7 @@ def _draw_type(cls: type[Top], name: str) -> Any:
 @cache
 def random_model(cls: type[Top], parameters: bool = False) -> type[Random]:
     """Model of the section ``random`` for tops of class ``cls``; that of a sweep also draws ``parameters``."""
-    drawn: dict[str, Any] = {name: _draw_type(cls, name) for name, (i, j) in cls.vectors.items() if j - i == 3}
+    drawn: dict[str, Any] = {name: _draw_type(cls, name) for name in drawable(cls)}
     fields: dict[str, Any] = {name: (kind, Field(default=None)) for name, kind in drawn.items()}
     if parameters:
         fields |= {f"top.{name}": (Interval, Field(default=None)) for name in cls.model_fields}
@@ -166,6 +182,11 @@ def ball(centre: Array, radius: float, u: Array) -> Array:
     return centre + (radius * np.cbrt(u[:, 2]))[:, None] * directions(u)
 
 
+def interval(centre: Array, reach: float, u: Array) -> Array:
+    """Return numbers (m, 1) within ``reach`` of ``centre`` (1,), uniform in length."""
+    return centre + reach * (2.0 * u[:, :1] - 1.0)
+
+
 def _on_shell(top: Top, states: Array, where: slice, energy: float) -> NDArray[np.bool_]:
     """Scale the unit vectors at ``where`` to the energy; True for each state that has such a scale."""
     invariant, factor = energy_of(top), top.energy_factor
@@ -192,6 +213,8 @@ def _candidates(top: Top, centre: Array, draws: tuple[Draw, ...], numbers: Array
         at += NUMBERS[draw.kind]
         if draw.kind == "near":
             around = cap if draw.vector in top.unit_vectors else ball
+            if _is_number(type(top), draw.vector):
+                around = interval
             states[:, where] = around(centre[where], draw.size, u)
         else:
             states[:, where] = directions(u)

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, Field, WithJsonSchema, create_model
 
 from topcli.config.document import STRICT, Document, Problems, number_of, validate
-from topcli.config.draws import ABSOLUTE, MAX_TRAJECTORIES, Drawn, Random, draw_examples, random_model
+from topcli.config.draws import ABSOLUTE, MAX_TRAJECTORIES, Drawn, Random, draw_examples, drawable, random_model
 from topcli.config.models import Experiment, digest_of
 from topcli.config.ranges import Numbers, Range
 from topcli.config.sections import initial_model, read_initial, vectors_of
@@ -56,9 +56,10 @@ def section_model(cls: type[Top]) -> type[Section]:
     axes: dict[str, Any] = {key: (Numbers, Field(default=None)) for key in keys}
     grid: Any = create_model("Grid", __config__=STRICT, **axes)
     kinds = {"states": Annotated[list[state], Field(min_length=1)], "grid": grid, "random": random_model(cls)}
-    first = next(iter(cls.vectors))
+    first, (start, stop) = next(iter(cls.vectors.items()))
+    one, other = ("[1, 0, 0]", "[0, 1, 0]") if stop - start > 1 else (1, 2)
     examples = {
-        "states": f"[{{{first}: [1, 0, 0]}}, {{{first}: [0, 1, 0]}}]",
+        "states": f"[{{{first}: {one}}}, {{{first}: {other}}}]",
         "grid": f"{{{cls.components[0]}: {{from: 0, to: 1, count: 11}}}}",
         "random": _example(cls).removeprefix("for example "),
     }
@@ -115,7 +116,7 @@ def read_members(
 
 def _example(cls: type[Top]) -> str:
     """End of a message: random draws of every vector."""
-    drawn = ", ".join(f"{name}: {draw_examples(cls, name)[0]}" for name in cls.vectors)
+    drawn = ", ".join(f"{name}: {draw_examples(cls, name)[0]}" for name in drawable(cls))
     return f"for example random: {{count: 100, {drawn}}}"
 
 
@@ -187,7 +188,7 @@ def _combined(
     vectors = vectors_of(cls)
     varied = {vector.name: {key: axes[key] for key in vector.components if key in axes} for vector in vectors}
     bases: dict[str, Any] = {
-        vector.name: [0.0] * len(vector.components)
+        vector.name: [0.0] * len(vector.components) if len(vector.components) > 1 else 0.0
         for vector in vectors
         if len(varied[vector.name]) == len(vector.components)
     }
@@ -204,9 +205,10 @@ def _combined(
     for vector in vectors if len(problems.messages) == before else ():
         rows = []
         for chosen in _combinations(varied[vector.name]):
-            raw = [chosen.get(key, value) for key, value in zip(vector.components, bases[vector.name], strict=True)]
+            base = bases[vector.name] if isinstance(bases[vector.name], list) else [bases[vector.name]]
+            raw = [chosen.get(key, value) for key, value in zip(vector.components, base, strict=True)]
             try:
-                rows.append(vector.read(raw, bases.get("normalize", False)))
+                rows.append(vector.read(raw if len(raw) > 1 else raw[0], bases.get("normalize", False)))
             except ValueError as fault:
                 problems.add(("ensemble", "grid"), f"{_at(chosen)}{vector.name}: {fault}")
                 break

@@ -149,7 +149,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
     if cls and top and "ensemble" in data:
         from topcli.config.ensemble import read_members
 
-        parameters = data["top"] if isinstance(data["top"], dict) else {}
+        parameters = cls.parameters_in(data["top"])
         members = read_members(data["ensemble"], data["initial"], cls, top, parameters, problems)
         state = members.groups[0].state(0) if members else None
     elif cls and "initial" in data and "ensemble" not in data:

@@ -245,11 +245,10 @@ class Experiment(BaseModel):
 
     def resolved(self) -> dict[str, Any]:
         """Return everything the run depends on as plain data that loads to the same experiment, bit for bit."""
-        vectors = {name: list(self.y0[start:stop]) for name, (start, stop) in self.top.vectors.items()}
         return {
             "name": self.name,
-            "top": {"kind": self.top.kind, **self.top.model_dump(mode="json")},
-            "initial": vectors,
+            "top": self.top.section(),
+            "initial": self.top.initial_section(self.y0),
             "scheme": {"name": self.scheme.name, **self.options.model_dump(mode="json")},
             "h": self.h,
             "N": self.N,

@@ -66,17 +66,12 @@ class Row(NamedTuple):
         return {
             "name": name,
             "top": json.loads(self.top),
-            "initial": vectors_in(TOPS[self.form], self.initial),
+            "initial": TOPS[self.form].initial_section(self.initial),
             "scheme": json.loads(self.scheme),
             "h": self.h,
             "N": self.N,
             "output": {"format": "parquet", "every": self.every, "columns": None},
         }
-
-
-def vectors_in(cls: type[Top], state: tuple[float, ...]) -> dict[str, list[float]]:
-    """Vectors of a state."""
-    return {name: list(state[start:stop]) for name, (start, stop) in cls.vectors.items()}
 
 
 def scheme_label(section: dict[str, Any]) -> str:
@@ -105,11 +100,11 @@ def _part(value: Any, plain: dict[str, Any], label: str = "") -> _Part:
 
 
 def _top_part(top: Top) -> _Part:
-    return _part(top, {"kind": top.kind, **top.model_dump(mode="json")})
+    return _part(top, top.section())
 
 
 def _state_part(cls: type[Top], state: tuple[float, ...]) -> _Part:
-    return _part(state, vectors_in(cls, state))
+    return _part(state, cls.initial_section(state))
 
 
 class _Every(BaseModel):
@@ -246,10 +241,11 @@ class RowReader:
                 continue
             if len(path) == 1:
                 raw = values[at]
-            elif isinstance(raw, dict):
-                raw = {**raw, path[1]: values[at]}
-            else:
-                raw = {**({} if raw is MISSING else {BARE.get(section, ""): raw}), path[1]: values[at]}
+                continue
+            if not isinstance(raw, dict):
+                raw = {} if raw is MISSING else {BARE.get(section, ""): raw}
+            value = values[at] if len(path) == 2 else {**(raw.get(path[1]) or {}), path[2]: values[at]}
+            raw = {**raw, path[1]: value}
         return raw
 
     def _given(self, section: str, values: Assignment, problems: Problems) -> Any:
@@ -344,6 +340,9 @@ class RowReader:
         made = dict(raw) if isinstance(raw, dict) else {} if raw is MISSING else raw
         for vector in vectors_of(cls) if isinstance(raw, dict) else ():  # single components lie in their vectors
             single = {key: made.pop(key) for key in vector.components if key in made}
+            if len(vector.components) == 1:  # it is a number
+                made |= single
+                continue
             base = made.get(
                 vector.name, [0.0] * len(vector.components) if len(single) == len(vector.components) else None
             )
@@ -422,7 +421,9 @@ class RowReader:
                 top.value.kind if isinstance(values[at], str) else _shown(values[at])
             ),
             "scheme.": lambda values, row, top, scheme: _shown(scheme.plain.get(inner, values[at])),
-            "top.": lambda values, row, top, scheme: _shown(top.plain.get(inner)),
+            "top.": lambda values, row, top, scheme: _shown(
+                type(top.value).parameters_in(top.plain).get(inner.removeprefix("parameters."))
+            ),
             "initial.": lambda values, row, top, scheme: _component(inner, row, type(top.value), values[at]),
         }
         whole = key in ("sample", "seed")

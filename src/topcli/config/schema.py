@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_jsonable_python
 
 from topcli.analysis.columns import ATTITUDES, spellings
-from topcli.config.draws import draw_examples
+from topcli.config.draws import draw_examples, drawable
 from topcli.config.ensemble import section_model
 from topcli.config.models import Config, Output
 from topcli.config.sections import initial_model
@@ -278,7 +278,7 @@ def _initial(cls: type[Top]) -> list[Line]:
 
 def _ensemble(cls: type[Top], toml: bool) -> list[str]:
     """Block to uncomment for many trajectories instead of one, of a top with vectors that can be drawn."""
-    drawn = [name for name, (start, stop) in cls.vectors.items() if stop - start == 3]
+    drawn = drawable(cls)
     if not drawn:
         return []
     lines = ["[ensemble.random]"] if toml else ["ensemble:", "  random:"]
@@ -287,5 +287,6 @@ def _ensemble(cls: type[Top], toml: bool) -> list[str]:
     for name in drawn:
         first, *others = draw_examples(cls, name)
         text = '"sphere"' if toml and first == "sphere" else first
-        lines.append(f"{indent}{name}{sign}{text.replace(': ', sign)}  # or {', '.join(others).replace(': ', sign)}")
+        note = f"  # or {', '.join(others)}" if others else ""
+        lines.append(f"{indent}{name}{sign}{text.replace(': ', sign)}{note.replace(': ', sign)}")
     return [f"# {line}" for line in ["many trajectories instead of one, as in the scene kowalevski_ensemble", *lines]]

@@ -21,11 +21,12 @@ from topcli.config.document import STRICT, Document, KeyPath, Problems, describe
 from topcli.config.files import apply_overrides, find_config, read_document
 from topcli.config.models import Name, canonical, name_fault
 from topcli.config.ranges import MAX_SWEEP_ROWS, Range, is_range, read_axis
+from topcli.config.sections import read_top
 from topcli.config.text import to_yaml
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError, quoted
 from topcli.schemes.registry import find_scheme
-from topcli.tops import TOPS, forms
+from topcli.tops import CUSTOM, TOPS, forms
 
 PLAIN = ("scheme", "h", "N", "T", "top", "output.every")
 BASE = ("top", "initial", "scheme", "h", "N", "T", "output")
@@ -390,7 +391,7 @@ class Axes:
 
 def _check_list(values: list[Any], key: str, unique: bool) -> None:
     """Refuse a single vector in the place of a list of vectors, and equal values. Raises ValueError."""
-    vectors = {name for cls in TOPS.values() for name in cls.vectors}
+    vectors = {name for cls in TOPS.values() for name, (start, stop) in cls.vectors.items() if stop - start > 1}
     if key.removeprefix("initial.") in vectors and not any(isinstance(value, list) for value in values):
         raise ValueError(f"must be a list of vectors, each a list of numbers; for a single one write [{values}]")
     seen: set[str] = set()
@@ -407,6 +408,11 @@ def known_keys(data: dict[str, Any], base: dict[str, Any]) -> list[str]:
     classes: list[type[Top]] = []
     for raw in _given(data, base, "top"):
         kind = raw.get("kind") if isinstance(raw, dict) else raw
+        if kind == CUSTOM:
+            cls, _ = read_top(raw, None, Problems(Document({})))
+            classes += [cls] if cls else []
+            keys += [f"top.parameters.{name}" for name in cls.model_fields] if cls else []
+            continue
         try:
             classes += forms(kind) if isinstance(kind, str) else []
         except UsageError:

@@ -41,12 +41,11 @@ class WrittenNumbers:
 
     def resolved(self, top: Top) -> dict[str, Any]:
         """Return the sections h, top and initial of a config; numbers that are no short decimals are texts."""
-        vectors = {name: [plain(x) for x in self.y0[start:stop]] for name, (start, stop) in top.vectors.items()}
         parameters = {name: plain(value) for name, value in self.parameters.items()}
         return {
             "h": plain(self.h),
-            "top": {"kind": top.kind, **top.model_dump(mode="json"), **parameters},
-            "initial": vectors,
+            "top": top.section(parameters),
+            "initial": top.initial_section([plain(x) for x in self.y0]),
         }
 
 
@@ -97,7 +96,7 @@ def read_written(
     data: Mapping[str, Any], top: Top, y0: Sequence[float], precision: int | str, problems: Problems
 ) -> WrittenNumbers | None:
     """Return the numbers of a valid config; ``y0`` is its initial state in doubles. None if one is not rational."""
-    given = data["top"] if isinstance(data["top"], dict) else {}
+    given = top.parameters_in(data["top"])
     resolved = {name: value for name, value in top.model_dump().items() if isinstance(value, float)}
     parameters = {
         name: fraction_of(given[name] if isinstance(given.get(name), int | float) else value)
@@ -118,7 +117,7 @@ def _vector(
     initial: Mapping[str, Any], name: str, in_doubles: Sequence[float], unit: bool, precision: int | str
 ) -> list[Fraction]:
     """Vector of the initial state, completed or scaled to unit length. Raises NotRationalError."""
-    raw = initial[name]
+    raw = initial[name] if isinstance(initial[name], list) else [initial[name]]
     vector = [Fraction(0) if isinstance(value, str) else fraction_of(value) for value in raw]
     auto = next((index for index, value in enumerate(raw) if isinstance(value, str)), None)
     if not unit or (auto is None and not initial.get("normalize")):

@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.trajectory import Ensemble, Trajectory
+from topcli.config.document import Document, Problems
 from topcli.config.ensemble import SOURCES, EnsembleExperiment, Group, Listed, Members
 from topcli.config.load import load, load_experiment, read_config
 from topcli.config.models import Experiment
-from topcli.config.sections import UNIT_TOLERANCE
+from topcli.config.sections import UNIT_TOLERANCE, read_top
 from topcli.contracts import Array, Top
 from topcli.engine.ensemble import Piece
 from topcli.engine.run import Endings
 from topcli.errors import UsageError
 from topcli.runs.ensemble import GroupRun, varied_parameters
 from topcli.runs.recorder import run_of
-from topcli.tops import TOPS
+from topcli.tops import CUSTOM, TOPS
 
 
 def trajectory_of(experiment: Experiment) -> Trajectory:
@@ -226,15 +227,17 @@ def _from_states(data: dict[str, Any], states: Any) -> EnsembleExperiment:
         raise UsageError(f"simulate_ensemble: states must be an array of numbers: {error}") from None
     if array.ndim != 2 or not len(array) or not np.isfinite(array).all():
         raise UsageError("simulate_ensemble: states must be finite numbers of shape (trajectories, components)")
-    kind = data.get("top")
-    kind = kind.get("kind") if isinstance(kind, dict) else kind
+    given = data.get("top")
+    kind = given.get("kind") if isinstance(given, dict) else given
     initial = data.get("initial")
     named = [key for key in initial if key != "normalize"] if isinstance(initial, dict) else None
-    fits = [top for top in TOPS.values() if top.kind == str(kind).lower() and len(top.components) == array.shape[1]]
+    declared, _ = read_top(given, None, Problems(Document({}))) if kind == CUSTOM else (None, None)
+    known = [declared] if declared else TOPS.values()
+    fits = [top for top in known if top.kind == str(kind).lower() and len(top.components) == array.shape[1]]
     top = next((top for top in fits if named is None or set(top.vectors) == set(named)), fits[0] if fits else None)
     if top is not None:
         _check_units(top, array)
-        data["initial"] = {name: array[0, start:stop].tolist() for name, (start, stop) in top.vectors.items()}
+        data["initial"] = top.initial_section(array[0].tolist())
     # an ensemble of the first state alone, so that ``store`` is checked like any other key
     single = load({**data, "ensemble": {**section, "states": [{}]}})
     assert isinstance(single, EnsembleExperiment)

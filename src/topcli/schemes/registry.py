@@ -221,13 +221,18 @@ def _require_free(name: str, form: str, origin: str) -> None:
         raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
 
 
+def _declared() -> list[str]:
+    """Forms of the tops that are declared by formulas, in topcli or in a config; schemes find them when needed."""
+    return [*CATALOGUE, *TOPS.declared]
+
+
 def _likely_first(name: str, top: str) -> list[str]:
     """Return the built-in modules, starting with those named after the scheme, then those in the package of its top."""
     words, family = set(name.split("-")), re.split(r"[+/]", top)[0]
 
-    def rank(module: str) -> tuple[bool, bool]:
+    def rank(module: str) -> tuple[bool, bool, bool]:
         folder, stem = module.split(".")[-2:]
-        return words.isdisjoint(stem.split("_")), folder != family
+        return words.isdisjoint(stem.split("_")), folder != family, folder != "any_top"
 
     return sorted(built_in_modules(), key=rank)
 
@@ -319,6 +324,8 @@ def unload_scheme_files() -> None:
 def all_schemes() -> tuple[Scheme, ...]:
     """Return all registered schemes, sorted by top and name."""
     plugin_failures()
+    for form in TOPS.declared:
+        registry.complete(form)
     schemes = registry.schemes
     for key in sorted(schemes, key=lambda key: (key[1], key[0])):
         schemes[key] = schemes.pop(key)  # digests of code that uses the table must not depend on the order of imports
@@ -357,7 +364,7 @@ def find_scheme(name: str, top: str) -> Scheme:
     # names are unique: once a module has registered this one, the others need not be imported
     for module in _likely_first(*key):
         import_module(module)
-        if top in CATALOGUE:
+        if top in _declared():
             registry.complete(top, key[0])
         if key in registry.schemes:
             return registry.schemes[key]
@@ -376,7 +383,7 @@ def find_scheme(name: str, top: str) -> Scheme:
 
 def _misfit(name: str, form: str) -> str:
     """Reason why a scheme for every top does not integrate a declared one; empty for other schemes and tops."""
-    if name not in registry.for_every_top or (is_built_in(TOPS[form]) and form not in CATALOGUE):
+    if name not in registry.for_every_top or (is_built_in(TOPS[form]) and form not in _declared()):
         return ""
     top = TOPS[form].new()
     try:
@@ -387,7 +394,7 @@ def _misfit(name: str, form: str) -> str:
         return f"its field is a polynomial of degree {max(rate.degree for rate in field_of(top))}"
     except NotPolynomialError as error:
         place = users_place(error) or (error.__context__ and users_place(error.__context__)) or line_of(top.field)
-        return f"it needs a polynomial field, and the field {error} ({place})"
+        return f"it needs a polynomial field, and the field {error}{'' if is_built_in(type(top)) else f' ({place})'}"
 
 
 def composed(base: Scheme, name: str) -> Scheme:
@@ -409,6 +416,8 @@ def composable_names(form: str) -> list[str]:
 def names_for(top: str) -> list[str]:
     """Return the names of the schemes for the form ``top`` of a top."""
     plugin_failures()
+    if top in TOPS.declared:
+        registry.complete(top)
     return sorted(name for name, kind in registry.schemes if kind == top)
 
 

@@ -21,7 +21,7 @@ from topcli.runs.report import report_data
 from topcli.store.files import sha256_of
 from topcli.store.foreign import ForeignSeries
 from topcli.studies.study import Result
-from topcli.tops import forms
+from topcli.tops import other_forms
 
 UNIT = 1e-3
 """Deviation of the length of a unit vector from 1 that the first row may have; beyond it the units are wrong."""
@@ -81,8 +81,8 @@ def _sources(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> dict[st
 
 def _other_form(file: ForeignSeries, top: Top) -> str:
     """Hint that the columns of the file are the state of another form of the top; empty if they are not."""
-    for form in forms(top.kind):
-        if form.form != top.form and set(form.components) <= set(file.names):
+    for form in other_forms(top):
+        if set(form.components) <= set(file.names):
             wanted = " and ".join(f"initial.{name}" for name in form.vectors)
             return f"the file has the state of {form.form!r}, which a config with {wanted} alone describes"
     return ""
@@ -90,7 +90,7 @@ def _other_form(file: ForeignSeries, top: Top) -> str:
 
 def unread_components(file: ForeignSeries, top: Top) -> list[str]:
     """Columns of the file that are components of a larger form of the top, which the config leaves out."""
-    larger = [form for form in forms(top.kind) if set(top.components) < set(form.components) <= set(file.names)]
+    larger = [form for form in other_forms(top) if set(top.components) < set(form.components) <= set(file.names)]
     return [name for name in larger[0].components if name not in top.components] if larger else []
 
 

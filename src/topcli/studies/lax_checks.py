@@ -33,7 +33,7 @@ from topcli.runs.simulate import trajectory_of
 from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.entries import under_scheme
-from topcli.tops import BodyTop, forms
+from topcli.tops import BodyTop, forms, other_forms
 
 NAME = "the study of Lax forms"
 BODIES = (BodyTop.components, BodyTop.components[:3])
@@ -85,7 +85,7 @@ def lax_experiment(name: str, config: str | Path | None, sets: Sequence[str]) ->
 def _require_body(top: type[Top]) -> None:
     """Raise UsageError for a top whose state is not omega, or omega and gamma."""
     if tuple(top.components) not in BODIES:
-        other = next((form.form for form in forms(top.kind) if tuple(form.components) in BODIES), "")
+        other = next((form.form for form in other_forms(top) if tuple(form.components) in BODIES), "")
         raise UsageError(
             f"lax: the matrices are written for omega and gamma, not for ({', '.join(top.components)}) of the top "
             f"{top.form}; {f'take the top {other}, or ' if other else ''}give a config with the state in the body frame"

@@ -249,17 +249,21 @@ def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def parts_of(config: Mapping[str, Any], schemes: Iterable[str]) -> list[tuple[str, str]]:
     """Form of the top of a resolved config, and each of the ``schemes``."""
+    from topcli.config.sections import declared_class
     from topcli.tops import top_class
 
-    form = top_class(config["top"]["kind"], config.get("initial") or ()).form
+    form = (declared_class(config["top"]) or top_class(config["top"]["kind"], config.get("initial") or ())).form
     return [(form, name) for name in schemes]
 
 
 def top_title(config: Mapping[str, Any]) -> str:
     """Title of the top of a resolved config, or its name if there is no such top."""
+    from topcli.config.sections import declared_class
     from topcli.tops import TOPS
 
     kind = config["top"]["kind"]
+    if declared := declared_class(config["top"]):
+        return declared.title
     known = [top for top in TOPS.values() if top.kind == kind]
     fits = [top for top in known if set(top.vectors) == set(config["initial"])]
     return (fits or known)[0].title if known else str(kind)

@@ -22,7 +22,7 @@ import numpy as np
 from topcli.config.document import Document, Problems
 from topcli.config.models import Experiment, Output
 from topcli.config.rows import Row
-from topcli.config.sections import read_scheme
+from topcli.config.sections import declared_class, read_scheme
 from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
 from topcli.errors import TopcliError
 from topcli.schemes.plugins import users_error
@@ -178,8 +178,8 @@ def _scheme(text: str, form: str) -> tuple[Scheme, Any]:
 def _top(text: str, form: str) -> Top:
     """Top of a resolved section."""
     section = json.loads(text)
-    del section["kind"]
-    return TOPS[form].model_validate(section)
+    cls = declared_class(section) or TOPS[form]
+    return cls.model_validate(cls.parameters_in(section))
 
 
 @lru_cache(maxsize=256)
@@ -191,8 +191,8 @@ def _measures(names: tuple[str, ...], top: str, scheme: str, form: str) -> tuple
 @lru_cache(maxsize=256)
 def shared_experiment(shared: Shared) -> Experiment:
     """Experiment of rows that share these values; its initial state has no meaning."""
+    top = _top(shared.top, shared.form)  # first, since a config may declare it
     scheme, options = _scheme(shared.scheme, shared.form)
-    top = _top(shared.top, shared.form)
     return Experiment.model_construct(
         name="row",
         top=top,

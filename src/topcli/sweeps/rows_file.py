@@ -89,8 +89,9 @@ def _drawn(row: Row, names: Sequence[str]) -> tuple[float | None, ...]:
     """Values of ``names``, which ``Sweep.drawn`` gives, in a row; None for one that its top does not have."""
     if not names:
         return ()
-    state = dict(zip(TOPS[row.form].components, row.initial, strict=True))
-    of = {"initial": state, "top": json.loads(row.top)}
+    cls = TOPS[row.form]
+    state = dict(zip(cls.components, row.initial, strict=True))
+    of = {"initial": state, "top": cls.parameters_in(json.loads(row.top))}
     return tuple([of[section].get(name) for section, _, name in (name.partition(".") for name in names)])
 
 

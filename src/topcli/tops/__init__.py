@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from topcli.contracts import Array, Invariant, Top
-from topcli.errors import UnknownNameError, nearest, quoted
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 
 CATALOGUE = {
     "volterra": "volterra.Volterra",
@@ -36,15 +36,31 @@ BUILT_IN = {
 """Module and class of each built-in form. A form is its kind, or begins with its kind and + or /."""
 
 
+CUSTOM = "custom"
+"""Kind of the tops that a config declares (``tops.custom``)."""
+
+
 def gentle_scene(form: str) -> str:
     """Name of the packaged scene of a top of the catalogue that is easy for every scheme."""
     return f"{form.replace('-', '_')}_gentle"
 
 
 class Tops(UserDict[str, Any]):
-    """Classes of the tops by form; a built-in class is imported when it is first needed, which shortens start-up."""
+    """Classes of the tops by form; a built-in class is imported when it is first needed, which shortens start-up.
+
+    Tops that configs have ``declared`` are found as well, but are not listed.
+    """
+
+    def __init__(self, classes: Mapping[str, str]) -> None:
+        self.declared: dict[str, type[Top]] = {}
+        super().__init__(classes)
+
+    def __contains__(self, form: object) -> bool:
+        return form in self.data or form in self.declared
 
     def __getitem__(self, form: str) -> type[Top]:
+        if form in self.declared:
+            return self.declared[form]
         top = self.data[form]
         if isinstance(top, str):
             module, name = top.split(".")
@@ -53,7 +69,7 @@ class Tops(UserDict[str, Any]):
 
     def kind(self, form: str) -> str:
         """Kind of a form, without importing its class."""
-        top = self.data[form]
+        top = self.declared.get(form) or self.data[form]
         return re.split(r"[+/]", form)[0] if isinstance(top, str) else top.kind
 
 
@@ -61,8 +77,8 @@ TOPS = Tops(BUILT_IN)
 
 
 def top_names() -> list[str]:
-    """Names of the tops for users: each kind, and each form that differs from its kind."""
-    return list(dict.fromkeys(name for form in TOPS for name in (TOPS.kind(form), form)))
+    """Names of the tops for users: each kind, and each form that differs from its kind; ``custom`` comes last."""
+    return [*dict.fromkeys(name for form in TOPS for name in (TOPS.kind(form), form)), CUSTOM]
 
 
 def forms(name: str) -> list[type[Top]]:
@@ -74,9 +90,16 @@ def forms(name: str) -> list[type[Top]]:
     found = [TOPS[form] for form in TOPS if TOPS.kind(form) == wanted]
     if not found and wanted in TOPS:
         return [TOPS[wanted]]
+    if wanted == CUSTOM:
+        raise UsageError("a custom top is declared in a config; `topcli init --top custom` writes one to start from")
     if not found:
         raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}")
     return found
+
+
+def other_forms(top: Top | type[Top]) -> list[type[Top]]:
+    """Forms of the kind of ``top`` other than its own."""
+    return [form for form in TOPS.values() if form.kind == top.kind and form.form != top.form]
 
 
 def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:

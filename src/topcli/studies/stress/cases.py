@@ -41,21 +41,19 @@ def _state_before(top: Top, state: Floats, t: float) -> list[float]:
     return reference_states(top, state, np.array([-t]))[0].tolist()
 
 
-def initial(top: Top, state: Floats) -> dict[str, list[float]]:
+def initial(top: Top, state: Floats) -> dict[str, Any]:
     """Return the ``initial`` section of a config for ``state``, with its unit vectors normalized to the last bit."""
-    section: dict[str, list[float]] = {}
-    for name, (start, stop) in top.vectors.items():
-        vector = list(state[start:stop])
-        if name in top.unit_vectors:
-            length = math.hypot(*vector)
-            vector = [value / length for value in vector]
-        section[name] = vector
-    return section
+    normal = list(state)
+    for name in top.unit_vectors:
+        where = slice(*top.vectors[name])
+        length = math.hypot(*state[where])
+        normal[where] = [value / length for value in state[where]]
+    return top.initial_section(normal)
 
 
 def config(top: Top, state: Floats, h: float, N: int) -> dict[str, Any]:
     """Return a config without a scheme."""
-    return {"top": {"kind": top.kind, **top.model_dump(mode="json")}, "initial": initial(top, state), "h": h, "N": N}
+    return {"top": top.section(), "initial": initial(top, state), "h": h, "N": N}
 
 
 LARGEST_STEP = 60.0

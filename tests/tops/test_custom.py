@@ -1,0 +1,239 @@
+"""Tops that a config declares: the same numbers as a class in Python, what is written back, and what is refused."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import topcli
+from custom_tops import SECTION, VOLTERRA, Y0, Volterra, config, section
+from topcli.config.load import load, load_experiment
+from topcli.config.text import parse_yaml
+from topcli.contracts import Outcome
+from topcli.errors import ConfigError, TopcliError
+from topcli.field.polynomial import field_of
+from topcli.schemes.registry import names_for
+from topcli.tops import TOPS, top_names
+
+
+def test_the_section_comes_back_as_it_was_written() -> None:
+    experiment = load_experiment(config())
+    assert experiment.resolved()["top"] == SECTION
+    assert experiment.resolved()["initial"] == {"w1": 0.9, "w2": -0.4, "w3": 1.2}
+    again = load(parse_yaml(experiment.to_yaml(), "")[0] | {"name": "again"})
+    assert again.digest == experiment.digest
+    assert type(again.top) is type(experiment.top)
+    copied = pickle.loads(pickle.dumps(experiment.top))
+    assert copied == experiment.top
+    assert type(copied) is type(experiment.top)
+
+
+def test_parameters_are_keys_of_the_section_too() -> None:
+    first = load_experiment(config(), ["top.k=0.5"])
+    second = load_experiment(config(), ["top.parameters.k=0.5"])
+    assert first.resolved() == second.resolved()
+    assert first.top.constants() == (3.0, 2.0, 1.0, 0.5)
+    assert type(first.top) is type(load_experiment(config()).top)
+
+
+def test_a_number_is_a_formula() -> None:
+    still = section(field={"w1": 0, "w2": "k*w1 ", "w3": -0.5}, invariants={"w1": "w1"}, components=["w1", "w2", "w3"])
+    still["invariants"] = {"first": "w1"}
+    top = load_experiment(config(top=still, scheme="rk4")).top
+    assert top.field((1.0, 2.0, 3.0), top.constants()) == (0.0, 0.3, -0.5)
+    assert top.section()["field"] == {"w1": "0", "w2": "k*w1", "w3": "-0.5"}
+
+
+@pytest.mark.usefixtures("own_registry")
+@pytest.mark.parametrize("scheme", ["hk", "rk4", "dop853", "midpoint", {"name": "hk", "compensated": True}])
+def test_the_bits_of_the_same_top_in_python(scheme) -> None:
+    topcli.top(Volterra)
+    ours = topcli.simulate(config(scheme=scheme))
+    theirs = topcli.simulate(config(scheme=scheme, top="volterra-in-python"))
+    assert ours.states.tobytes() == theirs.states.tobytes()
+    assert ours["momentum"] == pytest.approx(theirs["momentum"], rel=1e-15)
+    assert field_of(ours.top) == field_of(theirs.top)
+
+
+def test_an_edit_of_a_formula_is_another_experiment() -> None:
+    digests = set()
+    edits = [
+        {},
+        {"field": SECTION["field"] | {"w1": "((B - C)*w2*w3 - k*w2 + 0)/A"}},
+        {"invariants": {"energy": SECTION["invariants"]["energy"]}},
+        {"parameters": SECTION["parameters"] | {"k": 0.31}},
+    ]
+    for edit in edits:
+        experiment = load_experiment(config(top=section(**edit)))
+        digests.add(experiment.digest)
+    assert len(digests) == len(edits)
+    forms = [load_experiment(config(top=section(**edit))).top.form for edit in edits]
+    assert forms[0] == forms[3]
+    assert len(set(forms)) == 3
+    assert all(re.fullmatch("custom-[0-9a-f]{8}", form) for form in forms)
+
+
+def test_declared_tops_are_not_listed() -> None:
+    form = load_experiment(config()).top.form
+    assert form not in list(TOPS)
+    assert form in TOPS
+    assert top_names()[-1] == "custom"
+    assert {"hk", "midpoint", "rk2", "rk4", "dop853"} <= set(names_for(form))
+
+
+def test_without_energy_no_motion_is_left() -> None:
+    """The field w' = w grows by e^20."""
+    grows = {"kind": "custom", "components": ["x"], "field": {"x": "x"}}
+    trajectory = topcli.simulate(config(top=grows, initial={"x": 1.0}, scheme="rk4", N=2000))
+    assert trajectory.outcome is Outcome.COMPLETED
+    assert trajectory["x"][-1] == pytest.approx(np.exp(20.0), rel=1e-8)
+    assert trajectory.invariant_rows() == []
+    judged = {**grows, "parameters": {"e": 1e-3}, "field": {"x": "e*x"}}
+    assert topcli.simulate(config(top=judged, initial={"x": 1.0})).outcome is Outcome.COMPLETED
+
+
+def test_a_field_of_other_functions() -> None:
+    """The pendulum: q' = p, p' = -sin q."""
+    pendulum = {
+        "kind": "custom",
+        "components": ["q", "p"],
+        "field": {"q": "p", "p": "-sin(q)"},
+        "invariants": {"energy": "p**2/2 - cos(q)"},
+    }
+    start = {"q": 0.5, "p": 0.0}
+    trajectory = topcli.simulate(config(top=pendulum, initial=start, scheme="rk4", N=1000))
+    energy = trajectory["p"] ** 2 / 2 - np.cos(trajectory["q"])
+    assert trajectory["energy"] == pytest.approx(energy, rel=1e-15)
+    assert np.ptp(energy) < 1e-10
+    with pytest.raises(TopcliError, match="'hk' does not fit"):
+        load(config(top=pendulum, initial=start))
+    precise = topcli.simulate(config(top=pendulum, initial=start, scheme="rk4", N=3, precision=40))
+    assert precise["p"] == pytest.approx(trajectory["p"][:4], rel=1e-14)
+
+
+def test_numbers_of_the_formulas_in_other_precisions() -> None:
+    """Fractions: k = 1/3 and 0.1 are exact, and so is the momentum w1 + w2 of w1' = -w2' = 0.1 k w1."""
+    top = {
+        "kind": "custom",
+        "components": ["w1", "w2"],
+        "parameters": {"k": 1.0},
+        "field": {"w1": "0.1*k*w1", "w2": "-0.1*k*w1"},
+        "invariants": {"sum": "0.3*w1 + 3/10*w2"},
+    }
+    given = config(top=top, initial={"w1": 1, "w2": 2}, scheme="hk", N=1, h=0.1, precision="rational")
+    given["top"]["parameters"]["k"] = "1/3"
+    experiment = load(given)
+    assert experiment.resolved()["top"]["parameters"] == {"k": "1/3"}
+    trajectory = topcli.simulate(given)
+    kappa = Fraction(1, 10) * Fraction(1, 10) / 3 / 2
+    assert trajectory["w1"][1] == float((1 + kappa) / (1 - kappa))
+    assert "equal at all 2 rows" in trajectory.invariant_rows()[0].reason
+
+
+LEVEL = """\
+top:
+  kind: custom
+  components: [w1, w2, w3, g1, g2, g3]
+  parameters: {x: 1.0}
+  field:
+    w1: 3*w2*w3/4
+    w2: (-3*w3*w1 + g3*x)/4
+    w3: -g2*x
+    g1: g2*w3 - g3*w2
+    g2: g3*w1 - g1*w3
+    g3: g1*w2 - g2*w1
+  invariants:
+    m_gamma: 4*w1*g1 + 4*w2*g2 + w3*g3
+    chaplygin: {value: w3*(w1**2 + w2**2) - x*w1*g3, on: {m_gamma: 0}}
+initial: {w1: 1, w2: 0, w3: 0, g1: 0, g2: 0, g3: 1}
+scheme: hk
+h: 0.01
+N: 10
+"""
+
+
+def test_an_invariant_may_hold_on_a_level(tmp_path) -> None:
+    path = tmp_path / "level.yaml"
+    path.write_text(LEVEL)
+    experiment = load(path)
+    assert experiment.top.invariants()[1].on == {"m_gamma": 0.0}
+    assert experiment.resolved()["top"]["invariants"]["chaplygin"]["on"] == {"m_gamma": 0.0}
+    path.write_text(LEVEL.replace(", on: {m_gamma: 0}", ""))
+    with pytest.raises(ConfigError, match=r"level.yaml:14: top.invariants.chaplygin: 'chaplygin' is no integral"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("k*w2)/A", "kk*w2)/A", "6: top.field.w1: column 18: unknown name 'kk'; did you mean 'k'?"),
+        ("w3: (A", "w4: (A", "5: top.field: gives no rate of change of 'w3'"),
+        ("w3: (A", "w4: (A", "8: top.field.w4: is no component; known: w1, w2, w3"),
+        ("(C*w3 + k)", "(C*w3 - k)", "11: top.invariants.momentum: 'momentum' is no integral of the field: its rate"),
+        (", w3: 1.2", "", "12: initial.w3: missing"),
+        ("w3: 1.2", "w3: [1.2, 3]", "12: initial.w3: must be a list of 1 numbers (w3), not 2"),
+        ("w3: 1.2", "w3: one", "12: initial.w3: w3 must be a number, not the text 'one'"),
+        ("w3: 1.2", "w3: .inf", "12: initial.w3: w3 must be a finite number"),
+        ("[w1, w2, w3]", "[w1, w2, w 3]", "3: top.components[2]: a name has letters, digits and _"),
+        ("[w1, w2, w3]", "[w1, w2, A]", "4: top.parameters.A: 'A' names a component already"),
+        ("[w1, w2, w3]", "[w1, w2, w2]", "3: top.components[2]: 'w2' names a component already"),
+        ("[w1, w2, w3]", "[w1, w2, t]", "3: top.components[2]: 't' is taken; choose another name for the component"),
+        ("[w1, w2, w3]", "[]", "3: top.components: must be a list, not an empty one"),
+        ("[w1, w2, w3]", "w1", "3: top.components: must be a list, not the text 'w1'"),
+        ("A: 3.0", "A: 3.0, copy: 1", "4: top.parameters.copy: 'copy' is taken"),
+        ("A: 3.0", "A: 3.0, model_k: 1", "4: top.parameters.model_k: 'model_k' is taken"),
+        ("A: 3.0", "A: three", "4: top.parameters.A: must be a number, not the text 'three'"),
+        ("A: 3.0", "A: 0", "5: top.field: divides by zero with A = 0"),
+        ("energy: (A", "w1: (A", "10: top.invariants.w1: 'w1' names a component already"),
+        ("invariants:", "invariant:", "9: top.invariant: unknown key; did you mean 'invariants'?"),
+        ("kind: custom", "kind: costum", "2: top.kind: unknown top 'costum'; did you mean 'custom'?"),
+        ("(A - B)*w1*w2/C", "[1, 2]", "8: top.field.w3: must be a formula such as 2*w1, not a list"),
+        ("(A - B)*w1*w2/C", "{value: w1}", "8: top.field.w3: must be a formula such as 2*w1, not a section"),
+        ("(A - B)*w1*w2/C", "true", "8: top.field.w3: must be a formula such as 2*w1, not true"),
+        ("(A - B)*w1*w2/C", "", "8: top.field.w3: must be a formula such as 2*w1, not nothing"),
+        ("(A*w1)**2", "{value: w1, on: {zz: 0}} # ", "11: top.invariants.momentum: 'momentum' holds on 'zz'"),
+        ("(A*w1)**2", "{value: w1, om: {zz: 0}} # ", "11: top.invariants.momentum.om: unknown key; known: on, value"),
+        ("(A*w1)**2", "{on: {zz: 0}} # ", "11: top.invariants.momentum.value: missing; give the formula"),
+        ("(A*w1)**2", "{value: w9} # ", "11: top.invariants.momentum.value: column 1: unknown name 'w9'"),
+        ("scheme: hk", "scheme: {name: hk, compensatd: true}", "13: scheme.compensatd: unknown key"),
+        ("h: 0.01", "h: 0.01\noutput: {attitude: quaternion}", "15: output.attitude: top 'custom'"),
+    ],
+)
+def test_what_is_refused_names_its_line(tmp_path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "v.yaml"
+    assert VOLTERRA.count(old) == 1
+    path.write_text(VOLTERRA.replace(old, new))
+    with pytest.raises(TopcliError) as error:
+        load(path)
+    assert f"v.yaml:{message}" in str(error.value)
+
+
+def test_the_name_alone_is_no_custom_top() -> None:
+    with pytest.raises(ConfigError, match=r"top.components: missing"):
+        load(config(top="custom"))
+    with pytest.raises(TopcliError, match="`topcli init --top custom` writes one"):
+        list(load_scenes("custom"))
+
+
+def load_scenes(top: str):
+    from topcli.config.load import scenes
+
+    return scenes(top)
+
+
+def test_states_of_an_array_and_of_a_box() -> None:
+    ensemble = topcli.simulate_ensemble(config(), states=[Y0, (1.0, 0.0, 0.0)])
+    assert ensemble.trajectory(0).states.tobytes() == topcli.simulate(config()).states.tobytes()
+    drawn = load(config(ensemble={"random": {"count": 200, "seed": 3, "w1": {"near": 0.1}}}))
+    states = drawn.members.groups[0].states
+    assert states[:, 1:].tolist() == [list(Y0[1:])] * 200
+    assert abs(states[:, 0] - 0.9).max() <= 0.1
+    assert np.histogram(states[:, 0], 4, (0.8, 1.0))[0].min() > 25  # a quarter is 50, with a deviation of 6
+    gridded = load(config(ensemble={"grid": {"top.k": [0.1, 0.2], "w3": [0.0, 1.0, 2.0]}}))
+    assert [gridded.member(i).y0 for i in (0, 5)] == [(0.9, -0.4, 0.0), (0.9, -0.4, 2.0)]
+    assert gridded.member(5).top.constants()[3] == 0.2
+    assert load(gridded.resolved()).digest == gridded.digest
