@@ -53,7 +53,8 @@ def _holds(schema: Any, name: str, limit: Any, value: Any, definitions: Any) -> 
         case "required", dict():
             return value.keys() >= set(limit)
         case "additionalProperties", dict():
-            return limit is not False or value.keys() <= schema["properties"].keys()
+            others = value.keys() - schema.get("properties", {}).keys()
+            return not others if limit is False else limit is True or all(fits(limit, value[key]) for key in others)
         case "items", list():
             return all(fits(limit, item) for item in value)
         case ("minItems", list()) | ("minProperties", dict()):

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import re
 from fractions import Fraction
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.mathtext import MathTextParser
 
 import topcli
 from custom_tops import SECTION, VOLTERRA, Y0, Volterra, config, section
+from json_schema import fits
 from topcli.config.load import load, load_experiment
+from topcli.config.schema import config_schema
 from topcli.config.text import parse_yaml
 from topcli.contracts import Outcome
 from topcli.errors import ConfigError, TopcliError
 from topcli.field.polynomial import field_of
+from topcli.figures.picture import component_symbol
 from topcli.schemes.registry import names_for
 from topcli.tops import TOPS, top_names
+from topcli.tops.custom import EXAMPLE
+
+schema_of_configs = cache(config_schema)
 
 
 def test_the_section_comes_back_as_it_was_written() -> None:
@@ -237,3 +247,44 @@ def test_states_of_an_array_and_of_a_box() -> None:
     assert [gridded.member(i).y0 for i in (0, 5)] == [(0.9, -0.4, 0.0), (0.9, -0.4, 2.0)]
     assert gridded.member(5).top.constants()[3] == 0.2
     assert load(gridded.resolved()).digest == gridded.digest
+
+
+@pytest.mark.parametrize("suffix", ["yaml", "toml"])
+def test_a_starting_config_runs(cli, suffix: str) -> None:
+    assert cli("init", "--top", "custom", f"mine.{suffix}").code == 0
+    found = cli("run", f"mine.{suffix}", "--set", "N=100", "--name", "mine")
+    assert found.err.startswith("mine: completed 100 steps")
+    assert load(f"mine.{suffix}").resolved()["top"] == EXAMPLE
+    assert fits(json.loads(Path("topcli.schema.json").read_text()), load(f"mine.{suffix}").resolved())
+
+
+@pytest.mark.parametrize(
+    ("changes", "accepted"),
+    [
+        ({}, True),
+        ({"scheme": {"name": "hk", "compensated": True}}, True),
+        ({"scheme": "backlund"}, False),
+        ({"initial": {"w1": "auto", "w2": 0, "w3": 1}}, False),
+        ({"ensemble": {"random": {"count": 3, "w1": {"near": 0.1}}}}, True),
+        ({"ensemble": {"rndom": {}}}, False),
+        ({"top": section(field=0)}, False),
+        ({"top": section(field={"w1": 0, "w2": "w1", "w3": "1"})}, True),
+        ({"top": section(invariants={"m": {"value": "w1", "on": {"m": 0}}})}, True),
+        ({"top": section(invariants={"m": {"value": "w1", "om": {"m": 0}}})}, False),
+        ({"top": section(parameters={"A": "3"})}, False),
+        ({"top": section(components=["w 1"])}, False),
+        ({"top": SECTION | {"k": 0.5}}, True),
+        ({"top": SECTION | {"k": "x"}}, False),
+        ({"top": "custom"}, False),
+    ],
+)
+def test_the_schema_of_configs_knows_custom_tops(changes, accepted: bool) -> None:
+    assert fits(schema_of_configs(), {"name": "x", **config(**changes)}) is accepted
+
+
+def test_labels_of_components() -> None:
+    names = {"w1": "$w_1$", "omega3": r"$\omega_3$", "theta": r"$\theta$", "q": "$q$", "x12": "$x_{12}$"}
+    names |= {"vel1": r"$\mathrm{vel}_1$", "p_x": r"$\mathrm{p\_x}$"}
+    assert {name: component_symbol(name) for name in names} == names
+    for label in names.values():
+        MathTextParser("path").parse(label)

@@ -16,13 +16,14 @@ from topcli.analysis.columns import ATTITUDES, spellings
 from topcli.config.draws import draw_examples, drawable
 from topcli.config.ensemble import section_model
 from topcli.config.models import Config, Output
-from topcli.config.sections import initial_model
+from topcli.config.sections import CustomSection, Relation, example_class, initial_model
 from topcli.config.text import flow
 from topcli.contracts import Scheme, Top
 from topcli.errors import UsageError
+from topcli.field.expression import NAME
 from topcli.schemes.compose import COMPOSITIONS, obstacle
 from topcli.schemes.registry import all_schemes, find_scheme, names_for
-from topcli.tops import TOPS, forms, top_class, top_names
+from topcli.tops import CUSTOM, TOPS, forms, top_class, top_names
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -44,7 +45,7 @@ def config_schema() -> Schema:
         ]
     }
     properties["initial"] |= {"type": "object"}
-    properties["ensemble"] |= _ensemble_section(*TOPS.values())
+    properties["ensemble"] |= {"anyOf": [{"$ref": f"#/$defs/{_ENSEMBLE}"}, *_ensemble_section(*TOPS.values())["anyOf"]]}
     schema["required"].remove("initial")
     schema["anyOf"] = [{"required": ["initial"]}, {"required": ["ensemble"]}]
     schema["oneOf"] = [{"required": ["N"]}, {"required": ["T"]}]
@@ -55,8 +56,62 @@ def config_schema() -> Schema:
         "$schema": DRAFT,
         **schema,
         "title": "topcli config",
-        "allOf": [_for_top(cls) for cls in TOPS.values()],
-        "$defs": {_ensemble_name(cls): _schema(section_model(cls)) for cls in TOPS.values()},
+        "allOf": [*(_for_top(cls) for cls in TOPS.values()), _for_custom()],
+        "$defs": {
+            **{_ensemble_name(cls): _schema(section_model(cls)) for cls in TOPS.values()},
+            _ENSEMBLE: _of_any_name(_schema(section_model(example_class()))),
+        },
+    }
+
+
+_ENSEMBLE = f"ensemble_{CUSTOM}"
+_FORMULA: Schema = {"type": ["string", "number"], "description": "a formula of components and parameters"}
+
+
+def _of_any_name(part: Any) -> Any:
+    """A part of the schema of an ensemble of the example, with any name in the place of its components."""
+    if isinstance(part, list):
+        return [_of_any_name(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    made = {key: _of_any_name(item) for key, item in part.items()}
+    named, known = made.get("properties", {}), example_class().components
+    if known[0] in named:
+        made["additionalProperties"] = named[known[0]]
+        own = {key: item for key, item in named.items() if key not in known and not key.startswith("top.")}
+        made["properties"] = own
+        if made.pop("anyOf", None):  # one of the components is drawn
+            made["anyOf"] = [{"minProperties": 3}, {"minProperties": 2, "not": {"required": ["seed"]}}]
+    return made
+
+
+def _for_custom() -> Schema:
+    """Schema of the sections for a top that the config declares."""
+    kind: Schema = {"const": CUSTOM, "description": "a top that this section declares"}
+    top = _schema(CustomSection)
+    relation = _schema(Relation)
+    relation["properties"]["value"] |= _FORMULA
+    properties = {"kind": kind, **top["properties"]}
+    properties["components"]["items"] |= {"pattern": f"^{NAME.pattern}$"}
+    properties["field"] |= {"type": "object", "additionalProperties": _FORMULA}
+    properties["invariants"] |= {"type": "object", "additionalProperties": {"anyOf": [_FORMULA, relation]}}
+    section = {
+        "type": "object",
+        "required": ["kind", *top["required"]],
+        "properties": properties,
+        "additionalProperties": {"type": "number", "description": "a parameter, in the place of its value above"},
+    }
+    schemes = [scheme for scheme in all_schemes() if scheme.top == example_class().form]
+    return {
+        "if": _is_top({"const": CUSTOM}),
+        "then": {
+            "properties": {
+                "top": section,
+                "initial": {"type": "object", "additionalProperties": {"type": "number"}},
+                "ensemble": {"anyOf": [{"$ref": f"#/$defs/{_ENSEMBLE}"}, {"type": "null"}]},
+                "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
+            }
+        },
     }
 
 
@@ -183,7 +238,7 @@ def starter_config(
     ``schema`` is the path of the JSON Schema that the editor's modeline names.
     Raises UnknownNameError with the nearest names, or UsageError for a scheme that does not fit the top.
     """
-    cls = top_class(top)
+    cls = example_class() if top.lower() == CUSTOM else top_class(top)
     names = names_for(cls.form)
     chosen = find_scheme(scheme or _default_scheme(cls, names), cls.form)
     return "\n".join(_lines(cls, chosen, schema, toml)) + "\n"
@@ -211,6 +266,10 @@ def _lines(cls: type[Top], scheme: Scheme, schema: str, toml: bool) -> list[str]
         lines += [f"[{title}]" if toml else f"{title}:"] if title else []
         indent = "  " if title and not toml else ""
         for key, value, note in section:
+            if isinstance(value, dict):  # a section in the section, which in TOML comes last
+                lines.append((f"[{title}.{key}]" if toml else f"{indent}{key}:") + (f"  # {note}" if note else ""))
+                lines += [f"{indent * 2}{inner}{sign} {write(item)}" for inner, item in value.items()]
+                continue
             text = f"# {key}{sign}" if value is None else f"{key}{sign} {write(value)}"
             lines.append(indent + text + (f"  # {note}" if note else ""))
         lines.append("")
@@ -235,11 +294,12 @@ def _sections(cls: type[Top], scheme: Scheme) -> Sequence[tuple[str, str, list[L
     """Sections of the config: title (empty for keys of the top level), comment, lines."""
     described = {key: field.description or "" for key, field in Config.model_fields.items()}
     # the vectors choose the form of the state; where another form has the same ones only its own name does
-    kind = cls.kind if top_class(cls.kind, list(cls.vectors)) is cls else cls.form
-    name = f"{cls.form}_{scheme.name}".translate(str.maketrans("-/+", "___"))
+    is_custom = cls.kind == CUSTOM
+    kind = cls.kind if is_custom or top_class(cls.kind, list(cls.vectors)) is cls else cls.form
+    name = f"{CUSTOM if is_custom else cls.form}_{scheme.name}".translate(str.maketrans("-/+", "___"))
     return (
         ("", "", [("name", name, described["name"])]),
-        ("top", "", [("kind", kind, ""), *_fields(cls)]),
+        ("top", "", _declaration(cls) if is_custom else [("kind", kind, ""), *_fields(cls)]),
         ("initial", "", _initial(cls)),
         ("scheme", f"one of {', '.join(names_for(cls.form))}", [("name", scheme.name, ""), *_fields(scheme.options)]),
         ("", "", [("h", 0.001, described["h"]), ("N", 50000, described["N"])]),
@@ -257,6 +317,12 @@ def _fields(model: type[BaseModel]) -> list[Line]:
         )
         for key, field in model.model_fields.items()
     ]
+
+
+def _declaration(cls: type[Top]) -> list[Line]:
+    """Lines of the section of a top that the config declares."""
+    described = {key: field.description or "" for key, field in CustomSection.model_fields.items()}
+    return [(key, value, described.get(key, "")) for key, value in cls.new().section().items()]
 
 
 def _initial(cls: type[Top]) -> list[Line]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
@@ -53,8 +53,7 @@ class CustomSection(BaseModel):
     field: dict[str, Any] = Field(description="for each component, its rate of change: a formula")
     invariants: dict[str, Any] = Field(
         default={},
-        description="formulas of what the motion conserves; one that holds only on a level of others is a section "
-        "with its value and on",
+        description="formulas of what is conserved; only on a level of others: {value: ..., on: {...}}",
     )
 
 
@@ -106,12 +105,21 @@ def read_custom(raw: dict[str, Any], problems: Problems) -> tuple[type[Top] | No
 
 def declared_class(section: object) -> type[Top] | None:
     """Class of a top that a resolved section ``top`` declares; None for other tops."""
-    if not isinstance(section, dict) or section.get("kind") != CUSTOM:
+    if not isinstance(section, Mapping) or section.get("kind") != CUSTOM:
         return None
     from topcli.tops.custom import custom_class
 
     cls = custom_class(section)
     TOPS.declared[cls.form] = cls
+    return cls
+
+
+def example_class() -> type[Top]:
+    """Class of the top of a starting config."""
+    from topcli.tops.custom import EXAMPLE
+
+    cls = declared_class(EXAMPLE)
+    assert cls is not None
     return cls
 
 

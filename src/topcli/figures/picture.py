@@ -69,10 +69,18 @@ class Runs:
         return tuple(name for name in columns if name.rpartition(":")[2] in overlay_names(self.of(name).experiment))
 
 
+_GREEK = frozenset("alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi".split())  # noqa: SIM905
+_GREEK |= frozenset("pi rho sigma tau upsilon phi chi psi omega".split())  # noqa: SIM905
+
+
 def component_symbol(name: str) -> str:
-    """Mathtext of a component of the state: ``omega1`` or ``a3``."""
-    letter, number = name[:-1], name[-1]
-    return rf"$\{letter}_{number}$" if len(letter) > 1 else f"${letter}_{number}$"
+    """Mathtext of a component of the state: ``omega1``, ``a3`` or ``theta``; other words are upright."""
+    letter = name.rstrip("0123456789")
+    number = name[len(letter) :]
+    symbol = rf"\{letter}" if letter in _GREEK else letter
+    if letter not in _GREEK and len(letter) > 1:
+        symbol = r"\mathrm{" + letter.replace("_", r"\_") + "}"
+    return f"${symbol}_{{{number}}}$" if len(number) > 1 else f"${symbol}_{number}$" if number else f"${symbol}$"
 
 
 def column_label(experiment: Experiment, column: str) -> str:
