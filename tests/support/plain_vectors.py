@@ -7,10 +7,19 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, MutableSequence
+from collections.abc import Callable, MutableSequence, Sequence
 from fractions import Fraction
 
-from topcli.schemes.any_top.taylor import EXACT_REACH, FRACTION, LAG, LOG2_TOL, MAX_EXPANSIONS, STEP, TABLES, TIME
+from topcli.schemes.any_top.taylor import (
+    EXACT_REACH,
+    FRACTION,
+    LAG,
+    LOG2_TOL,
+    MAX_EXPANSIONS,
+    STEP,
+    TIME,
+    UNITS,
+)
 from topcli.schemes.any_top.taylor_series import Arrangement, expand, taylor_increment
 from topcli.schemes.any_top.taylor_vectors import POWER, ROUNDING, two_sum
 
@@ -44,13 +53,17 @@ def each(operation: Callable[..., float], *operands: Either) -> Either:
 class Plain:
     """The operations, executed."""
 
-    def __init__(self, lanes: int, *, fuse: bool = True) -> None:
-        self.lanes, self.fuse = lanes, fuse
+    def __init__(self, lanes: int, tables: Sequence[Vector], *, fuse: bool = True) -> None:
+        self.lanes, self.tables, self.fuse = lanes, tables, fuse
         self.kept: dict[tuple[str, int], Vector] = {}
 
     def constant(self, values: Vector) -> Vector:
         """See ``Operations``; so all the following."""
         return values
+
+    def table(self, index: int) -> Vector:
+        """Coefficients of the field."""
+        return self.tables[index]
 
     def splat(self, x: float) -> Vector:
         """A scalar in every lane."""
@@ -118,7 +131,6 @@ class Plain:
 
 def advance(
     a: Arrangement,
-    d: int,
     order: int,
     work: MutableSequence[float],
     out: MutableSequence[float],
@@ -131,27 +143,26 @@ def advance(
     fuse: bool = True,
 ) -> int:
     """Plain Python twin of ``series_loop``."""
-    o, n, base = Plain(a.lanes, fuse=fuse), a.lanes, 2 * a.lanes
-    at = base + TABLES
+    n, base, d = a.lanes, 2 * a.lanes, a.components
+    at = base + UNITS
+    unit, *tables = (tuple(work[at + k * n : at + (k + 1) * n]) for k in range(1 + len(a.tables)))
+    o = Plain(n, tables, fuse=fuse)
     hi, lo = tuple(work[:n]), tuple(work[n:base])
     step, part, lag = int(work[base + STEP]), work[base + FRACTION], work[base + LAG]
-    alpha, beta, delta, unit = (tuple(work[at + k * n : at + (k + 1) * n]) for k in range(4))
     scaled = h * work[base + TIME]
     row, place, done = until, 0, 0
     for _ in range(MAX_EXPANSIONS):
-        natural, late, missed = expand(
-            o, a, order, (hi, lo if extended_precision else None), (alpha, beta, delta), work[base + LOG2_TOL]
-        )
+        natural, late, missed = expand(o, a, order, (hi, lo if extended_precision else None), work[base + LOG2_TOL])
         capped = min(natural * (1.0 / abs(scaled)), 2.0**40)
         reach = float(math.floor(capped)) if capped >= EXACT_REACH else part + ((capped + EXACT_REACH) - EXACT_REACH)
         if not late < 1024.0 or not reach > part:
             if late < 1024.0:
-                work[at + 4 * n] = math.nan
+                work[-2] = math.nan
             return -1 - max(step, 0)
         while row <= steps and row - step <= reach:
             main, small = taylor_increment(o, order, ((row - step) - part) * scaled - lag, missed)
             physical = o.mul(o.add(hi, o.add(main, o.add(small, lo))), unit)
-            out[place : place + d] = [physical[k] for k in a.component_lanes]  # type: ignore[index]
+            out[place : place + d] = physical[:d]  # type: ignore[index]
             row, place = row + every, place + d
         done = steps
         if steps - step <= reach:
@@ -167,7 +178,7 @@ def advance(
         lo = o.sub(small, o.sub(hi, new))
         passed = math.floor(reach)
         step, part = step + passed, reach - passed
-        work[at + 4 * n + 1] += 1.0
+        work[-1] += 1.0
         done = step
     work[:n], work[n:base] = hi, lo  # type: ignore[call-overload]
     work[base + STEP], work[base + FRACTION], work[base + LAG] = float(step - done), part, lag

@@ -111,7 +111,7 @@ def build(name: str, top: Top) -> object:
 
 
 USERS = {
-    "scheme 'taylor'": lambda top: build("taylor", top),
+    "scheme 'dmv'": lambda top: build("dmv", top),
     "scheme 'midpoint'": lambda top: build("midpoint", top),
 }
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import random
 from collections.abc import Iterable
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
+from fields import random_field, random_state
 from topcli.field.implicit import KahanStep, NewtonStep, Pattern, generated
 from topcli.field.integrals import broken_integral, polynomial_value, rate_of_change
 from topcli.field.polynomial import (
@@ -24,21 +23,6 @@ from topcli.field.straight_line import function_of
 from topcli.tops import TOPS
 
 EPS = 2.0**-52
-
-
-def random_field(d: int, degree: int, seed: int, density: float = 0.5) -> Field:
-    """Field of ``d`` components with coefficients of one decimal, of a size that keeps f(y) about one."""
-    draw = random.Random(seed)
-    monomials = [m for k in range(degree + 1) for m in itertools.combinations_with_replacement(range(d), k)]
-    return tuple(
-        Polynomial({m: Fraction(draw.randint(-20, 20), 10) for m in monomials if draw.random() < density})
-        for _ in range(d)
-    )
-
-
-def random_state(d: int, seed: int) -> tuple[float, ...]:
-    draw = random.Random(1000 + seed)
-    return tuple(draw.uniform(-1.0, 1.0) for _ in range(d))
 
 
 def length(field: Field, y: tuple[float, ...]) -> float:

@@ -18,6 +18,7 @@ from topcli.analysis.reference import ORDER, REACH, reference_states, table_of
 from topcli.contracts import Floats, Top
 from topcli.errors import RunError, UsageError
 from topcli.field.polynomial import field_of
+from topcli.field.units import NaturalUnits
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
@@ -250,7 +251,7 @@ def test_wrong_times_and_states_are_refused(y0, times):
 def test_unreachable_accuracy_is_reported(monkeypatch):
     with pytest.raises(RunError, match=r"would need at least 1\.8e\+308"):
         reference_states(Heavy(A=5e-324), GEN, np.array([1.0]))
-    monkeypatch.setattr(reference, "natural_units", lambda field, y: (field, 0, [0] * len(y)))
+    monkeypatch.setattr(NaturalUnits, "at", lambda self, y: (self.field, 0, [0] * len(y)))
     with pytest.raises(RunError, match=r"beyond t = 0: it is not finite"):
         reference_states(Kowalevski(), (1e150, *GEN[1:]), np.array([1e-150]))
 

@@ -32,8 +32,8 @@ import numpy as np
 from topcli.arithmetic.fused import dd_add, dd_div, dd_mul, dd_scale, two_prod, two_sum
 from topcli.contracts import Array, Top, check_stop
 from topcli.errors import RunError, UsageError
-from topcli.field.polynomial import Field, Monomial, NotPolynomialError, field_of
-from topcli.field.units import natural_units
+from topcli.field.polynomial import Field, Monomial, required_field
+from topcli.field.units import NaturalUnits
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native
@@ -242,16 +242,15 @@ def table_of(field: Field) -> Array:
 def reference_obstacle(top: Top) -> str:
     """Reason why the reference cannot follow ``top``, one line; empty if it can."""
     try:
-        field_of(top, Fraction)
-    except NotPolynomialError as error:
-        return f"top {top.kind!r}: {NAME} needs a polynomial field, but this one {error}"
+        required_field(top, NAME)
+    except UsageError as error:
+        return str(error)
     return ""
 
 
 def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Field, Array, Array]:
     """The exact field, the initial state (d,), and the times (m,), all checked."""
-    if fault := reference_obstacle(top):
-        raise UsageError(fault)
+    field = required_field(top, NAME, exact=Fraction)
     d = len(top.components)
     if len(y0) != d:
         raise ValueError(f"reference: the state has {len(y0)} components; expected {d}")
@@ -261,7 +260,7 @@ def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Field, Array,
         raise ValueError("reference: initial state and times must be finite, times of one dimension")
     if ((t < 0.0).any() and (t > 0.0).any()) or (np.diff(np.abs(t)) < 0.0).any():
         raise ValueError("reference: times must lead away from zero, all forward or all backward")
-    return field_of(top, Fraction), y, t
+    return field, y, t
 
 
 def distances(states: Array, reference: Array) -> Array:
@@ -305,7 +304,7 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
     """
     field, y, t = _checked(top, y0, times)
     d = len(y)
-    scaled, k, units = natural_units(field, y.tolist())
+    scaled, k, units = NaturalUnits(field).at(y.tolist())
     state, out = np.zeros(2 * d + 4), np.zeros((t.size, d))
     table = table_of(scaled)
     work = np.zeros(2 * (d + int(table[1])) * (ORDER + 1))

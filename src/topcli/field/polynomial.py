@@ -14,6 +14,7 @@ from fractions import Fraction
 from typing import Any
 
 from topcli.contracts import Top
+from topcli.errors import UsageError
 from topcli.field.expression import in_arithmetic
 
 Monomial = tuple[int, ...]
@@ -155,6 +156,10 @@ class Polynomial:
         """Indices of the variables in the terms, or in those of one ``degree``."""
         return {i for monomial in self.terms if degree in (None, len(monomial)) for i in monomial}
 
+    def nonlinear(self) -> set[int]:
+        """Indices of the variables in products of two factors and more."""
+        return {i for monomial in self.terms if len(monomial) > 1 for i in monomial}
+
     def derivative(self, index: int) -> Polynomial:
         """Partial derivative with respect to a variable."""
         terms = {}
@@ -228,3 +233,30 @@ def field_of(top: Top, exact: Callable[[float], Fraction] = decimal) -> Field:
         raise
     except Exception as error:
         raise NotPolynomialError(f"cannot be evaluated with exact parameters: {error}") from None
+
+
+def is_polynomial(top: Top, degree: float = math.inf) -> bool:
+    """True if the field of ``top`` is a polynomial of at most this ``degree``."""
+    try:
+        return max(rate.degree for rate in field_of(top)) <= degree
+    except NotPolynomialError:
+        return False
+
+
+def required_field(
+    top: Top, needed_by: str, degree: float = math.inf, exact: Callable[[float], Fraction] = decimal
+) -> Field:
+    """``field_of(top, exact)`` for something that needs a polynomial, of at most this ``degree``.
+
+    Raises UsageError with the reason; ``needed_by`` says what is in need, for example "scheme 'hk'".
+    """
+    wanted = "quadratic" if degree == 2 else "polynomial"
+    try:
+        field = field_of(top, exact)
+    except NotPolynomialError as error:
+        raise UsageError(f"top {top.kind!r}: {needed_by} needs a {wanted} field, but this one {error}") from None
+    for name, rate in zip(top.components, field, strict=True):
+        if rate.degree > degree:
+            reason = f"{name}' has degree {rate.degree}"
+            raise UsageError(f"top {top.kind!r}: {needed_by} needs a {wanted} field, but {reason}")
+    return field

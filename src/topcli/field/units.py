@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from fractions import Fraction
 
+from topcli.contracts import Array
 from topcli.field.polynomial import Field, Polynomial, strongly_connected
 
 NOTHING = -(2**20)
@@ -18,59 +19,85 @@ FREE = -(2**13)
 """A unit of time of 2^-FREE is longer than any: a field for which it will do has none of its own."""
 
 
-def natural_units(field: Field, y: Sequence[float]) -> tuple[Field, int, list[int]]:
-    """The field with time in units of 2^-k and component i in units of 2^units[i], exactly; ``k``; and ``units``.
+class NaturalUnits:
+    """Units in which the rates of change of one ``field`` are at most about one.
 
-    ``y`` is a state. Its components, and their rates of change while they are of this size, are at most about one in
-    these units. Components that occur in each other's products have the same unit. The unit of time is the longest that
-    there is. Terms with a component that is zero for ever are left out.
+    Components that occur in each other's products have the same unit. The unit of time is the longest that there is.
     """
-    terms = [[(_exponent(c), monomial) for monomial, c in rate.terms.items()] for rate in field]
-    nonlinear = [{j for _, monomial in rate if len(monomial) > 1 for j in monomial} for rate in terms]
-    groups = strongly_connected(nonlinear, range(len(y)))
-    sizes = [_exponent(x) for x in y]
-    start = [max(sizes[j] for j in group) for i in range(len(y)) for group in groups if i in group]
 
-    def units(k: int) -> list[int] | None:
-        """Units of the components for a unit of time; None if rates are above one for any."""
-        found = list(start)
-        for _ in range(4 * len(groups) + 4):
+    def __init__(self, field: Field) -> None:
+        self.field = field
+        self.groups = strongly_connected([rate.nonlinear() for rate in field], range(len(field)))
+        self._terms = [[(_exponent(c), monomial) for monomial, c in rate.terms.items()] for rate in field]
+        self._known: dict[tuple[int, ...], tuple[Field, int, list[int]]] = {}
+
+    def at(self, y: Sequence[float] | Array) -> tuple[Field, int, list[int]]:
+        """The field with time in units of 2^-k and component i in units of 2^units[i], exactly; ``k``; and ``units``.
+
+        The components of the state ``y``, and their rates of change while they are of this size, are at most about one.
+        Terms with a component that is zero for ever are left out.
+        """
+        sizes = tuple(max(_exponent(float(y[j])) for j in group) for group in self.groups)
+        if sizes not in self._known:
+            self._known[sizes] = self._found(sizes)
+        return self._known[sizes]
+
+    def _found(self, sizes: tuple[int, ...]) -> tuple[Field, int, list[int]]:
+        start = [0] * len(self.field)
+        for group, size in zip(self.groups, sizes, strict=True):
+            for i in group:
+                start[i] = size
+        k = self._shortest(start)
+        units = self._units(start, k) or start
+        moving = {i for i, unit in enumerate(units) if unit > NOTHING // 2}
+
+        def scaled(i: int, rate: Polynomial) -> Polynomial:
+            kept = {m: c for m, c in rate.terms.items() if moving.issuperset(m)}
+            return Polynomial(
+                {m: c * Fraction(2) ** (sum(units[j] for j in m) - units[i] - k) for m, c in kept.items()}
+            )
+
+        field = tuple(scaled(i, rate) for i, rate in enumerate(self.field))
+        return field, k, [unit * (i in moving) for i, unit in enumerate(units)]
+
+    def _units(self, start: list[int], k: int) -> list[int] | None:
+        """Units of the components for a unit of time, at least ``start``; None if rates are above one for any."""
+        units = list(start)
+        for _ in range(4 * len(self.groups) + 4):
             grown = False
-            for group in groups:
-                rate = max((c + sum(found[j] for j in m) for i in group for c, m in terms[i]), default=NOTHING)
-                if rate - k > found[group[0]] and rate > NOTHING // 2:
+            for group in self.groups:
+                terms = (c + sum(units[j] for j in m) for i in group for c, m in self._terms[i])
+                rate = max(terms, default=NOTHING)
+                if rate - k > units[group[0]] and rate > NOTHING // 2:
                     grown = True
                     for i in group:
-                        found[i] = rate - k
+                        units[i] = rate - k
             if not grown:
-                return found
+                return units
         return None
 
-    rates = (
-        c + sum(start[j] for j in m) - start[i] for i, rate in enumerate(terms) for c, m in rate if start[i] > NOTHING
-    )
-    first = max((rate for rate in rates if rate > NOTHING // 2), default=0)
-    if units(FREE) is not None:
-        k = first  # nothing repeats: there is no unit of time
-    else:
-        below, k, leap = FREE, first, 1
-        while units(k) is None:
+    def _shortest(self, start: list[int]) -> int:
+        """Smallest k that has units; the largest rate at the start if any k does: then nothing repeats."""
+        rates = (
+            c + sum(start[j] for j in m) - start[i]
+            for i, terms in enumerate(self._terms)
+            for c, m in terms
+            if start[i] > NOTHING
+        )
+        k = max((rate for rate in rates if rate > NOTHING // 2), default=0)
+        if self._units(start, FREE) is not None:
+            return k
+        below, leap = FREE, 1
+        while self._units(start, k) is None:
             below, k, leap = k, k + leap, 2 * leap
         leap = 1
-        while k - leap > below and units(k - leap) is not None:
+        while k - leap > below and self._units(start, k - leap) is not None:
             k, leap = k - leap, 2 * leap
         below = max(below, k - leap)
         while k - below > 1:
             middle = (k + below) // 2
-            below, k = (middle, k) if units(middle) is None else (below, middle)
-    found = units(k) or start
-    moving = {i for i, unit in enumerate(found) if unit > NOTHING // 2}
-
-    def scaled(i: int, rate: Polynomial) -> Polynomial:
-        kept = {m: c for m, c in rate.terms.items() if moving.issuperset(m)}
-        return Polynomial({m: c * Fraction(2) ** (sum(found[j] for j in m) - found[i] - k) for m, c in kept.items()})
-
-    return tuple(scaled(i, rate) for i, rate in enumerate(field)), k, [found[i] * (i in moving) for i in range(len(y))]
+            below, k = (middle, k) if self._units(start, middle) is None else (below, middle)
+        return k
 
 
 def _exponent(x: float | Fraction) -> int:

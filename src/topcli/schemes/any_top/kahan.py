@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.errors import UsageError
 from topcli.field.implicit import KahanStep, generated
-from topcli.field.polynomial import Field, NotPolynomialError, field_of
+from topcli.field.polynomial import required_field
 from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
     HIROTA_KIMURA,
@@ -56,23 +55,9 @@ def any_small(divisors: StepFunction, count: int) -> Event:
     return event
 
 
-def quadratic_field(top: Top) -> Field:
-    """Polynomials of the field of ``top``. Raises UsageError if their degree is above two."""
-    try:
-        field = field_of(top)
-    except NotPolynomialError as error:
-        raise UsageError(f"top {top.kind!r}: scheme 'hk' needs a quadratic field, but this one {error}") from None
-    for name, rate in zip(top.components, field, strict=True):
-        if rate.degree > 2:
-            raise UsageError(
-                f"top {top.kind!r}: scheme 'hk' needs a quadratic field, but {name}' has degree {rate.degree}"
-            )
-    return field
-
-
 def kahan_stepper(top: Top, options: object) -> Stepper:
     """Kahan's step of the field of ``top``, compensated if ``options`` say so; it counts near-singular solves."""
-    field = quadratic_field(top)
+    field = required_field(top, "scheme 'hk'", 2)
     made, d = generated(KahanStep, field, len(top.constants())), len(field)
     functions = kahan(made.code)
     stepper = Stepper(functions.step, d)
@@ -105,18 +90,10 @@ def build_heavy(top: Top, options: CompensatedOption) -> Stepper:
     return kahan_stepper(top, options)
 
 
-def is_quadratic(top: Top) -> bool:
-    """True if the field of ``top`` is a polynomial of degree two at most."""
-    try:
-        return max(rate.degree for rate in field_of(top)) <= 2
-    except NotPolynomialError:
-        return False
-
-
 @scheme(
     "hk",
     top=(),
-    later=is_quadratic,
+    later=partial(required_field, needed_by="scheme 'hk'", degree=2),
     title="Hirota-Kimura (Kahan) scheme",
     order=2,
     explicit=True,

@@ -26,15 +26,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 from topcli.arithmetic.fused import follow_precision, two_sum
 from topcli.arithmetic.vectors import Matrix, Vector, cayley_increment, resolvent, solve3
 from topcli.contracts import Floats, Stepper, Top, checked_equations
-from topcli.errors import UsageError
 from topcli.field.implicit import NewtonStep, Rates, generated
-from topcli.field.polynomial import NotPolynomialError, field_of
+from topcli.field.polynomial import required_field
 from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
     LONG_NEWTON,
@@ -233,18 +232,10 @@ def _generated_change(newton: NewtonStep, rates: Rates) -> Change:
     return scope["change"]
 
 
-def is_polynomial(top: Top) -> bool:
-    """True if the field of ``top`` is a polynomial."""
-    try:
-        return bool(field_of(top))
-    except NotPolynomialError:
-        return False
-
-
 @scheme(
     "midpoint",
     top=(),
-    later=is_polynomial,
+    later=partial(required_field, needed_by="scheme 'midpoint'"),
     title="Implicit midpoint rule",
     order=2,
     explicit=False,
@@ -261,12 +252,7 @@ def build_generated(top: Top, options: CompensatedOption) -> Stepper:
     If a step does not converge, the run ends as `no_convergence`. The step is self-adjoint. Every quadratic integral is
     conserved exactly.
     """
-    try:
-        field = field_of(top)
-    except NotPolynomialError as error:
-        raise UsageError(
-            f"top {top.kind!r}: scheme 'midpoint' needs a polynomial field, but this one {error}"
-        ) from None
+    field = required_field(top, "scheme 'midpoint'")
     constants = len(top.constants())
     newton = generated(NewtonStep, field, constants)
     rates = generated(Rates, field, constants + len(newton.constants))

@@ -12,19 +12,22 @@ Time loop of the Taylor series in LLVM IR; numba has no vector types. See ``tayl
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from functools import partial
 from itertools import count
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from topcli.contracts import Array, Block, EulerPoisson, Floats, Top, checked_equations
+from topcli.contracts import Array, Block, Top
+from topcli.field.polynomial import required_field
+from topcli.field.units import NaturalUnits
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of, expand, taylor_increment
 from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, two_sum
 from topcli.schemes.layout import linear_invariants
 from topcli.schemes.registry import scheme
 
-STEP, FRACTION, LAG, TIME, LOG2_TOL, TABLES = 0, 1, 2, 3, 4, 5
+STEP, FRACTION, LAG, TIME, LOG2_TOL, UNITS = range(6)
 """Slots of the working state after the two vectors of the expansion point: see ``series_loop``."""
 MAX_EXPANSIONS = 50_000
 """Maximum number of expansions per call, about ten milliseconds."""
@@ -36,19 +39,13 @@ position of the next expansion point is exact."""
 _LOOP = """
 define i64 @advance(ptr %work, ptr %out, ptr %params, double %h, i64 %steps, i64 %every, i64 %until) #0 {{
 entry:
-  %a = alloca [{n} x {v}], align {align}
-  %b = alloca [{n} x {v}], align {align}
-  %c = alloca [{n} x {v}], align {align}
-  %d = alloca [{n} x {v}], align {align}
+{arrays}
   %lop = getelementptr double, ptr %work, i64 {lanes}
   %stepp = getelementptr double, ptr %work, i64 {step_slot}
   %partp = getelementptr double, ptr %work, i64 {part}
   %lagp = getelementptr double, ptr %work, i64 {lag}
   %timep = getelementptr double, ptr %work, i64 {time}
   %levelp = getelementptr double, ptr %work, i64 {level}
-  %alphap = getelementptr double, ptr %work, i64 {alpha}
-  %betap = getelementptr double, ptr %work, i64 {beta}
-  %deltap = getelementptr double, ptr %work, i64 {delta}
   %unitp = getelementptr double, ptr %work, i64 {unit}
   %statusp = getelementptr double, ptr %work, i64 {status}
   %countp = getelementptr double, ptr %work, i64 {count}
@@ -61,9 +58,7 @@ entry:
   %time = load double, ptr %timep, align 8
   %slevel = load double, ptr %levelp, align 8
   %count0 = load double, ptr %countp, align 8
-  %alpha = load {v}, ptr %alphap, align 8
-  %beta = load {v}, ptr %betap, align 8
-  %delta = load {v}, ptr %deltap, align 8
+{tables}
   %unit = load {v}, ptr %unitp, align 8
   %sh = fmul double %h, %time
   %size = call double @llvm.fabs.f64(double %sh)
@@ -188,45 +183,53 @@ attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"
 """
 
 
-def series_loop(a: Arrangement, d: int, order: int, extended_precision: bool) -> str:
+def series_loop(a: Arrangement, order: int, extended_precision: bool) -> str:
     """Return the time loop of a Taylor series, a module with the function ``advance``.
 
     Arguments and result are those of the loop in ``engine.loop``. ``work`` contains, in this order: the state at the
     expansion point as an unevaluated sum of two vectors; the position of the expansion point in steps of h after the
     last step reached, integer part and fraction; the delay of the expansion point relative to that position, in time;
-    the scale of time and the logarithm of the tolerance; the three tables of ``taylor_series.expand``; the units of the
-    components; the status; the number of expansions. The function may return before all steps are done, after
+    the scale of time and the logarithm of the tolerance; the units of the components; the tables of the arrangement;
+    the status; the number of expansions. The function may return before all steps are done, after
     ``MAX_EXPANSIONS`` expansions.
     """
     names = count()
-    base = 2 * a.lanes
+    base, d = 2 * a.lanes, a.components
 
     def text() -> IRWriter:
         return IRWriter(a.lanes, names)
 
     expansion, writing, moving = text(), text(), text()
-    y0, tables = ("%hi", "%lo" if extended_precision else None), ("%alpha", "%beta", "%delta")
-    natural, late, missed = expand(expansion, a, order, y0, tables, "%slevel")
+    y0 = "%hi", "%lo" if extended_precision else None
+    natural, late, missed = expand(expansion, a, order, y0, "%slevel")
     written, written_rest = taylor_increment(writing, order, "%sd", missed)
     main, rest = taylor_increment(moving, order, "%sm", missed)
     new, lost = two_sum(moving, "%hi", main)
     rest = moving.add(rest, moving.add("%lo", lost))
     hi = moving.add(new, rest)
     lo = moving.sub(rest, moving.sub(hi, new))
-    slots = {"alpha": 0, "beta": 1, "delta": 2, "unit": 3, "status": 4}
+    arrays = ["y", *(f"{side}{v}" for v in range(len(a.products)) for side in ("left", "right"))]
+    tables = (
+        f"  %table{k}p = getelementptr double, ptr %work, i64 {base + UNITS + (k + 1) * a.lanes}\n"
+        f"  %table{k} = load {expansion.vector}, ptr %table{k}p, align 8"
+        for k in range(len(a.tables))
+    )
     return _LOOP.format(
         declarations=DECLARATIONS,
         v=expansion.vector,
-        n=order + 1,
+        arrays="\n".join(
+            f"  %{name} = alloca [{order + 1} x {expansion.vector}], align {8 * a.lanes}" for name in arrays
+        ),
+        tables="\n".join(tables),
         lanes=a.lanes,
-        align=8 * a.lanes,
         step_slot=base + STEP,
         part=base + FRACTION,
         lag=base + LAG,
         time=base + TIME,
         level=base + LOG2_TOL,
-        **{name: base + TABLES + k * a.lanes for name, k in slots.items()},
-        count=base + TABLES + 4 * a.lanes + 1,
+        status=series_width(a) - 2,
+        count=series_width(a) - 1,
+        unit=base + UNITS,
         budget=MAX_EXPANSIONS,
         exact=literal(EXACT_REACH),
         shortest=literal(SHORTEST_REACH),
@@ -240,13 +243,13 @@ def series_loop(a: Arrangement, d: int, order: int, extended_precision: bool) ->
         hi=hi,
         lo=lo,
         d=d,
-        first=", ".join(f"i32 {k}" for k in a.component_lanes),
+        first=", ".join(f"i32 {k}" for k in range(d)),
     )
 
 
 def series_width(a: Arrangement) -> int:
     """Length of the working state of ``series_loop``."""
-    return 6 * a.lanes + TABLES + 2
+    return (3 + len(a.tables)) * a.lanes + UNITS + 2
 
 
 ROUND_OFF = 2.0**-56
@@ -279,35 +282,6 @@ def extended_precision(order: int) -> bool:
     return order == ORDERS[1]
 
 
-def quotients(equations: EulerPoisson) -> tuple[Floats, Floats, Floats]:
-    """Return alpha, beta and -delta of ``taylor_series``, each of length three."""
-    moments, gravity = equations.moments, equations.gravity
-    turns = tuple((i, (i + 1) % 3, (i + 2) % 3) for i in range(3))
-    with np.errstate(all="ignore"):
-        return (
-            tuple(float(np.float64(moments[j] - moments[k]) / moments[i]) for i, j, k in turns),
-            tuple(float(np.float64(gravity[k]) / moments[i]) for i, j, k in turns),
-            tuple(-float(np.float64(gravity[j]) / moments[i]) for i, j, k in turns),
-        )
-
-
-def binary_exponent(x: float) -> int:
-    """Return the exponent of the next power of two above x, limited to ±1000; 0 for 0, inf and nan."""
-    return min(max(math.frexp(x)[1], -1000), 1000)
-
-
-def scales(equations: EulerPoisson, y: Array) -> tuple[int, int]:
-    """Return ``(k, m)`` such that the rates of change are of order one with time in units of 2^-k, gamma of 2^m.
-
-    ``y`` is a state (d,). Scaling by powers of two is exact, and no coefficient of the series overflows in these units.
-    """
-    alpha, beta, delta = quotients(equations)
-    omega, gamma = float(np.abs(y[:3]).max()), float(np.abs(y[3:]).max(initial=0.0))
-    gravity = max(abs(x) for x in (*beta, *delta))
-    swing = math.sqrt(gravity) * math.sqrt(gamma) if gamma > 0.0 else 0.0
-    return binary_exponent(max(omega * max(1.0, *(abs(x) for x in alpha)), swing)), binary_exponent(gamma)
-
-
 def log2_tolerance(tol: float) -> float:
     """Base-2 logarithm of the tolerance, at least that of round-off."""
     return math.log2(max(tol, ROUND_OFF))
@@ -316,7 +290,7 @@ def log2_tolerance(tol: float) -> float:
 @scheme(
     "taylor",
     top=None,
-    later=partial(checked_equations, needed_by="scheme 'taylor'"),
+    later=partial(required_field, needed_by="scheme 'taylor'"),
     title="Taylor series",
     order=None,
     explicit=True,
@@ -326,7 +300,7 @@ def log2_tolerance(tol: float) -> float:
     citation="Jorba, Zou, Experimental Mathematics 14 (2005) 99",
     formula=r"""
 y(t + \delta) = \sum_m y_m\,\delta^m, \qquad
-(m + 1)\,y_{m+1} = B y_m + \sum_{k=0}^m Q(y_k, y_{m-k}), \qquad f(y) = Q(y, y) + B y
+(m + 1)\,y_{m+1} = \sum_{k=0}^m Q(y_k, y_{m-k}) + B y_m, \qquad f(y) = Q(y, y) + B y + b
 """,
     equations="y(t + d) = sum of y_m d^m, (m + 1) y_(m+1) = sum of f(y_k, y_(m-k)) over k = 0..m, f bilinear",
     options=Tolerance,
@@ -342,31 +316,27 @@ def build(top: Top, options: Tolerance) -> Block:
     number of series. If a series reaches less than 1.5e-8 of h, so that one step would take 7e7 of them or more, the
     run ends as `no_convergence`.
     """
-    equations = checked_equations(top, "scheme 'taylor'")
-    alpha, beta, delta = quotients(equations)
-    d = len(top.components)
-    a = arrangement_of(d, alpha[2])
-    order = order_for(options.tol)
-    sign, base, level = equations.omega_sign, 2 * a.lanes, log2_tolerance(options.tol)
+    field = required_field(top, "scheme 'taylor'", exact=Fraction)
+    a = arrangement_of(tuple(tuple(sorted(rate.terms)) for rate in field))
+    order, level = order_for(options.tol), log2_tolerance(options.tol)
+    natural, base, d = NaturalUnits(field), 2 * a.lanes, len(field)
+    tables: dict[tuple[int, ...], Array] = {}
 
     def enter(y: Array, work: Array, p: Array, h: float) -> int:
-        k, m = scales(equations, y)
-        units = [sign * 2.0**k] * 3 + [2.0**m] * (d - 3)
-        tables = np.zeros((3, a.lanes))
-        tables[:, :3] = alpha, beta, delta
-        tables[0, 3:d] = 1.0
+        scaled, k, units = natural.at(y)
+        key = (k, *units)
+        if key not in tables:
+            tables[key] = np.array(a.values(scaled))
         work[:] = 0.0
         with np.errstate(all="ignore"):
-            tables[1:] = np.ldexp(tables[1:], m - 2 * k)
-            work[: a.lanes] = a.to_lanes(y / units)
-        work[base + TIME], work[base + LOG2_TOL] = 2.0**k, level
-        at = base + TABLES
-        work[at : at + 3 * a.lanes] = tables.ravel()
-        work[at + 3 * a.lanes : at + 4 * a.lanes] = a.to_lanes(units)
+            work[:d] = np.ldexp(y, [-unit for unit in units])
+            work[base + TIME], work[base + LOG2_TOL] = np.ldexp(1.0, k), level
+            work[base + UNITS : base + UNITS + d] = np.ldexp(1.0, units)
+        work[base + UNITS + a.lanes : -2] = tables[key]
         return 0
 
     return Block(
-        lambda: series_loop(a, d, order, extended_precision(order)),
+        lambda: series_loop(a, order, extended_precision(order)),
         enter,
         series_width(a),
         ("expansions",),

@@ -1,17 +1,16 @@
-"""Taylor series of the Euler-Poisson equations, arranged for SIMD vectors.
+"""Taylor series of a polynomial field, arranged for SIMD vectors.
 
-With y = (omega, gamma) and i, j, k cyclic the equations (Sogo, (Euler) and (Poisson)) are quadratic,
+A product of more than two components is a product of two factors, of which each is a component or an auxiliary
+component z = a b; the field is then quadratic. The coefficients y_m of the solution sum y_m t^m satisfy
+(m + 1) y_(m+1) = J y_m + sum y_k * y_(m-k), the sum over k = 1..m-1, with J the Jacobian at y_0 and * the bilinear
+part; an auxiliary component has the same equation without the factor, one stage earlier. The series of all components
+share one vector:
 
-    omega_i' = alpha_i omega_j omega_k + beta_i gamma_j - delta_i gamma_k,
-    gamma_i' = gamma_j omega_k - gamma_k omega_j,
-
-and the coefficients y_m of their solution sum y_m t^m satisfy (m + 1) y_(m+1) = J y_m + sum y_k * y_(m-k), the sum over
-k = 1..m-1, with J the Jacobian at y_0 and * the bilinear part. The series of all components share one vector:
-
-- the critical path of a coefficient is J y_m, four products with permutations of y_m, which are also factors of later
-  sums; the division by m + 1 is a multiplication, exact where its rounding errors would accumulate;
-- for each k the sum needs one fused multiply-add of vectors if at most eight of the nine products occur (``SYMMETRIC``:
-  alpha_3 = 0), else two; it is computed two coefficients ahead of y_m;
+- the critical path of a coefficient is J y_m, products of columns of J with permutations of y_m; the division by m + 1
+  is a multiplication, exact where its rounding errors would accumulate;
+- every product of two components has a lane of one of the vectors (left, right); for each k the sum needs one fused
+  multiply-add for each of these vectors, two coefficients ahead of y_m;
+- the coefficients of the field are vectors too, the ``tables``: fields with the same products share the machine code;
 - the step size is chosen from coefficients before the last ones, while those are computed.
 
 The state has more than double precision, and at the largest order so has the first coefficient. The other coefficients,
@@ -24,87 +23,203 @@ plain interpreter in the tests share it; both give the same bits.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
 
-from topcli.contracts import Array
-from topcli.schemes.any_top.taylor_vectors import IRWriter, Scalar, Vector, pair_add, pair_mul, pair_scale
+from topcli.field.polynomial import Field, Monomial
+from topcli.schemes.any_top.taylor_vectors import IRWriter, Pair, Scalar, Vector, pair_add, pair_mul, pair_scale
+
+Lanes = tuple[int, ...]
+"""For each lane of a vector, the lane of another vector that it takes its number from."""
+Entry = tuple[int, Monomial]
+"""Coefficient of the field: its component and its monomial."""
+ONE: Entry = (-1, ())
+"""Coefficient of the product that an auxiliary component is."""
+Factors = tuple[int, ...]
 
 
-@dataclass(frozen=True)
+@dataclass
+class Stage:
+    """What is added up for the lanes of a stage; numbers of ``tables`` are those of their coefficients."""
+
+    sums: list[tuple[int, Lanes, int]] = field(default_factory=list)
+    """Products of two series: the vector that they are in, the lanes, the table."""
+    linear: list[tuple[Lanes, int]] = field(default_factory=list)
+    constant: int | None = None
+    jacobian: list[tuple[Lanes, Lanes, int | None, int | None]] = field(default_factory=list)
+    """Columns of the Jacobian: lanes of the y_m that it multiplies; lanes of y_0 and their table, and the table of what
+    does not depend on y_0."""
+
+
 class Arrangement:
-    """Assignment of the components of the state to the lanes of the factors.
+    """Assignment of components, auxiliary components and products of a field to the lanes of vectors.
 
-    ``factors`` are permutations of the components; the equations consist of products of pairs of them. The first pair
-    gives omega_j omega_k or gamma_j omega_k in the lanes of omega_i or gamma_i. The second pair, present if there is a
-    vertical, has gamma_j | omega_j and gamma_k | gamma_k, and its products are subtracted in the lanes of gamma_i.
-    ``folded``, if set, moves products from spare lanes of the first pair to the lanes where they are subtracted. The
-    first factor contains every component; its order is the order of the stored state.
+    ``pattern`` are the monomials of the field, component by component.
+
+    Attributes
+    ----------
+    lanes : int
+    components : int
+    products : list of (tuple of int, tuple of int)
+        Lanes of the left and right factors of each vector of products.
+    stages : list of Stage
+        The components, then the auxiliary components whose factors are known, and so on.
+    level : tuple of int
+        Stage of each lane.
+    tables : list of tuple of Entry or None
+        Coefficients, lane by lane; None is zero.
     """
 
-    lanes: int
-    factors: tuple[tuple[int, ...], ...]
-    folded: tuple[int, ...] | None = None
+    def __init__(self, pattern: Sequence[Sequence[Monomial]]) -> None:
+        self.components = len(pattern)
+        rows, levels = self._quadratic(pattern)
+        self.lanes = max(4, 1 << (len(rows) - 1).bit_length())
+        spare = self.lanes - len(rows)
+        rows, self.level = [*rows, *([] for _ in range(spare))], (*levels, *[0] * spare)
+        self.identity = tuple(range(self.lanes))
+        self.tables: list[tuple[Entry | None, ...]] = []
+        place = self._places(rows)
+        wanted = self._wanted(place)
+        self.stages = [self._stage(rows, place, level, wanted) for level in range(1 + max(self.level))]
+        columns = [lanes for lanes, *_ in self.stages[0].jacobian]
+        sides = [
+            tuple(side.get(lane, (columns[c] if c < len(columns) else self.identity)[lane]) for lane in self.identity)
+            for c, side in enumerate(wanted)
+        ]
+        self.products = list(zip(sides[::2], sides[1::2], strict=True))
 
-    @property
-    def stored_factors(self) -> str:
-        """Names of the factors that the sums of products need."""
-        return "ab" if self.folded or len(self.factors) == 2 else "abcd"
+    def _quadratic(self, pattern: Sequence[Sequence[Monomial]]) -> tuple[list[list[tuple[Entry, Factors]]], list[int]]:
+        """Terms of the components and the auxiliary ones as products of at most two; and the stage of each."""
+        auxiliary: dict[Factors, int] = {}
 
-    @property
-    def component_lanes(self) -> tuple[int, ...]:
-        """Lane of each component in the stored state."""
-        return tuple(self.factors[0].index(k) for k in range(3 if self.lanes == 4 else 6))
+        def factor(monomial: Monomial) -> int:
+            return monomial[0] if len(monomial) == 1 else auxiliary.setdefault(factors(monomial), self._next(auxiliary))
 
-    def to_lanes(self, y: Sequence[float] | Array) -> tuple[float, ...]:
-        """Return the components ``y`` in the lane order of the stored state."""
-        return tuple(y[k] if k < len(y) else 0.0 for k in self.factors[0])
+        def factors(monomial: Monomial) -> Factors:
+            if len(monomial) <= 2:
+                return monomial
+            middle = len(monomial) // 2
+            pair = factor(monomial[:middle]), factor(monomial[middle:])
+            return min(pair), max(pair)
+
+        rows = [[((i, m), factors(m)) for m in monomials] for i, monomials in enumerate(pattern)]
+        levels = [0] * self.components
+        for pair in auxiliary:
+            levels.append(1 + max(levels[i] for i in pair))
+            rows.append([(ONE, pair)])
+        return rows, levels
+
+    def _next(self, auxiliary: dict[Factors, int]) -> int:
+        return self.components + len(auxiliary)
+
+    def _places(self, rows: list[list[tuple[Entry, Factors]]]) -> dict[Factors, tuple[int, int]]:
+        """Vector and lane of each product: the k-th of a component in its own lane of vector k, or where there is room.
+
+        They are packed if that saves a vector.
+        """
+        products = [[factors for _, factors in row if len(factors) == 2] for row in rows]
+        most, count = max(map(len, products)), len({factors for row in products for factors in row})
+        packed = most * self.lanes - count >= self.lanes
+        place: dict[Factors, tuple[int, int]] = {}
+        for k in range(most):
+            for i, row in enumerate(products):
+                if k < len(row) and not (packed and k):
+                    place.setdefault(row[k], (k, i))
+        taken = set(place.values())
+        free = ((v, lane) for v in range(count) for lane in self.identity if (v, lane) not in taken)
+        for factors in sorted({factors for row in products for factors in row} - place.keys()):
+            place[factors] = next(free)
+        return place
+
+    def _wanted(self, place: dict[Factors, tuple[int, int]]) -> list[dict[int, int]]:
+        """Component that each lane of the left and the right factors of each vector has; other lanes are free."""
+        wanted: list[dict[int, int]] = [{} for _ in range(2 + 2 * max((v for v, _ in place.values()), default=-1))]
+        for factors, (vector, lane) in place.items():
+            for side, component in enumerate(factors):
+                wanted[2 * vector + side][lane] = component
+        return wanted
+
+    def _table(self, entries: Iterable[Entry | None]) -> int | None:
+        """Number of the table with these coefficients; None if all are zero."""
+        column = tuple(entries)
+        if not any(column):
+            return None
+        if column not in self.tables:
+            self.tables.append(column)
+        return self.tables.index(column)
+
+    def _stage(
+        self,
+        rows: list[list[tuple[Entry, Factors]]],
+        place: dict[Factors, tuple[int, int]],
+        level: int,
+        wanted: list[dict[int, int]],
+    ) -> Stage:
+        stage = Stage()
+        mine = [row if self.level[i] == level else [] for i, row in enumerate(rows)]
+        for vector in range(len(wanted) // 2):
+            found = [
+                [(place[factors][1], entry) for entry, factors in row if place.get(factors, (-1, 0))[0] == vector]
+                for row in mine
+            ]
+            stage.sums += [(vector, lanes, table) for lanes, table in self._columns(found)]
+        stage.linear = self._columns([[(f[0], entry) for entry, f in row if len(f) == 1] for row in mine])
+        stage.constant = self._table(next((entry for entry, f in row if not f), None) for row in mine)
+        slopes: list[list[tuple[int, int | None, Entry]]] = [[] for _ in rows]
+        for slope, row in zip(slopes, mine, strict=True):
+            for entry, f in row:
+                slope += [(f[0], f[1], entry), (f[1], f[0], entry)] if len(f) == 2 else [(*f, None, entry)] if f else []
+        count = max(map(len, slopes))
+        wanted = [wanted[c] if c < len(wanted) else {} for c in range(count)]
+        ordered = [self._ordered(slope, [side.get(i) for side in wanted]) for i, slope in enumerate(slopes)]
+        for c, column in enumerate(zip(*ordered, strict=True)):
+            lanes = tuple(wanted[c].get(i, i) if slope is None else slope[0] for i, slope in enumerate(column))
+            of = tuple(i if slope is None or slope[1] is None else slope[1] for i, slope in enumerate(column))
+            quadratic = self._table(slope and slope[2] if slope and slope[1] is not None else None for slope in column)
+            linear = self._table(slope and slope[2] if slope and slope[1] is None else None for slope in column)
+            stage.jacobian.append((lanes, of, quadratic, linear))
+        return stage
+
+    def _ordered(
+        self, slopes: list[tuple[int, int | None, Entry]], wanted: list[int | None]
+    ) -> list[tuple[int, int | None, Entry] | None]:
+        """Slopes of a row in the columns of the Jacobian, so that these are permutations that the products need."""
+        left = list(slopes)
+        row: list[tuple[int, int | None, Entry] | None] = [None] * len(wanted)
+        for c, component in enumerate(wanted):
+            if (fit := next((slope for slope in left if slope[0] == component), None)) is not None:
+                row[c] = fit
+                left.remove(fit)
+        free = sorted((c for c, slope in enumerate(row) if slope is None), key=lambda c: wanted[c] is not None)
+        for c, slope in zip(free, left, strict=False):
+            row[c] = slope
+        return row
+
+    def _columns(self, rows: list[list[tuple[int, Entry]]]) -> list[tuple[Lanes, int]]:
+        """The k-th entries of all rows as lanes and the table of their coefficients."""
+        columns = []
+        for k in range(max(map(len, rows))):
+            column = [row[k] if k < len(row) else (i, None) for i, row in enumerate(rows)]
+            table = self._table(entry for _, entry in column)
+            assert table is not None
+            columns.append((tuple(lane for lane, _ in column), table))
+        return columns
+
+    def values(self, field: Field) -> list[float]:
+        """Numbers of all tables for a field of this pattern, or of a part of it."""
+        return [
+            0.0 if entry is None else 1.0 if entry is ONE else float(field[entry[0]].terms.get(entry[1], 0))
+            for table in self.tables
+            for entry in table
+        ]
 
 
-FREE = Arrangement(4, ((1, 2, 0, 3), (2, 0, 1, 3)))
-"""Arrangement for omega alone: the Euler top."""
-_LAST = ((4, 5, 3, 1, 2, 0, 3, 3), (5, 3, 4, 5, 3, 4, 3, 3))
-GENERAL = Arrangement(8, ((1, 2, 0, 4, 5, 3, 6, 7), (2, 0, 1, 2, 0, 1, 6, 7), *_LAST))
-"""Arrangement for any top."""
-SYMMETRIC = Arrangement(8, ((1, 2, 0, 4, 5, 3, 5, 3), (2, 0, 4, 2, 0, 1, 1, 2), *_LAST), (-1, -1, -1, 6, 7, 2, -1, -1))
-"""Arrangement for A = B: without omega_1 omega_2 there are eight products, one per lane; lane 2 belongs to gamma_3."""
-
-
-def arrangement_of(components: int, alpha3: float) -> Arrangement:
-    """Return the cheapest arrangement for a state with this number of components."""
-    if components == 3:
-        return FREE
-    return SYMMETRIC if alpha3 == 0.0 else GENERAL
-
-
-def _minus_gamma(o: IRWriter) -> Vector:
-    """Vector with -1 in the lanes of gamma, else 0."""
-    return o.constant((0.0, 0.0, 0.0, -1.0, -1.0, -1.0, 0.0, 0.0)[: o.lanes])
-
-
-def _filled(o: IRWriter, value: float) -> Vector:
-    """Vector with the value in all lanes that hold a component, else 0."""
-    return o.constant((value,) * 3 + (0.0,) if o.lanes == 4 else (value,) * 6 + (0.0, 0.0))
-
-
-def _store_factors(o: IRWriter, a: Arrangement, m: int, factors: list[Vector]) -> list[Vector]:
-    """Store those factors of coefficient m that later sums need; return all factors."""
-    for name, factor in zip(a.stored_factors, factors, strict=False):
-        o.store(name, m, factor)
-    return factors
-
-
-def _pairs(a: Arrangement) -> tuple[tuple[str, str], ...]:
-    return (("a", "b"), ("c", "d"))[: len(a.stored_factors) // 2]
-
-
-def _fold(o: IRWriter, a: Arrangement, sums: list[Vector], alpha: Vector) -> Vector:
-    """Combine the sums of products into one vector in the lanes of the components."""
-    first = o.mul(sums[0], alpha)
-    if a.folded:
-        return o.sub(first, o.permute(sums[0], a.folded))
-    return o.fma(sums[1], _minus_gamma(o), first) if len(sums) == 2 else first
+@lru_cache(maxsize=256)
+def arrangement_of(pattern: tuple[tuple[Monomial, ...], ...]) -> Arrangement:
+    """The arrangement of a pattern of fields."""
+    return Arrangement(pattern)
 
 
 STEP_SIZE_LEAD = 3
@@ -114,87 +229,127 @@ EXACTLY_DIVIDED = 7
 the same in every step, and its effect would accumulate systematically."""
 
 
-def expand(
-    o: IRWriter,
-    a: Arrangement,
-    order: int,
-    y0: tuple[Vector, Vector | None],
-    tables: tuple[Vector, Vector, Vector],
-    log2_tol: Scalar,
-) -> tuple[Scalar, Scalar, Vector | None]:
-    """Store the coefficients 0..order of the solution through ``y0`` as the array ``a``, in the lane order of ``y0``.
+def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) -> tuple[Scalar, Scalar, Vector | None]:
+    """Store the coefficients 0..order of the solution through ``y0`` as the array ``y``.
 
-    ``y0`` is the state and its low part, or None for the low part. ``tables`` are (alpha | 1), (beta | 0) and
-    (-delta | 0) in the lanes of (omega | gamma). Returns the two results of ``step_size`` and the low part of
-    coefficient 1, which is None if ``y0`` has no low part; coefficient 1 then has double precision only.
+    ``y0`` is the state and its low part, or None for the low part. Returns the two results of ``step_size`` and the low
+    part of coefficient 1, which is None if ``y0`` has no low part; coefficient 1 then has double precision only.
     """
-    alpha, beta, delta = tables
-    at = dict(zip(a.factors[0][::-1], range(a.lanes - 1, -1, -1), strict=True))
-    turns = [tuple(at[k] for k in lanes) for lanes in a.factors]
-    factors = _store_factors(o, a, 0, [y0[0], *(o.permute(y0[0], lanes) for lanes in turns[1:])])
-    jacobian = [o.mul(factors[1], alpha), o.mul(factors[0], alpha)]
-    minus = _minus_gamma(o)
-    if len(factors) == 4:
-        jacobian += [o.fma(factors[3], minus, beta), o.fma(factors[2], minus, delta)]
-    y, missed = o.mul(jacobian[1], factors[1]), None
-    if y0[1] is not None:
-        lower = [y0[1], *(o.permute(y0[1], lanes) for lanes in turns[1:])]
-        f = list(zip(factors, lower, strict=True))
-        slope = pair_scale(o, alpha, pair_mul(o, f[0], f[1]))
-        if len(factors) == 4:
-            turning = pair_mul(o, (jacobian[2], o.mul(lower[3], minus)), f[2])
-            slope = pair_add(o, slope, pair_add(o, turning, pair_scale(o, delta, f[3])))
-        y, missed = slope[0], o.permute(slope[1], a.factors[0])
-    elif len(factors) == 4:
-        y = o.add(y, o.fma(jacobian[2], factors[2], o.mul(delta, factors[3])))
+    for level, stage in enumerate(a.stages[1:], start=1):  # these lanes hold the series of the last step
+        found = _first(o, a, stage, y0)
+        kept = o.constant(tuple(float(of != level) for of in a.level))
+        low = None if y0[1] is None or found[1] is None else o.fma(y0[1], kept, found[1])
+        y0 = o.fma(y0[0], kept, found[0]), low
+    at = _store(o, a, 0, y0[0])
+    columns = [_jacobian(o, stage, at) for stage in a.stages]
+    y, missed = _first(o, a, a.stages[0], y0)
     sums = _ProductSums(o, a)
     step: tuple[Scalar, Scalar] = (None, None)
     for m in range(1, order):
-        factors, known = _store_factors(o, a, m, [o.permute(y, lanes) for lanes in a.factors]), None
+        for stage, jacobian in zip(a.stages[1:], columns[1:], strict=True):
+            y = o.add(y, _slope(stage, jacobian, o, _permuted(o, a, y), sums.known(m, stage)))
+        at = _store(o, a, m, y)
         if m == order - STEP_SIZE_LEAD:
             step = step_size(o, order, log2_tol)
-        if m >= 2:
-            known = _fold(o, a, sums.complete(m), alpha)
-        y = _linear(o, jacobian, factors, known)
+        y = _slope(a.stages[0], columns[0], o, at, sums.known(m, a.stages[0]))
         inverse = 1.0 / (m + 1)
         missing = float(Fraction(1, m + 1) - Fraction(inverse))
         if missing != 0.0 and m < EXACTLY_DIVIDED:
-            small = [o.mul(column, _filled(o, missing)) for column in jacobian]
-            rest = _linear(o, small, factors, None if known is None else o.mul(known, _filled(o, missing)))
-            y = o.fma(y, _filled(o, inverse), rest)
+            y = o.fma(y, o.constant((inverse,) * a.lanes), o.mul(y, o.constant((missing,) * a.lanes)))
         else:
-            y = o.mul(y, _filled(o, inverse))
+            y = o.mul(y, o.constant((inverse,) * a.lanes))
         sums.accumulate_ahead(m, order)
         o.barrier()
-    o.store("a", order, o.permute(y, a.factors[0]))
+    o.store("y", order, y)
     return step[0], step[1], missed
 
 
-def _linear(o: IRWriter, columns: list[Vector], factors: list[Vector], known: Vector | None) -> Vector:
-    """Sum of the products of columns and factors, plus ``known``; in two halves, for a short dependency chain."""
-    left = o.mul(columns[0], factors[0]) if known is None else o.fma(columns[0], factors[0], known)
-    right = o.mul(columns[1], factors[1])
-    if len(factors) == 4:
-        left, right = o.fma(columns[2], factors[2], left), o.fma(columns[3], factors[3], right)
-    return o.add(left, right)
+Permuted = Callable[[Lanes], Vector]
+
+
+def _permuted(o: IRWriter, a: Arrangement, y: Vector) -> Permuted:
+    """Function that permutes the lanes of ``y``, each way once."""
+    known = {a.identity: y}
+
+    def lanes(order: Lanes) -> Vector:
+        if order not in known:
+            known[order] = o.permute(y, order)
+        return known[order]
+
+    return lanes
+
+
+def _store(o: IRWriter, a: Arrangement, m: int, y: Vector) -> Permuted:
+    """Store coefficient m and the factors that later sums need."""
+    at = _permuted(o, a, y)
+    o.store("y", m, y)
+    for v, (left, right) in enumerate(a.products):
+        o.store(f"left{v}", m, at(left))
+        o.store(f"right{v}", m, at(right))
+    return at
+
+
+def _first(o: IRWriter, a: Arrangement, stage: Stage, y0: Pair) -> Pair:
+    """Terms of a stage at y_0, to more than double precision if y_0 has a low part."""
+
+    def at(lanes: Lanes, of: Pair = y0) -> Pair:
+        return of if lanes == a.identity else tuple(part and o.permute(part, lanes) for part in of)  # type: ignore[return-value]
+
+    products = [pair_mul(o, at(left), at(right)) for left, right in a.products]
+    terms = [pair_scale(o, o.table(table), at(lanes, products[v])) for v, lanes, table in stage.sums]
+    terms += [pair_scale(o, o.table(table), at(lanes)) for lanes, table in stage.linear]
+    zero = o.constant((0.0,) * a.lanes)
+    if stage.constant is not None:
+        terms.append((o.table(stage.constant), None if y0[1] is None else zero))
+    total = terms[0] if terms else (zero, None if y0[1] is None else zero)
+    for term in terms[1:]:
+        total = pair_add(o, total, term)
+    return total
+
+
+def _jacobian(o: IRWriter, stage: Stage, at: Permuted) -> list[Vector]:
+    """Columns of the Jacobian at y_0."""
+    columns = []
+    for _, of, quadratic, linear in stage.jacobian:
+        if quadratic is None:
+            assert linear is not None
+            columns.append(o.table(linear))
+        elif linear is None:
+            columns.append(o.mul(at(of), o.table(quadratic)))
+        else:
+            columns.append(o.fma(at(of), o.table(quadratic), o.table(linear)))
+    return columns
+
+
+def _slope(stage: Stage, columns: list[Vector], o: IRWriter, at: Permuted, known: Vector | None) -> Vector:
+    """Sum of the products of columns and permutations, plus ``known``; in two halves, for a short dependency chain."""
+    halves = [known, None]
+    for k, (column, (lanes, *_)) in enumerate(zip(columns, stage.jacobian, strict=True)):
+        half, y = halves[k % 2], at(lanes)
+        halves[k % 2] = o.mul(column, y) if half is None else o.fma(column, y, half)
+    left, right = halves
+    if left is None:
+        return o.constant((0.0,) * o.lanes)
+    return left if right is None else o.add(left, right)
 
 
 class _ProductSums:
     """Sums over k = 1..m-1 of the products y_k y_(m-k), computed in pairs, two coefficients ahead.
 
     The products of older coefficients are added after the instructions of the critical path, so that the latter are
-    issued first; the few products with one of the last two or three coefficients are added in ``complete``. Each sum
+    issued first; the few products with one of the last two or three coefficients are added in ``_complete``. Each sum
     has two halves, to shorten its dependency chain.
     """
 
     def __init__(self, o: IRWriter, a: Arrangement) -> None:
-        self.o, self.pairs = o, _pairs(a)
+        self.o, self.a = o, a
         self.halves: dict[tuple[int, int, int], Vector] = {}
+        self.sums: dict[int, list[Vector]] = {}
 
     def _gather(self, m: int, k: int, half: int) -> None:
         o = self.o
-        for n, (left, right) in enumerate(self.pairs):
-            x, z, slot = o.load(left, k), o.load(right, m - k), (m, n, half)
+        for v in range(len(self.a.products)):
+            x, z, slot = o.load(f"left{v}", k), o.load(f"right{v}", m - k), (m, v, half)
             self.halves[slot] = o.fma(x, z, self.halves[slot]) if slot in self.halves else o.mul(x, z)
 
     def accumulate_ahead(self, m: int, order: int) -> None:
@@ -207,17 +362,30 @@ class _ProductSums:
                 if target < order and target - k < even:
                     self._gather(target, k, k % 2)
 
-    def complete(self, m: int) -> list[Vector]:
+    def _complete(self, m: int) -> list[Vector]:
         """Add the remaining products and return the sums for m."""
         newer = m - 2 - m % 2
         rest = [k for k in range(1, m) if k >= newer or m - k >= newer]
         for k in sorted(rest, key=lambda k: max(k, m - k)):
             self._gather(m, k, int(2 * k > m))
         sums = []
-        for n in range(len(self.pairs)):
-            both = [self.halves[m, n, half] for half in (0, 1) if (m, n, half) in self.halves]
+        for v in range(len(self.a.products)):
+            both = [self.halves[m, v, half] for half in (0, 1) if (m, v, half) in self.halves]
             sums.append(self.o.add(*both) if len(both) == 2 else both[0])
         return sums
+
+    def known(self, m: int, stage: Stage) -> Vector | None:
+        """Terms of a stage that contain y_1..y_(m-1) only."""
+        if m == 1 or not stage.sums:
+            return None
+        if m not in self.sums:
+            self.sums[m] = self._complete(m)
+        total, o = None, self.o
+        for v, lanes, table in stage.sums:
+            found = self.sums[m][v]
+            found = found if lanes == self.a.identity else o.permute(found, lanes)
+            total = o.mul(found, o.table(table)) if total is None else o.fma(found, o.table(table), total)
+        return total
 
 
 def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: Vector | None) -> tuple[Vector, Vector]:
@@ -226,13 +394,13 @@ def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: Vector | None) 
     The rest is summed by pairs, pairs of pairs and so on (Estrin's scheme), for a short dependency chain.
     """
     z, power = o.splat(d), d
-    terms = [o.load("a", m) for m in range(2, order + 1)]
+    terms = [o.load("y", m) for m in range(2, order + 1)]
     while len(terms) > 1:
         factor = o.splat(power)
         joined = [o.fma(high, factor, low) for low, high in zip(terms[::2], terms[1::2], strict=False)]
         terms = joined + terms[2 * len(joined) :]
         power = o.mul(power, power)
-    first = o.load("a", 1)
+    first = o.load("y", 1)
     main = o.mul(first, z)
     rest = o.mul(terms[0], z) if missed is None else o.fma(terms[0], z, missed)
     return main, o.fma(rest, z, o.fma(first, z, o.negative(main)))
@@ -252,8 +420,8 @@ def step_size(o: IRWriter, order: int, log2_tol: Scalar) -> tuple[Scalar, Scalar
     small for another reason than the radius, the ratio to the middle ones bounds the step.
     """
     half, last = order // 2, order - STEP_SIZE_LEAD
-    y0, before, late = (o.logarithm(o.load("a", m)) for m in (0, last - 1, last))
-    middle = o.largest(o.logarithm(o.load("a", half - 1)), o.logarithm(o.load("a", half)))
+    y0, before, late = (o.logarithm(o.load("y", m)) for m in (0, last - 1, last))
+    middle = o.largest(o.logarithm(o.load("y", half - 1)), o.logarithm(o.load("y", half)))
     least = o.largest(before, late)
     first = o.mul(o.sub(y0, before), o.number(1.0 / (last - 1)))
     second = o.mul(o.sub(y0, late), o.number(1.0 / last))

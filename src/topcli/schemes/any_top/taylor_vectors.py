@@ -13,11 +13,11 @@ Vector = Any
 Scalar = Any
 
 
-Pair = tuple[Vector, Vector]
-"""Vector in more than double precision: high and low part."""
+Pair = tuple[Vector, Vector | None]
+"""Vector in more than double precision: high and low part; in double precision if the low part is None."""
 
 
-def two_sum(o: IRWriter, x: Vector, z: Vector) -> Pair:
+def two_sum(o: IRWriter, x: Vector, z: Vector) -> tuple[Vector, Vector]:
     """Return the rounded sum of two vectors and its rounding error."""
     rounded = o.add(x, z)
     part = o.sub(rounded, x)
@@ -26,6 +26,8 @@ def two_sum(o: IRWriter, x: Vector, z: Vector) -> Pair:
 
 def pair_add(o: IRWriter, x: Pair, z: Pair) -> Pair:
     """Return the sum of two pairs."""
+    if x[1] is None or z[1] is None:
+        return o.add(x[0], z[0]), None
     rounded, missing = two_sum(o, x[0], z[0])
     return rounded, o.add(missing, o.add(x[1], z[1]))
 
@@ -33,12 +35,14 @@ def pair_add(o: IRWriter, x: Pair, z: Pair) -> Pair:
 def pair_mul(o: IRWriter, x: Pair, z: Pair) -> Pair:
     """Return the product of two pairs."""
     rounded, missing = pair_scale(o, x[0], z)
-    return rounded, o.fma(x[1], z[0], missing)
+    return rounded, None if missing is None or x[1] is None else o.fma(x[1], z[0], missing)
 
 
 def pair_scale(o: IRWriter, factor: Vector, x: Pair) -> Pair:
     """Return the product of an exact vector and a pair."""
     rounded = o.mul(factor, x[0])
+    if x[1] is None:
+        return rounded, None
     return rounded, o.fma(factor, x[1], o.fma(factor, x[0], o.negative(rounded)))
 
 
@@ -94,6 +98,10 @@ class IRWriter:
     def constant(self, values: tuple[float, ...]) -> str:
         """Return a vector constant."""
         return "<" + ", ".join(f"double {literal(x)}" for x in values) + ">"
+
+    def table(self, index: int) -> str:
+        """Return a vector of coefficients of the field."""
+        return f"%table{index}"
 
     def splat(self, x: str) -> str:
         """Return a vector with the scalar in every lane."""
