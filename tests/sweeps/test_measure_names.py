@@ -50,14 +50,19 @@ def test_names_become_measures_in_their_order() -> None:
         resolve_measures(["steps", "seconds", "steps"], Kowalevski(), HK)
 
 
+def broken_field(y: Floats, p: Floats) -> Floats:
+    """No polynomial."""
+    return (abs(y[0]), *Heavy.field(y, p)[1:])
+
+
 class Swingless(Top):
-    """A heavy top that names no swinging component, and says nothing about its Euler-Poisson equations."""
+    """Nearly a heavy top, but with a field that is no polynomial; and it names no swinging component."""
 
     kind: ClassVar[str] = "swingless"
     form: ClassVar[str] = "swingless"
     components = Heavy.components
     vectors = Heavy.vectors
-    field: ClassVar = staticmethod(Heavy.field)
+    field: ClassVar = staticmethod(broken_field)
 
     def constants(self) -> Floats:
         return Heavy().constants()
@@ -72,7 +77,7 @@ def test_what_does_not_fit_is_named_with_the_reason() -> None:
         with pytest.raises(MeasureMisfitError, match=f"'{name}' does not fit: top 'swingless' names no component"):
             resolve_measures([name], top, scheme)
     for name in ("error.max", "error.end"):
-        with pytest.raises(MeasureMisfitError, match="needs its Euler-Poisson equations"):
+        with pytest.raises(MeasureMisfitError, match="the reference needs a polynomial field, but this one makes a decision"):
             resolve_measures([name], top, scheme)
     with pytest.raises(MeasureMisfitError, match="top 'heavy' under scheme 'rk4' has no counter"):
         resolve_measures(["counter.iterations"], Heavy(), scheme)
