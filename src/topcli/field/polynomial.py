@@ -235,14 +235,6 @@ def field_of(top: Top, exact: Callable[[float], Fraction] = decimal) -> Field:
         raise NotPolynomialError(f"cannot be evaluated with exact parameters: {error}") from None
 
 
-def is_polynomial(top: Top, degree: float = math.inf) -> bool:
-    """True if the field of ``top`` is a polynomial of at most this ``degree``."""
-    try:
-        return max(rate.degree for rate in field_of(top)) <= degree
-    except NotPolynomialError:
-        return False
-
-
 def required_field(
     top: Top, needed_by: str, degree: float = math.inf, exact: Callable[[float], Fraction] = decimal
 ) -> Field:

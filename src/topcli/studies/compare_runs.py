@@ -263,7 +263,7 @@ def compare_ensemble(
             "trajectories": experiment.count,
             "quantiles": COMPARED_QUANTILES,
             "reference": {"kind": reference, "method": METHODS[reference]} if known else None,
-            "swing": getattr(experiment.top, "swing", None),
+            "swing": experiment.top.swing,
             "rows": first.experiment.N // first.stride + 1,
             "few_rows": few_rows(compared, experiment.first),
             "schemes": [column.figures() for column in columns],

@@ -293,8 +293,6 @@ def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Mea
 
 def _misfit(measure: Measure, top: Top, scheme: Scheme, options: BaseModel | None) -> str:
     """Reason why a measure does not fit; empty if it does."""
-    if SWING in measure.needs and not hasattr(top, "swing"):
-        return f"top {top.kind!r} names no component whose minima are its swings"
     columns = [
         need for need in measure.needs if need not in RECORDED and need.partition(".")[0] not in (DEVIATION, DRIFT)
     ]
