@@ -115,13 +115,13 @@ def test_an_own_scheme_replaces_that_for_every_top() -> None:
 
 
 NO_POLYNOMIAL = {
-    "w1 * w2 / C": ("w1 * w2 / w3", "it needs a polynomial field, and the field divides by the state (", 15),
+    "w1 * w2 / C": ("w1 * w2 / w3", "scheme 'hk' needs a quadratic field, but this one divides by the state (", 15),
     "- B) * w1 * w2 / C": (
         "- B) * w1 ** 0.5",
-        "it needs a polynomial field, and the field takes the power 1/2 of the state",
+        "scheme 'hk' needs a quadratic field, but this one takes the power 1/2 of the state",
         15,
     ),
-    "* w1 * w2 / C": ("* w1 * w2 * w3", "its field is a polynomial of degree 3; schemes for rotor: ", None),
+    "* w1 * w2 / C": ("* w1 * w2 * w3", "has degree 3; schemes for rotor: ", None),
 }
 
 

@@ -20,7 +20,6 @@ from pydantic import BaseModel
 
 from topcli.contracts import Block, Floats, Integrability, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
-from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.compose import compose, find_composition, obstacle
 from topcli.schemes.plugins import (
     ENTRY_POINT_GROUP,
@@ -385,16 +384,23 @@ def _misfit(name: str, form: str) -> str:
     """Reason why a scheme for every top does not integrate a declared one; empty for other schemes and tops."""
     if name not in registry.for_every_top or (is_built_in(TOPS[form]) and form not in _declared()):
         return ""
-    top = TOPS[form].new()
     try:
         registry.for_every_top[name](form)
     except UsageError as error:
-        return str(error)
-    try:
-        return f"its field is a polynomial of degree {max(rate.degree for rate in field_of(top))}"
-    except NotPolynomialError as error:
-        place = users_place(error) or (error.__context__ and users_place(error.__context__)) or line_of(top.field)
-        return f"it needs a polynomial field, and the field {error}{'' if is_built_in(type(top)) else f' ({place})'}"
+        return f"{error}{_place_of(error, TOPS[form])}"
+    return ""
+
+
+def _place_of(error: BaseException, top: type[Top]) -> str:
+    """Where in the code of a user's top an error arose, or the line of its field, in brackets; empty for other tops."""
+    if is_built_in(top) or error.__context__ is None:
+        return ""
+    cause: BaseException | None = error
+    while cause is not None:
+        if place := users_place(cause):
+            return f" ({place})"
+        cause = cause.__context__
+    return f" ({line_of(top.field)})"
 
 
 def composed(base: Scheme, name: str) -> Scheme:
