@@ -178,7 +178,7 @@ def test_integrals_of_the_hk_map_are_exact(form: str) -> None:
     for name, one in top.integrals_of("hk", STEP).items():
         assert one(kahan(top, y, STEP), p) == one(y, p), name
         assert one(midpoint(top, y, STEP), p) != one(y, p), name
-    for name, one in top.integrals_of("hk", 0).items():
+    for name, one in top.integrals_of("hk", Fraction(0)).items():
         plain = Polynomial.of(one(variables(len(y)), p))
         assert plain.degree > 0
         assert rate_of_change(field_of(top), plain) == {}, name

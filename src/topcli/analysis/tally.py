@@ -16,7 +16,8 @@ The verdicts on a single run:
             about it.
 *bounded*   deviations beyond round-off, but no significant slope over this run.
 
-*unjudged*  deviations beyond round-off but too few rows for a slope, numbers that are not finite, or no step at all.
+*unjudged*  deviations beyond round-off but too few rows for a slope, numbers that are not finite, or no step at all;
+            or an invariant of motions on a level (``Invariant.on``) where this one does not begin.
 
 The slope is fitted to block means, ``BLOCKS`` or up to twice as many.
 
@@ -252,18 +253,34 @@ class InvariantTally:
                 made[i, whole] = [line[1] @ mean for mean in means]
         return made
 
-    def row(self, i: int, fit: Trend | None, steps: int, span: float, eps: float, origin: float = 0.0) -> InvariantRow:
+    def _off_level(self, i: int, origins: Mapping[str, float]) -> str:
+        """Condition that the motion has to meet for invariant ``i`` and does not; empty if it does."""
+        index = {one.name: j for j, one in enumerate(self.invariants)}
+        for name, level in self.invariants[i].on.items():
+            value = origins.get(name, 0.0) + float(self.first[index[name], 0])
+            if abs(value - level) > round_off_bound(1, float(self.scale[index[name], 0])):
+                symbol = self.invariants[index[name]].symbol
+                return f"conserved only where {symbol} = {level:g}, and this motion has {symbol} = {value:.6g}"
+        return ""
+
+    def row(
+        self, i: int, fit: Trend | None, steps: int, span: float, eps: float, origins: Mapping[str, float]
+    ) -> InvariantRow:
         """Report on invariant ``i`` of the only trajectory, with the line ``fit`` through its deviations.
 
-        ``steps`` of the method take the time ``span``; ``eps`` is the rounding error of the arithmetic, and ``origin``
-        is added to the values.
+        ``steps`` of the method take the time ``span``; ``eps`` is the rounding error of the arithmetic, and ``origins``
+        are added to the values of the invariants they name.
         """
+        origin = origins.get(self.invariants[i].name, 0.0)
         deviation, rms = float(self.max_deviation[i, 0]), float(self.rms_deviation[i, 0])
         scale = float(self.scale[i, 0])
         bound = float(round_off_bound(steps, scale, eps))
         first = origin + float(self.first[i, 0])
         size = abs(first)
-        verdict, reason = _verdict(deviation, bound, max(size, TERMS * scale), fit, span)
+        if reason := self._off_level(i, origins):
+            verdict = "unjudged"
+        else:
+            verdict, reason = _verdict(deviation, bound, max(size, TERMS * scale), fit, span)
         return InvariantRow(
             name=self.invariants[i].name,
             symbol=self.invariants[i].symbol,
@@ -299,7 +316,7 @@ class InvariantTally:
             fits = [trend(t, sums[0, filled] / counts) for sums in self.sums]
             taken, span = last if steps is None else steps, last * self._h
             return [
-                self.row(i, fit, taken, span, eps, (origins or {}).get(self.invariants[i].name, 0.0))
+                self.row(i, fit, taken, span, eps, origins or {})
                 for i, fit in enumerate(fits)
             ]
 

@@ -34,6 +34,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.arithmetic.fused import compensated_sum, unlikely
 from topcli.contracts import Floats, Invariant, StepFunction, Stepper, Top
+from topcli.tops import BUILT_IN, CATALOGUE
 
 SINGULAR = (
     "For certain step sizes of the order of 1/|omega| and larger, the determinant of the linear system vanishes, and "
@@ -79,7 +80,7 @@ NO_FAR_STEPS = (
 
 def explicit_limits(top: Top) -> Mapping[str, str]:
     """Limits of explicit Runge-Kutta methods."""
-    if not is_body(top):
+    if top.form not in BUILT_IN or top.form in CATALOGUE:  # it has no such cases
         return {}
     limits = {"resonance": NO_FAR_STEPS}
     if top.form != "lagrange/inertial":
@@ -123,14 +124,6 @@ E = \tfrac12 m^2 + u, \qquad u_1 \leq u_2 \leq u_3 \text{ the zeros of } \dot u^
 
 
 LINES = 3
-
-
-def is_body(top: Top) -> bool:
-    """True if ``top`` is a case of the Euler-Poisson equations."""
-    try:
-        return bool(top.euler_poisson())
-    except NotImplementedError:
-        return False
 
 
 def polynomial_invariants(top: Top, degree: int) -> tuple[str, ...]:

@@ -20,6 +20,10 @@ from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 
 CATALOGUE = {
     "volterra": "volterra.Volterra",
+    "lagrange-gyrostat": "gyrostats.LagrangeGyrostat",
+    "kowalevski-gyrostat": "gyrostats.KowalevskiGyrostat",
+    "goryachev-chaplygin": "partial.GoryachevChaplygin",
+    "hess-appelrot": "partial.HessAppelrot",
     "clebsch": "clebsch.Clebsch",
 }
 """Tops that are declared by their field and integrals alone; the schemes that a field is enough for step them."""

@@ -19,64 +19,16 @@ from topcli.schemes.layout import (
     CompensatedOption,
 )
 from topcli.schemes.registry import scheme
-from topcli.tops.lagrange import Lagrange
-
-
-def hk_corrections(top: Lagrange, h: float, y: Array) -> tuple[Array, Array, Array]:
-    """Differences of the integrals of the HK map from gamma², m·gamma and E at states ``y`` (n, 6): three arrays (n,).
-
-    They are of size h² and follow from the conserved quantities J = (v + K u + K + S)/y, c2 and c0 of Kimura and Hirota
-    (2000), rearranged to avoid cancellation for small h or small mu. With d = h/2,
-    W = k (omega1, omega2) + nu (gamma1, gamma2), q = nu gamma3 + k s and H = (omega1, omega2).W + (k + s) q,
-    c2 + 1 = d^4 y (N + (d H/y)²)/R, N = |W|² + q².
-    """
-    alpha, nu = top.constants()
-    d = 0.5 * h
-    w1, w2, s, g1, g2, Z = y.T
-    k = alpha * s
-    K, S, n = d * k, d * s, d * d * nu
-    U, V, G = w1 * w1 + w2 * w2, w1 * g1 + w2 * g2, g1 * g1 + g2 * g2
-    wW, gW = k * U + nu * V, k * V + nu * G
-    x = nu * Z
-    q = x + k * s
-    KS, dq = K * S, d * d * q
-    Y = dq - 1.0
-    H = wW + (k + s) * q
-    N = k * wW + nu * gW + q * q
-    z, u, v, r = n * Z, d * d * U, d * n * V, n * n * G
-    R = (
-        Y * r
-        + 2.0 * v * (K * z + S * (1.0 + K * K))
-        + u * ((K * K - 1.0) * z + (1.0 + K * K) * (1.0 + KS))
-        + (z + 1.0 + KS) * (Y * Y + (K + S) ** 2)
-    )
-    eps = d**4 * Y * (N + (d * H / Y) ** 2) / R
-    # linear coefficient of gamma1² + gamma2² as a polynomial in gamma3, in powers of d²
-    a4 = gW + Z * (q - k * k)
-    a6 = (
-        (V + Z * s) * wW
-        + (k * k - k * s - 2.0 * x) * gW
-        + V * (k * x + s * q)
-        + Z * (q * (s * s + k * k - q) - (k * k + k * s - q) ** 2)
-    )
-    a8 = (
-        wW * (k * (nu * G + U * Z + (k - s) * V) + k * Z * (2.0 * (x - k * k) + k * s))
-        + (x - k * k) * q * gW
-        + k * U * Z * (k * x + s * q)
-        + k * s * s * (k * k - q) * V
-        + Z * q * q * (q - k * k)
-    )
-    a10 = -k * (N * (V * q + k * U * Z) + k * k * nu * s * (w1 * g2 - w2 * g1) ** 2)
-    a1 = 2.0 * d * d * (a4 + d * d * (a6 + d * d * (a8 + d * d * a10))) / (Y * R)
-    gamma_sq = Z * (Z * (K * K * (1.0 - eps) - eps) - a1)
-    b1 = 2.0 * K * k * S + d * d * H / Y - 2.0 * k * (1.0 + KS) * eps
-    m_gamma = -top.A * Z * (b1 + k * (1.0 - eps) * z)
-    energy = 0.5 * top.A * (2.0 * x * (KS * (1.0 - eps) - eps) + (1.0 - eps) * (d * x) ** 2)
-    return gamma_sq, m_gamma, energy
+from topcli.tops.lagrange import Lagrange, hk_corrections
 
 
 def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[Invariant, ...]:
     """gamma², m·gamma and E with the corrections of the HK map, which conserves them exactly for this h."""
+
+    alpha, nu = top.constants()
+
+    def corrections(y: Array) -> tuple[Array, Array, Array]:
+        return hk_corrections(top.A, nu, alpha * y[:, 2], h, y.T)
 
     def made(index: int, plain: Invariant) -> Invariant:
         return Invariant(
@@ -84,8 +36,8 @@ def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[In
             f"{plain.symbol} mod",
             rf"\widetilde{{{plain.tex}}}",
             f"{plain.meaning}, modified: conserved by the HK map",
-            lambda y: plain.value(y) + hk_corrections(top, h, y)[index],
-            lambda y: plain.scale(y) + np.abs(hk_corrections(top, h, y)[index]),
+            lambda y: plain.value(y) + corrections(y)[index],
+            lambda y: plain.scale(y) + np.abs(corrections(y)[index]),
         )
 
     return tuple(made(index, plain) for index, plain in enumerate(top.invariants()[:3]))
