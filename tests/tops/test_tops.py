@@ -29,7 +29,7 @@ def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:
         assert (fresh[form].form, fresh[form].kind) == (form, kind)
         assert fresh.kind(form) == kind
     bodies = ["kowalevski", "euler", "euler+gamma", "lagrange", "lagrange/inertial", "heavy"]
-    assert top_names() == [*bodies, *CATALOGUE]
+    assert top_names() == [*bodies, *CATALOGUE, "custom"]
 
 
 def test_a_top_can_be_added_replaced_and_removed() -> None:

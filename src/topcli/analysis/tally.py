@@ -315,10 +315,7 @@ class InvariantTally:
             filled, counts, t = self._blocks(rows, last)
             fits = [trend(t, sums[0, filled] / counts) for sums in self.sums]
             taken, span = last if steps is None else steps, last * self._h
-            return [
-                self.row(i, fit, taken, span, eps, origins or {})
-                for i, fit in enumerate(fits)
-            ]
+            return [self.row(i, fit, taken, span, eps, origins or {}) for i, fit in enumerate(fits)]
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Current sums in arrays of a fixed size, from which ``restore`` continues bit for bit."""
@@ -487,4 +484,4 @@ def uneven_report(
         centres, span = means(t - t[0]), float(t[-1] - t[0])
         deviations = (values[invariant.name] - tally.first[i] for i, invariant in enumerate(invariants))
         fits = [trend(centres, means(deviation), total) for deviation in deviations]
-        return [tally.row(i, fit, steps, span, ULP) for i, fit in enumerate(fits)], tally.left_step
+        return [tally.row(i, fit, steps, span, ULP, {}) for i, fit in enumerate(fits)], tally.left_step

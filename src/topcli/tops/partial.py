@@ -57,7 +57,7 @@ class HessAppelrot(HeavyGyrostat):
     """Hess-Appelrot top: A (B - C) x₀² = C (A - B) z₀².
 
     The centre of gravity lies on the perpendicular of a circular section of the gyration ellipsoid, which fixes B. Then
-    motions that start on the hyperplane F = A x₀ ω₁ + C z₀ ω₃ = 0 remain there, because F' is a multiple of ω₂ F; others
+    motions that start on the hyperplane F = A x₀ ω₁ + C z₀ ω₃ = 0 remain there, since F' is a multiple of ω₂ F; others
     are chaotic. The HK map keeps this hyperplane exactly, like every invariant hyperplane, but no integral; its degrees
     grow like (3 + √6)^n. Where ω₂ keeps its sign, rounding errors of F grow exponentially.
     """

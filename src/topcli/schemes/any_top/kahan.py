@@ -18,6 +18,7 @@ from topcli.schemes.layout import (
     CompensatedOption,
     Event,
     is_compensated,
+    linear_invariants,
     with_counter,
 )
 from topcli.schemes.layout import stepper as summing_stepper
@@ -98,6 +99,7 @@ def build_heavy(top: Top, options: CompensatedOption) -> Stepper:
     order=2,
     explicit=True,
     self_adjoint=True,
+    conserves=linear_invariants,
     citation="Kahan 1993; Hirota, Kimura 2000; Celledoni, McLachlan, Owren, Quispel, J. Phys. A 46 (2013) 025201",
     formula=r"""
 \frac{y_i' - y_i}{h} = \sum_{jk} a_{ijk}\,\tfrac12\,(y_j y_k' + y_j' y_k) + \sum_j b_{ij}\,\bar y_j + c_i, \qquad
