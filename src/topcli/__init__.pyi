@@ -2,6 +2,7 @@ from topcli.analysis.motion import Motion as Motion
 from topcli.analysis.trajectory import Ensemble as Ensemble
 from topcli.analysis.trajectory import Trajectory as Trajectory
 from topcli.contracts import Top as Top
+from topcli.figures.catalogue import figure as figure
 from topcli.runs.simulate import simulate as simulate
 from topcli.runs.simulate import simulate_ensemble as simulate_ensemble
 from topcli.schemes.own_tops import top as top
@@ -16,6 +17,7 @@ from topcli.show.report import roundoff as roundoff
 from topcli.show.report import stress as stress
 from topcli.show.results import run as run
 from topcli.show.results import sweep as sweep
+from topcli.studies.stress.cases import case as case
 from topcli.sweeps.measures import measure as measure
 
 __version__: str

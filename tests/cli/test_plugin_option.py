@@ -73,3 +73,14 @@ def test_init_writes_a_config_of_an_own_top_that_runs(gyrostat: Callable[..., Sa
 
 def test_cite_prints_the_citation_of_an_own_top(gyrostat: Callable[..., Said]) -> None:
     assert "{Volterra, Vito}" in gyrostat("cite", "gyrostat").out
+
+
+def test_the_studies_take_an_own_top(gyrostat: Callable[..., Said]) -> None:
+    compared = gyrostat("compare", "heun", "hk", "--config", "rotor.yaml", "--set", "T=2", "--json").json()
+    errors = {row["scheme"]: row["max_error"] for row in compared["schemes"]}
+    assert 1e-7 < errors["hk"] < errors["heun"] < 1e-3  # 2e-6 and 4e-6
+    ordered = gyrostat("order", "heun", "--config", "rotor.yaml", "--duration", "1", "--json").json()
+    assert ordered["schemes"][0]["order"] == pytest.approx(2.0, abs=0.1)
+    stressed = gyrostat("stress", "heun", "--json").json()
+    outcomes = {trial["case"]: trial["outcome"] for trial in stressed["trials"]}
+    assert outcomes == {"backwards": "held", "one-step": "held", "there-and-back": "degraded", "drift": "not tried"}

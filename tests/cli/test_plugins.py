@@ -8,6 +8,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from conftest import ROOT
@@ -76,7 +77,7 @@ class Own(Heavy):
 """
 
 
-def install(folder: Path, **modules: str) -> Path:
+def install(folder: Path, group: str = "topcli.schemes", **modules: str) -> Path:
     """Install a package ``several`` with these modules, each an entry point; the folder of packages."""
     package, info = folder / "site" / "several", folder / "site" / "several-1.0.dist-info"
     package.mkdir(parents=True)
@@ -85,7 +86,7 @@ def install(folder: Path, **modules: str) -> Path:
         (package / f"{name}.py").write_text(text)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: several\nVersion: 1.0\n")
     points = [f"{name} = several.{name}\n" for name in modules]
-    (info / "entry_points.txt").write_text("".join(["[topcli.schemes]\n", *points]))
+    (info / "entry_points.txt").write_text("".join([f"[{group}]\n", *points]))
     return folder / "site"
 
 
@@ -119,14 +120,105 @@ def test_the_entry_points_of_a_package_have_their_own_schemes(tmp_path: Path) ->
         "first": "registers omega1.min",
         "second": "registers rest",
         "third": "registers own",
-        "fourth": "registers no scheme, measure or top",
+        "fourth": "registers nothing",
     }
-    assert found["problems"] == ["plugin fourth registers no scheme, measure or top"]
+    assert found["problems"] == ["plugin fourth registers nothing"]
     listed = json.loads(topcli_process("list", "measures", "--json", cwd=tmp_path, path=site).stdout)["measures"]
     assert {item["name"] for item in listed if item["origin"] == "several"} == {"omega1.min"}
     run = ["run", HK, "--set", "scheme=rest", "--set", "N=20", "--json"]
     (report,) = json.loads(topcli_process(*run, cwd=tmp_path, path=site).stdout)["runs"]
     assert {row["verdict"] for row in report["invariants"]} == {"exact"}
+
+
+CONFIG = "{top: %s, initial: {omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}, scheme: rk4, h: 0.01, N: 40}"
+FIGURE = """
+import numpy as np
+import topcli
+from topcli.figures.figure import Loaded
+from topcli.figures.picture import Line, Panel
+
+@topcli.figure("parabola", title="A parabola")
+def loaded(request):
+    t = np.linspace(0, 1, 5)
+    return Loaded((Panel((Line("y"),), "y"),), lambda: {"t": t, "y": t * t}, {"points": 5})
+"""
+MARK = "import pathlib; pathlib.Path('{}.imported').touch()\n"
+
+
+def test_a_plugin_is_imported_when_a_name_needs_it(tmp_path: Path) -> None:
+    """Built-in names need none, the name of an entry point that plugin alone, an unknown name all."""
+    modules = {"rest": SCHEME, "own": TOP, "other": MEASURE}
+    site = install(tmp_path, "topcli.tops", **{name: MARK.format(name) + text for name, text in modules.items()})
+    (tmp_path / "own.yaml").write_text(CONFIG % "own")
+    for command, imported in (
+        (("run", HK, "--set", "N=20"), []),
+        (("show", HK), []),
+        (("run", HK, "--set", "N=20", "--set", "scheme=rest"), ["rest"]),
+        (("run", "own.yaml"), ["own"]),
+        (("list", "tops"), ["other", "own", "rest"]),
+    ):
+        done = topcli_process(*command, cwd=tmp_path, path=site)
+        assert done.returncode == 0, done.stderr
+        marks = list(tmp_path.glob("*.imported"))
+        assert sorted(path.stem for path in marks) == imported
+        for path in marks:
+            path.unlink()
+    refused = topcli_process("run", HK, "--set", "scheme=unheard", cwd=tmp_path, path=site)
+    assert refused.returncode == 2
+    assert len(list(tmp_path.glob("*.imported"))) == 3
+
+
+BAD = "raise RuntimeError('no good')"
+SAID = "plugin 'bad' of several failed: {site}/several/bad.py:1: RuntimeError: no good"
+
+
+def test_a_broken_plugin_stops_only_what_names_it(tmp_path: Path) -> None:
+    site = install(tmp_path, bad=BAD)
+    (tmp_path / "bad.yaml").write_text(CONFIG % "bad")
+    said = SAID.format(site=site)
+
+    def call(code: int, *command: str) -> tuple[str, str]:
+        done = topcli_process(*command, cwd=tmp_path, path=site)
+        assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
+        assert said in done.stderr
+        return done.stdout, done.stderr
+
+    compared, _ = call(3, "compare", "hk", "bad", "--set", "N=200", "--json")
+    (row,) = json.loads(compared)["schemes"]
+    assert (row["scheme"], row["outcome"]) == ("hk", "completed")
+    ordered, _ = call(3, "order", "hk", "bad", "--top", "euler", "--duration", "1", "--json")
+    rows = {row["scheme"]: row for row in json.loads(ordered)["schemes"]}
+    assert rows["hk"]["order"] == pytest.approx(2.0, abs=0.1)
+    assert said in rows["bad"]["broken"]
+    stressed, _ = call(3, "stress", "rk4", "bad", "--case", "one-step", "--top", "euler", "--json")
+    trials = {trial["scheme"]: trial for trial in json.loads(stressed)["trials"]}
+    assert (trials["rk4"]["outcome"], trials["bad"]["verdict"]) == ("held", "code failed")
+    tried, errors = call(0, "stress", "rk4", "--case", "one-step", "--top", "euler")
+    assert "held" in tried
+    assert errors.count("no good") == 1
+    for command in (
+        ("run", HK, "--set", "scheme=bad"),
+        ("run", "bad.yaml"),
+        ("plot", "bad"),
+        ("compare", "bad", "--set", "N=200"),
+        ("run", HK, "--set", "scheme=other"),
+        ("run", HK, "--set", "top=other"),
+        ("plot", "other"),
+    ):
+        _, errors = call(2, *command)
+        assert len(errors.splitlines()) <= 2
+    call(0, "list", "schemes")
+
+
+def test_a_figure_of_a_plugin_is_drawn(tmp_path: Path) -> None:
+    site = install(tmp_path, "topcli.figures", parabola=FIGURE)
+    done = topcli_process("plot", "parabola", "--format", "png", "--json", cwd=tmp_path, path=site)
+    assert done.returncode == 0, done.stderr
+    (drawn,) = json.loads(done.stdout)["figures"]
+    y = pq.read_table(tmp_path / drawn["files"][-1])["y"].to_pylist()
+    assert y == [0.0, 0.0625, 0.25, 0.5625, 1.0]
+    listed = json.loads(topcli_process("list", "figures", "--json", cwd=tmp_path, path=site).stdout)["figures"]
+    assert [figure["name"] for figure in listed if figure["origin"] == "several"] == ["parabola"]
 
 
 def test_example_of_the_decorator_runs(tmp_path: Path) -> None:

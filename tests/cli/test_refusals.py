@@ -255,7 +255,7 @@ stress --case sleeping --top euler
     no such case for euler
 stress --case sleeping --top gyrostat --plugin gyrostat.py
     no such case for gyrostat
-stress heun --case sleeping --plugin gyrostat.py
+stress heun --case delone --plugin gyrostat.py
     none of the schemes heun has one of the cases; see topcli list cases
 analyse mine.csv --config euler_hk
     mine.csv: no columns t, omega1, omega2, omega3; known: time, w_x, w_y, w_z; --columns t=COLUMN names it

@@ -194,7 +194,7 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
         return {one["name"]: one["status"] for one in cli("plot", *arguments, "--json").json()["figures"]}
 
     listed = cli("list", "figures", "--json").json()["figures"]
-    assert listed == [{"name": name, "title": "A wave", "scene": "none"} for name in figures]
+    assert listed == [{"name": name, "title": "A wave", "scene": "none", "origin": "topcli"} for name in figures]
     assert complete_figure("w") == ["wave"]
     assert status("wave") == {"wave": "drawn"}
     assert status("wave", "slow") == {"wave": "up to date", "slow": "drawn"}

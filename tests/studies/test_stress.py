@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpc, mpf
 
+import topcli
 from cases import table_of
 from declared import SCHEMES
 from topcli.analysis.reference import reference_states
@@ -307,7 +308,8 @@ def test_a_scheme_that_fails_in_the_interpreter_is_a_finding() -> None:
 
 
 @pytest.mark.slow
-def test_a_hard_case_is_one_entry(cli: Callable[..., Any], request: pytest.FixtureRequest) -> None:
+@pytest.mark.usefixtures("own_registry")
+def test_a_hard_case_is_one_entry(cli: Callable[..., Any]) -> None:
     """From outside: a config, a question and a check; it is listed, completed, tried, judged and can be a limit."""
 
     def upright(trial: Trial) -> Finding:
@@ -319,12 +321,15 @@ def test_a_hard_case_is_one_entry(cli: Callable[..., Any], request: pytest.Fixtu
     def config() -> dict[str, Any]:
         return {"top": "heavy", "initial": {"omega": [0, 0, 1], "gamma": [0, 0, 1]}, "h": 0.01, "N": 20}
 
-    mine = Case("my-case", "heavy", "does it stay upright?", config, upright)
-    wrong = replace(mine, name="my-other", check=lambda trial: Finding(CaseOutcome.BROKE, "never", 3))
-    CASES.extend((mine, wrong))
-    request.addfinalizer(lambda: CASES.__delitem__(slice(-2, None)))
+    def never(trial: Trial) -> Finding:
+        return Finding(CaseOutcome.BROKE, "never", 3)
+
+    for name, check in (("my-case", upright), ("my-other", never)):
+        topcli.case(name, top="heavy", question="does it stay upright?", check=check)(config)
+    with pytest.raises(ValueError, match="case 'my-case' for top 'heavy' is already registered"):
+        topcli.case("my-case", top="heavy", question="again?")(config)
     listed = cli("list", "cases", "--top", "heavy", "--json").json()["cases"]
-    assert listed[-2] == {"name": "my-case", "top": "heavy", "question": "does it stay upright?"}
+    assert listed[-2] == {"name": "my-case", "top": "heavy", "question": "does it stay upright?", "origin": __file__}
     assert {"my-case", "my-other"} <= set(case_names())
     tried = cli("stress", "rk4", "--case", "my-case", "--json")
     (trial,) = tried.json()["trials"]

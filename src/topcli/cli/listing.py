@@ -93,7 +93,7 @@ def _print_plugin_failures() -> None:
     from topcli.schemes.registry import plugin_failures
 
     for failure in plugin_failures():
-        print_message(f"plugin {failure.name} failed: {failure.reason}")
+        print_message(str(failure))
 
 
 @_listed
@@ -196,10 +196,12 @@ def sweeps(as_json: Json = False) -> Listing:
 @_listed
 def cases(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the hard cases of topcli stress."""
-    from topcli.studies.stress.cases import CASES, cases_of
+    from topcli.schemes.plugins import plugin_failures
+    from topcli.studies.stress.cases import CASES, OWN, cases_of
 
-    wanted = CASES if top is None else [case for form in _forms(top) for case in cases_of(form)]
-    items = [{"name": case.name, "top": case.form, "question": case.question} for case in wanted]
+    plugin_failures()
+    wanted = [*CASES, *OWN.values()] if top is None else [case for form in _forms(top) for case in cases_of(form)]
+    items = [{"name": case.name, "top": case.form, "question": case.question, "origin": case.origin} for case in wanted]
     return Listing(items, ["name", "top", "question"])
 
 
@@ -221,9 +223,12 @@ def measures(top: OnlyTop = None, as_json: Json = False) -> Listing:
 def figures(as_json: Json = False) -> Listing:
     """List the figures that topcli plot draws."""
     from topcli.figures.catalogue import FIGURES
+    from topcli.schemes.plugins import plugin_failures
 
+    plugin_failures()
     return Listing(
-        [_fields(figure, "name", "title", "scene") for figure in FIGURES.values()], ["name", "scene", "title"]
+        [_fields(figure, "name", "title", "scene", "origin") for figure in FIGURES.values()],
+        ["name", "scene", "title"],
     )
 
 

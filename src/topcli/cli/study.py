@@ -132,12 +132,17 @@ def command(study: Study) -> Callable[..., None]:
 
 
 def report_faults(study: Study, result: Result) -> None:
-    """Print notes and faults, and exit with the code of the faults."""
+    """Print notes and faults, also plugins that failed, and exit with the code of the faults."""
+    from topcli.schemes.plugins import known_failures
+
     for line in study.notes(result.data):
         print_message(line)
     code, lines = study.faults(result.data)
     for line in lines:
         print_message(f"error: {line}")
+    for failure in known_failures():
+        if not any(str(failure) in line for line in lines):
+            print_message(str(failure))
     if code:
         raise typer.Exit(code)
 

@@ -36,7 +36,8 @@ from pydantic import BaseModel
 from topcli.contracts import Method, Scheme, Stepper, Top, stop_asked
 from topcli.engine.source import is_installed, is_versioned, names_in, place_of, plain_function, references, used_names
 from topcli.errors import SchemeCodeError
-from topcli.schemes.plugins import is_built_in, named_module
+from topcli.schemes.plugins import is_built_in, named_module, registry
+from topcli.tops import TOPS
 
 _PLAIN = frozenset((int, float, complex, bool, str, bytes, type(None), type(...), type(NotImplemented)))
 _WRAPPERS = (staticmethod, classmethod)
@@ -128,6 +129,8 @@ class _Walk:
             raise _IndescribableError(f"{_kind(value)}, an address in this process")
         elif value is stop_asked:
             self.put("stop_asked")  # ends a run, and changes no number
+        elif value is registry or value is TOPS:
+            self.put(type(value).__name__)  # schemes and tops that code finds by name count where they are used
         elif not self.met(value):
             self._object(value)
 

@@ -5,13 +5,18 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from topcli.analysis.swings import spacing_law
-from topcli.errors import UnknownNameError, nearest, quoted
-from topcli.figures.figure import Figure, deferred
+from topcli.errors import SchemeCodeError, UnknownNameError, nearest, quoted
+from topcli.figures.figure import Figure, Loaded, Request, deferred
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.scene3d import Polhodes, Sphere
 from topcli.figures.scenes import BodyPanel, VectorPanel, scene_figure
 from topcli.figures.sweep import LAW, Choice, View, sweep_views
+from topcli.schemes.plugins import failed_plugin, known_failures, origin_of, plugin_failures, plugin_table
+
+Load = Callable[[Request], Loaded]
 
 
 def _headed(figsize: tuple[float, float]) -> Grid:
@@ -265,9 +270,55 @@ FIGURES: dict[str, Figure] = {
 }
 
 
+plugin_table(FIGURES)
+
+
+def figure(name: str, *, title: str, scene: str = "") -> Callable[[Load], Load]:
+    """Register the decorated function as a figure of ``topcli plot``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure and its files, in lower case.
+    title : str
+        Description in one line.
+    scene : str, optional
+        Scene or command that the results come from.
+
+    Returns
+    -------
+    callable
+        Decorator that registers the function and returns it unchanged. The function takes a
+        ``topcli.figures.figure.Request`` and returns a ``Loaded``: panels, and the data that they draw.
+
+    Raises
+    ------
+    ValueError
+        If there is a figure of this name.
+    """
+
+    def register(load: Load) -> Load:
+        if name in FIGURES:
+            raise ValueError(f"figure {name!r} is already registered by {FIGURES[name].origin}")
+        FIGURES[name] = Figure(name, title, scene, load, origin=origin_of(load))
+        return load
+
+    return register
+
+
 def find_figure(name: str) -> Figure:
-    """Return the figure called ``name``. Raises UnknownNameError with the nearest names."""
+    """Return the figure called ``name``.
+
+    Raises UnknownNameError with the nearest names, and SchemeCodeError for one whose plugin has failed.
+    """
+    wanted = name.lower()
+    if wanted not in FIGURES:
+        failure = failed_plugin(wanted)
+        if failure and wanted not in FIGURES:
+            raise SchemeCodeError(f"figure {wanted!r}: {failure}")
+        plugin_failures()
     try:
-        return FIGURES[name.lower()]
+        return FIGURES[wanted]
     except KeyError:
-        raise UnknownNameError(f"unknown figure {quoted(name)}; {nearest(name, FIGURES)}") from None
+        failures = map(str, known_failures()[:2])
+        raise UnknownNameError(f"unknown figure {quoted(name)}; {nearest(name, FIGURES)}", *failures) from None

@@ -23,6 +23,7 @@ from topcli.errors import ExitCode, RunError, TopcliError, UsageError, clipped
 from topcli.figures.picture import DEFAULT_FORMATS, Drawable, Grid, draw, overlay_column, save
 from topcli.figures.style import STYLE
 from topcli.runs.identity import method_fingerprint
+from topcli.schemes.registry import load_scheme_file, loaded_scheme_files
 from topcli.store.files import io_failure, require_writable, stored_study, write_study, write_whole
 from topcli.store.series import read_metadata, write_parquet
 from topcli.studies import imported
@@ -134,6 +135,8 @@ class Figure:
         When it begins among several: 0 for the paper's figures, 1 for those that take longest.
     takes_overrides, takes_overlay : bool
         Whether ``Request.overrides`` and ``Request.overlay`` have a meaning.
+    origin : str
+        Distribution or file that registered the figure. Those of plugins are drawn in the process that loaded them.
     """
 
     name: str
@@ -144,6 +147,7 @@ class Figure:
     rank: int = 2
     takes_overrides: bool = False
     takes_overlay: bool = False
+    origin: str = "topcli"
 
 
 @dataclass(frozen=True)
@@ -260,17 +264,19 @@ def make_figures(
     Several ``jobs`` are processes that draw one figure each; figures that need the same stored results are drawn one
     after the other. They begin in the order of their ``rank``. The processes end with the generator.
     """
-    if jobs == 1 or len(figures) == 1:
-        for figure in figures:
-            on_progress(figure.name, 0, 1)
-            alone = replace(request, on_progress=partial(on_progress, figure.name))
-            try:
-                yield figure, make_figure(figure, alone, out, formats)
-            except TopcliError as error:
-                yield figure, error
+    alone = len(figures) == 1 or jobs == 1
+    here = figures if alone else [figure for figure in figures if figure.origin != "topcli"]
+    for figure in here:
+        on_progress(figure.name, 0, 1)
+        watched = replace(request, on_progress=partial(on_progress, figure.name))
+        try:
+            yield figure, make_figure(figure, watched, out, formats)
+        except TopcliError as error:
+            yield figure, error
+    if alone:
         return
     drawn = _Processes(request, out, tuple(formats), on_progress)
-    waiting = sorted(figures, key=lambda figure: figure.rank)
+    waiting = sorted((figure for figure in figures if figure.origin == "topcli"), key=lambda figure: figure.rank)
     try:
         while waiting or drawn.running:
             for figure in list(waiting):
@@ -290,7 +296,8 @@ class _Processes:
         self.context.set_forkserver_preload([*PRELOADED, "matplotlib.figure"])
         self.on_message, self.on_progress = request.on_message, on_progress
         silent = replace(request, on_progress=Request.on_progress, on_message=Request.on_message)
-        self.arguments = (silent, out, formats)
+        plugins = tuple(Path(file.path).absolute() for file in loaded_scheme_files())
+        self.arguments = (silent, out, formats, plugins)
         self.running: dict[Any, tuple[Figure, Any]] = {}
 
     def are_free(self, needs: Sequence[str]) -> bool:
@@ -337,7 +344,9 @@ class _Processes:
             process.join()
 
 
-def _make_apart(pipe: Connection, figure: Figure, request: Request, out: Path, formats: Sequence[str]) -> None:
+def _make_apart(
+    pipe: Connection, figure: Figure, request: Request, out: Path, formats: Sequence[str], plugins: Sequence[Path]
+) -> None:
     """Make a figure in this process, and send messages, progress and the result, or the error, through ``pipe``."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background of a shell ignores it
     parent = mp.parent_process()
@@ -353,6 +362,8 @@ def _make_apart(pipe: Connection, figure: Figure, request: Request, out: Path, f
             pipe.send((done, total))
 
     try:
+        for path in plugins:
+            load_scheme_file(path)
         pipe.send(make_figure(figure, replace(request, on_progress=progress, on_message=pipe.send), out, formats))
     except TopcliError as error:
         pipe.send(error)

@@ -15,15 +15,16 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
 from topcli.contracts import Scheme, Top
 from topcli.errors import SchemeCodeError, TopcliError, UsageError
-from topcli.tops import TOPS
+from topcli.tops import CATALOGUE, TOPS
 
-ENTRY_POINT_GROUP = "topcli.schemes"
+GROUPS = ("topcli.tops", "topcli.schemes", "topcli.figures")
+"""Groups of entry points in which installed packages declare plugins; each may bring anything."""
 SCHEME_FILE = "topcli_scheme_file_"
 """Start of the names of the modules of plugin files; a digest of the path follows."""
 _NOT_BESIDE = sys.stdlib_module_names | {"topcli"}
@@ -70,6 +71,8 @@ class Registry:
         """Distribution or file of each form of a top that a plugin brought."""
         self.origin = "topcli"
         """Distribution or file that is being imported."""
+        self.installed: dict[EntryPoint, PluginFailure | list[str]] = {}
+        """Plugins of installed packages with the names that they have registered, or the reason why they failed."""
         self.files: list[SchemeFile] = []
         self.before_files: Snapshot | None = None
         self.tables: list[tuple[Table, dict[Any, Any]]] = []
@@ -99,9 +102,14 @@ class Registry:
             table.clear()
             table.update(content)
 
-    def registered(self) -> int:
-        """Number of schemes, and of entries that plugins have added to the tables of other parts."""
-        return len(self.schemes) + sum(len(table) - len(built_in) for table, built_in in self.tables[3:])
+    def added(self, snapshot: Snapshot) -> list[str]:
+        """Names that plugins have registered since ``snapshot``."""
+        names = set()
+        for table, built_in in self.tables:
+            for key in table.keys() - snapshot.get(id(table), built_in).keys():
+                if getattr(table[key], "origin", "") != "topcli":  # topcli's schemes, for a new top
+                    names.add(key[0] if isinstance(key, tuple) else key)
+        return sorted(names)
 
 
 registry = Registry()
@@ -119,10 +127,13 @@ def built_in_modules() -> tuple[str, ...]:
     )
 
 
+@cache
 def import_built_in() -> None:
-    """Import all modules that register schemes of topcli."""
+    """Import all modules that register schemes of topcli, and give the tops of the catalogue their schemes."""
     for module in built_in_modules():
         import_module(module)
+    for form in CATALOGUE:
+        registry.complete(form)
 
 
 def plugin_table(table: Table) -> None:
@@ -223,7 +234,7 @@ def _is_users(frame: types.FrameType) -> bool:
         return False
     if not {"site-packages", "dist-packages"}.isdisjoint(path.parts):
         package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
-        return any(package == entry.module.partition(".")[0] for entry in entry_points(group=ENTRY_POINT_GROUP))
+        return any(package == entry.module.partition(".")[0] for entry in installed_plugins())
     return not path.is_relative_to(sysconfig.get_path("stdlib"))
 
 
@@ -257,6 +268,9 @@ class PluginFailure:
     origin: str
     reason: str
 
+    def __str__(self) -> str:
+        return f"plugin {self.name!r} of {self.origin} failed: {self.reason}"
+
 
 def _failure(error: BaseException) -> str:
     """Reason why a plugin cannot be imported, with the place, in one line."""
@@ -266,8 +280,8 @@ def _failure(error: BaseException) -> str:
     return f"{place}: {reason_of(error)}" if place else reason_of(error)
 
 
-def import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | None:
-    """Import a plugin; if that fails, remove what it had registered and return the failure."""
+def import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginFailure | list[str]:
+    """Import a plugin and return the names that it registers; if that fails, remove them and return the failure."""
     before, tops, previous = registry.snapshot(), set(TOPS), registry.origin
     registry.origin = origin
     try:
@@ -281,4 +295,48 @@ def import_plugin(name: str, origin: str, load: Callable[[], object]) -> PluginF
         return PluginFailure(name, origin, _failure(error))
     finally:
         registry.origin = previous
-    return None
+    return registry.added(before)
+
+
+@cache
+def installed_plugins() -> tuple[EntryPoint, ...]:
+    """Entry points of plugins, by name."""
+    found = {(entry.name, entry.value): entry for group in GROUPS for entry in entry_points(group=group)}
+    return tuple(found[key] for key in sorted(found))
+
+
+def distribution_of(entry: EntryPoint) -> str:
+    """Name of the distribution that declares an entry point."""
+    return entry.dist.name if entry.dist else entry.name
+
+
+def plugin_failures(name: str | None = None) -> tuple[PluginFailure, ...]:
+    """Import the plugins of installed packages, or those called ``name``; return all that have failed."""
+    import_built_in()
+    for entry in installed_plugins():
+        if entry not in registry.installed and name in (None, entry.name.lower()):
+            registry.installed[entry] = []  # first, because a plugin may look for names itself
+            registry.installed[entry] = import_plugin(entry.name, distribution_of(entry), entry.load)
+    return known_failures()
+
+
+def known_failures() -> tuple[PluginFailure, ...]:
+    """Plugins of installed packages that have failed so far."""
+    return tuple(found for found in registry.installed.values() if isinstance(found, PluginFailure))
+
+
+def failed_plugin(name: str) -> PluginFailure | None:
+    """Failure of the plugin called ``name``; None if there is none, or if it works."""
+    return next((failure for failure in plugin_failures(name) if failure.name.lower() == name), None)
+
+
+def find_more_tops(name: str) -> list[str]:
+    """Import the plugin called ``name``, or else all, and return messages on two that failed.
+
+    Raises SchemeCodeError if the named one fails.
+    """
+    if failure := failed_plugin(name):
+        raise SchemeCodeError(f"top {name!r}: {failure}")
+    if not any(TOPS.kind(form) == name or form == name for form in TOPS):
+        plugin_failures()
+    return list(map(str, known_failures()[:2]))

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial, wraps
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -22,18 +21,19 @@ from topcli.contracts import Block, Floats, Integrability, Invariant, Method, No
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import compose, find_composition, obstacle
 from topcli.schemes.plugins import (
-    ENTRY_POINT_GROUP,
     SCHEME_FILE,
     FromSource,
     PluginFailure,
     SchemeFile,
     built_in_modules,
-    import_built_in,
+    failed_plugin,
     import_plugin,
     is_built_in,
+    known_failures,
     line_of,
     modules_beside,
     origin_of,
+    plugin_failures,
     registry,
     users_error,
     users_place,
@@ -257,22 +257,6 @@ def _checked(build: Build, name: str) -> Build:
 
 
 @cache
-def plugin_failures() -> tuple[PluginFailure, ...]:
-    """Import the built-in schemes and the plugins of the entry-point group; return the plugins that failed."""
-    import_built_in()
-    for form in CATALOGUE:
-        registry.complete(form)
-    failures = []
-    plugins: list[EntryPoint] = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
-    for entry in plugins:
-        origin = entry.dist.name if entry.dist else entry.name
-        failure = import_plugin(entry.name, origin, entry.load)
-        if failure:
-            failures.append(failure)
-    return tuple(failures)
-
-
-@cache
 def load_scheme_file(path: Path) -> None:
     """Import the schemes of a Python file (``--plugin``), which may import modules that lie beside it.
 
@@ -287,17 +271,16 @@ def load_scheme_file(path: Path) -> None:
         raise UsageError(f"plugin {path}: not a Python file (expected a name ending in .py)")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    known = registry.registered()
     loader = spec.loader
     if registry.before_files is None:
         registry.before_files = registry.snapshot()
     folder = path.resolve().parent
     with modules_beside(folder) as imported:
-        failure = import_plugin(str(path), str(path), lambda: loader.exec_module(module))
-    if failure:
-        placed = failure.reason.startswith(str(path))
-        raise UsageError(failure.reason if placed else f"plugin {path}: {failure.reason}")
-    if registry.registered() == known:
+        found = import_plugin(str(path), str(path), lambda: loader.exec_module(module))
+    if isinstance(found, PluginFailure):
+        placed = found.reason.startswith(str(path))
+        raise UsageError(found.reason if placed else f"plugin {path}: {found.reason}")
+    if not found:
         raise UsageError(
             f"plugin {path}: registers nothing; decorate a class with @topcli.top, or a function with "
             "@topcli.scheme(...) or @topcli.measure(...)"
@@ -367,6 +350,11 @@ def find_scheme(name: str, top: str) -> Scheme:
             registry.complete(top, key[0])
         if key in registry.schemes:
             return registry.schemes[key]
+    failure = failed_plugin(name.lower())
+    if key in registry.schemes:
+        return registry.schemes[key]
+    if failure:
+        return _stand_in(name.lower(), top, failure)
     plugin_failures()
     if key in registry.schemes:
         return registry.schemes[key]
@@ -377,7 +365,19 @@ def find_scheme(name: str, top: str) -> Scheme:
             f"scheme {quoted(name)} does not fit top {top!r}; {reason}; "
             f"schemes for {top}: {', '.join(names_for(top)) or 'none'}"
         )
-    raise UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, names_for(top))}")
+    raise UnknownNameError(
+        f"unknown scheme {quoted(name)}; {nearest(name, names_for(top))}", *map(str, known_failures()[:2])
+    )
+
+
+def _stand_in(name: str, form: str, failure: PluginFailure) -> Scheme:
+    """Scheme called ``name`` whose plugin has failed: it cannot be built, and the reason is that of the plugin."""
+
+    def build(top: Top, options: NoOptions) -> Method:
+        raise SchemeCodeError(f"scheme {name!r}: {failure}")
+
+    words = "scheme of a plugin that failed"  # with an order, so that no study leaves it out
+    return Scheme(name, form, words, 1, False, False, (), "", "", build, doc=words, origin=failure.origin)
 
 
 def _misfit(name: str, form: str) -> str:

@@ -6,9 +6,6 @@ the cache of compiled code, and plugins.
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +13,14 @@ from topcli.engine.code_cache import cache_folder, cache_state
 from topcli.engine.ensemble import default_threads
 from topcli.engine.native import native
 from topcli.errors import UsageError
-from topcli.schemes.plugins import ENTRY_POINT_GROUP, top_origin
-from topcli.schemes.registry import all_schemes, plugin_failures
+from topcli.schemes.plugins import PluginFailure, distribution_of, plugin_failures, registry
 from topcli.store.files import DamagedError, check_study, read_json
 from topcli.store.manifest import MANIFEST
 from topcli.store.parts import parts_of
 from topcli.store.provenance import environment, installed
 from topcli.store.verify import CheckedFile, CheckedRun, check_run
 from topcli.sweeps.journal import JOURNAL, damaged_lines
-from topcli.sweeps.measures import all_measures
 from topcli.sweeps.run import SERIES, is_sweep
-from topcli.tops import TOPS
 
 
 def _unfinished_sweep(folder: Path) -> CheckedRun:
@@ -88,25 +82,6 @@ def _probe(x: Any, n: int) -> int:
     return n + 1
 
 
-def _registered_by(entry: EntryPoint, entries: Sequence[EntryPoint]) -> list[str]:
-    """Names of the schemes, measures and tops of an entry point.
-
-    Of several entry points of a package each has what its own module, or one within it, defines; what no such module
-    defines counts for all of them.
-    """
-    origin = entry.dist.name if entry.dist else entry.name
-    parts = [(each.name, inspect.unwrap(each.build), each.origin) for each in all_schemes()]
-    parts += [(each.name, each.evaluate, each.origin) for each in all_measures()]
-    parts += [(form, TOPS[form], top_origin(TOPS[form])) for form in TOPS]
-    modules = {each.module for each in entries if (each.dist.name if each.dist else each.name) == origin}
-    names = set()
-    for name, value, where in parts:
-        within = [module for module in modules if f"{value.__module__}.".startswith(f"{module}.")]
-        if where == origin and (not within or max(within, key=len) == entry.module):
-            names.add(name)
-    return sorted(names)
-
-
 def diagnosis() -> dict[str, Any]:
     """Environment, cache, threads, plugins and problems of this installation, as plain data."""
     import numpy as np
@@ -121,17 +96,16 @@ def diagnosis() -> dict[str, Any]:
     problems += state.problems
     if not again.cached and not state.problems:
         problems.append(f"compiled code is not kept: {folder} cannot be written or loaded; every process recompiles")
-    failures = {failure.name: failure.reason for failure in plugin_failures()}
+    failures = plugin_failures()
     plugins = []
-    entries = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
-    for entry in entries:
-        names = _registered_by(entry, entries)
-        about = f"failed: {failures[entry.name]}" if entry.name in failures else f"registers {', '.join(names)}"
-        if not names and entry.name not in failures:
-            about = "registers no scheme, measure or top"
-            problems.append(f"plugin {entry.name} {about}")
-        plugins.append({"name": entry.name, "state": about})
-    problems += [f"plugin {name} failed: {reason}" for name, reason in failures.items()]
+    for entry, found in registry.installed.items():
+        if isinstance(found, PluginFailure):
+            about = f"failed: {found.reason}"
+        else:
+            about = f"registers {', '.join(found) or 'nothing'}"
+            problems += [] if found else [f"plugin {entry.name} registers nothing"]
+        plugins.append({"name": entry.name, "distribution": distribution_of(entry), "state": about})
+    problems += map(str, failures)
     return {
         "environment": {**environment(), **{package: installed(package) for package in EXTRAS}},
         "cache": {

@@ -80,8 +80,15 @@ class Tops(UserDict[str, Any]):
 TOPS = Tops(BUILT_IN)
 
 
+def _find_more(name: str) -> list[str]:
+    """Import the plugins that may have a top of this name, all without one; messages on those that failed."""
+    plugins = import_module("topcli.schemes.plugins")  # by name: tops depend on no scheme, nor do their digests
+    return plugins.find_more_tops(name)
+
+
 def top_names() -> list[str]:
     """Names of the tops for users: each kind, and each form that differs from its kind; ``custom`` comes last."""
+    _find_more("")
     return [*dict.fromkeys(name for form in TOPS for name in (TOPS.kind(form), form)), CUSTOM]
 
 
@@ -91,13 +98,15 @@ def forms(name: str) -> list[type[Top]]:
     Raises UnknownNameError, with the nearest names, for an unknown kind.
     """
     wanted = name.lower()
+    known = wanted == CUSTOM or wanted in TOPS or any(TOPS.kind(form) == wanted for form in TOPS)
+    failures = () if known else _find_more(wanted)
     found = [TOPS[form] for form in TOPS if TOPS.kind(form) == wanted]
     if not found and wanted in TOPS:
         return [TOPS[wanted]]
     if wanted == CUSTOM:
         raise UsageError("a custom top is declared in a config; `topcli init --top custom` writes one to start from")
     if not found:
-        raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}")
+        raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}", *failures)
     return found
 
 

@@ -14,6 +14,7 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.field.polynomial import field_of
+from topcli.schemes.plugins import origin_of, plugin_table
 from topcli.studies.stress.checks import (
     Case,
     Check,
@@ -308,32 +309,80 @@ CASES = [
     ),
     *general_cases(LagrangeInertial(), singular=False),
 ]
-"""All cases."""
+"""Cases of topcli."""
+OWN: dict[tuple[str, str], Case] = {}
+"""Cases of plugins by name and form."""
+plugin_table(OWN)
+
+
+def case(
+    name: str, *, top: str, question: str, check: Check = keeps_order
+) -> Callable[[Callable[[], Mapping[str, Any]]], Callable[[], Mapping[str, Any]]]:
+    """Register the decorated function, which returns a config without a scheme, as a hard case of ``topcli stress``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the case, in lower case.
+    top : str
+        Form of the top.
+    question : str
+        Question that the case asks about a scheme.
+    check : callable, optional
+        Function that answers the question: ``check(trial)`` runs the scheme by ``trial.run`` and returns a
+        ``topcli.studies.stress.checks.Finding``. By default the error must have the order of the scheme.
+
+    Returns
+    -------
+    callable
+        Decorator that registers the function and returns it unchanged.
+
+    Raises
+    ------
+    ValueError
+        If the top has a case of this name.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> @topcli.case("slow", top="euler", question="omega of size 1e-3: is the order kept?")
+    ... def slow():
+    ...     return {"top": "euler", "initial": {"omega": [1e-3, 2e-3, 0]}, "h": 1.0, "N": 200}
+    """
+
+    def register(config: Callable[[], Mapping[str, Any]]) -> Callable[[], Mapping[str, Any]]:
+        if any((each.name, each.form) == (name, top) for each in (*CASES, *OWN.values())):
+            raise ValueError(f"case {name!r} for top {top!r} is already registered")
+        OWN[name, top] = Case(name, top, question, config, check, origin_of(config))
+        return config
+
+    return register
 
 
 def cases_of(form: str) -> list[Case]:
-    """Cases of a form of a top; for one without its own, those that make sense for any top."""
-    return [case for case in CASES if case.form == form] or list(_cases_of_declared(form))
+    """Cases of a form of a top; for one that topcli has none for, those that make sense for any top."""
+    own = [case for case in OWN.values() if case.form == form]
+    return [*([case for case in CASES if case.form == form] or _cases_of_declared(TOPS[form])), *own]
 
 
 @cache
-def _cases_of_declared(form: str) -> tuple[Case, ...]:
-    if form in CATALOGUE:
-        scene = load_experiment(gentle_scene(form))
+def _cases_of_declared(declared: type[Top]) -> tuple[Case, ...]:
+    if declared.form in CATALOGUE:
+        scene = load_experiment(gentle_scene(declared.form))
         return _plain_cases(scene.top, scene.y0, scene.y0)
-    top = TOPS[form].new()
+    top = declared.new()
     state = (GENERIC * len(top.components))[: len(top.components)]
     return _plain_cases(top, state, state)
 
 
 def case_names() -> list[str]:
     """Names of the cases; one name may be shared by cases that ask the same question about several tops."""
-    return list(dict.fromkeys(case.name for case in CASES))
+    return list(dict.fromkeys(case.name for case in (*CASES, *OWN.values())))
 
 
 def cases_named(name: str) -> list[Case]:
     """Cases called ``name``, matched without case. Raises UnknownNameError with the nearest names."""
-    named = [case for case in CASES if case.name == name.lower()]
+    named = [case for case in (*CASES, *OWN.values()) if case.name == name.lower()]
     if not named:
         raise UnknownNameError(f"unknown case {quoted(name)}; {nearest(name, case_names())}")
     return named

@@ -67,6 +67,8 @@ class Case:
     question: str
     config: Callable[[], Mapping[str, Any]]
     check: Callable[[Trial], Finding]
+    origin: str = "topcli"
+    """Distribution or file that registered the case."""
 
     def experiment(self, scheme: str, options: Mapping[str, Any] | None = None) -> Experiment:
         """Return the case as an experiment with ``scheme``. Raises UsageError for unknown names and options."""
