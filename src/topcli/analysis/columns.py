@@ -1,4 +1,4 @@
-"""Columns of a time series: ``n``, ``t``, the components of the state, the invariants, the attitude.
+"""Columns of a time series: ``n``, ``t``, the components of the state, the invariants, quantities, the attitude.
 
 That of the attitude is the unit quaternion, or Euler's angles, of the rotation from the body's frame to space.
 """
@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.analysis.quantities import Quantity
 from topcli.contracts import Array, Invariant, Top
 from topcli.errors import UsageError, nearest, quoted
 
 
-def column_names(top: Top) -> list[str]:
-    """Names of all columns that a run of ``top`` can record, in order."""
-    return ["n", "t", *top.components, *(invariant.name for invariant in top.invariants())]
+def column_names(top: Top, quantities: Iterable[Quantity] = ()) -> list[str]:
+    """Names of all columns that a run of ``top`` can record, in order; those of a user's ``quantities`` come last."""
+    invariants = (invariant.name for invariant in top.invariants())
+    return ["n", "t", *top.components, *invariants, *(quantity.name for quantity in quantities)]
 
 
 _ASCII = str.maketrans({"²": "^2", "·": ".", "γ": "gamma", "ω": "omega", "κ": "kappa", "₃": "3"})
@@ -46,6 +48,7 @@ def columns(
     names: Iterable[str],
     modified: Iterable[Invariant] = (),
     values: Mapping[str, Array] | None = None,
+    quantities: Iterable[Quantity] = (),
 ) -> dict[str, NDArray[Any]]:
     """Columns by name, computed from recorded rows.
 
@@ -66,6 +69,8 @@ def columns(
     values : mapping of str to ndarray, shape (m,), optional
         Values of invariants by name, if they have been evaluated before, and of columns that are not functions of
         the state.
+    quantities : iterable of Quantity, optional
+        Observables of the user, which have columns too.
 
     Returns
     -------
@@ -78,6 +83,7 @@ def columns(
     """
     values = values or {}
     invariants = {invariant.name: invariant for invariant in (*top.invariants(), *modified)}
+    formulas = {quantity.name: quantity for quantity in quantities}
     data: dict[str, NDArray[Any]] = {}
     for name in names:
         if name == "n":
@@ -88,10 +94,12 @@ def columns(
             data[name] = states[:, top.components.index(name)]
         elif name in values:
             data[name] = values[name]
+        elif name in formulas:
+            data[name] = formulas[name].values(top, n, h, states)
         elif name in invariants:
             data[name] = invariant_values([invariants[name]], states)[name]
         else:
-            known = dict.fromkeys(("n", "t", *top.components, *invariants, *values))
+            known = dict.fromkeys(("n", "t", *top.components, *invariants, *formulas, *values))
             raise UsageError(f"no column {quoted(name)}; {nearest(name, known)}")
     return data
 

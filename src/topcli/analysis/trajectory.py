@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns
 from topcli.analysis.leaving import step_of_leaving
+from topcli.analysis.quantities import Quantity
 from topcli.analysis.tally import EnsembleSummary, InvariantRow, InvariantTally, invariant_report
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
 from topcli.engine.run import Endings, Run
@@ -25,7 +26,8 @@ class Trajectory:
     """Recorded states of one run, as ``topcli.simulate`` returns them.
 
     ``trajectory[name]`` is a column of shape (m,) by name: ``n``, ``t``, a component of the state, an invariant of the
-    top, a modified integral of the scheme, or of the attitude. ``len(trajectory)`` is the number of rows m.
+    top, a modified integral of the scheme, a quantity of ``output.quantities``, or of the attitude. ``len(trajectory)``
+    is the number of rows m.
 
     Attributes
     ----------
@@ -54,6 +56,8 @@ class Trajectory:
     attitude_form : str
         ``output.attitude``, empty without it. It decides on the columns of ``to_pandas``; ``trajectory[name]`` gives
         those of both forms.
+    quantities : tuple of Quantity
+        Observables of ``output.quantities``.
 
     Examples
     --------
@@ -80,18 +84,26 @@ class Trajectory:
     setup_seconds: float = 0.0
     attitude: Array | None = None
     attitude_form: str = ""
+    quantities: tuple[Quantity, ...] = ()
 
     @classmethod
-    def of_run(cls, run: Run, scheme: str, modified: tuple[Invariant, ...] = (), attitude: str = "") -> Trajectory:
+    def of_run(
+        cls,
+        run: Run,
+        scheme: str,
+        modified: tuple[Invariant, ...] = (),
+        attitude: str = "",
+        quantities: tuple[Quantity, ...] = (),
+    ) -> Trajectory:
         """Carry out ``run`` and return its trajectory, with the step at which it left its energy surface.
 
         ``attitude`` is the form of the attitude, whose quaternions then follow the states of the run.
         """
         n, states, ending = run.collect()
-        fields: dict[str, Any] = {}
+        fields: dict[str, Any] = {"quantities": quantities}
         if attitude:
             states, q = map(np.ascontiguousarray, np.split(states, [len(run.top.components)], axis=1))
-            fields = {"attitude": q, "attitude_form": attitude}
+            fields |= {"attitude": q, "attitude_form": attitude}
         ending = ending.with_left(step_of_leaving(run.top, n, states), run.h)
         seconds = run.compile_seconds, run.run_seconds
         ready = run.setup.seconds if run.setup else 0.0
@@ -119,13 +131,15 @@ class Trajectory:
         if self.attitude is not None:
             for form, names in ATTITUDES.items():
                 attitude |= attitude_columns(form, self.attitude) if name in names else {}
-        return columns(self.top, self.n, self.h, self.states, [name], self.modified, attitude)[name]
+        return columns(
+            self.top, self.n, self.h, self.states, [name], self.modified, attitude, quantities=self.quantities
+        )[name]
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return all columns as a DataFrame: n, t, the components, the invariants, the attitude."""
+        """Return all columns as a DataFrame: n, t, the components, the invariants, the quantities, the attitude."""
         import pandas as pd
 
-        names = [*column_names(self.top), *ATTITUDES.get(self.attitude_form, ())]
+        names = [*column_names(self.top, self.quantities), *ATTITUDES.get(self.attitude_form, ())]
         return pd.DataFrame({name: self[name] for name in names})
 
     def invariants(self) -> pd.DataFrame:
@@ -176,6 +190,8 @@ class Ensemble:
         Integrals of the scheme itself, for each trajectory.
     compile_seconds, run_seconds, setup_seconds : float
         Wall time of compiling or loading the machine code, of the steps, and of the set-ups of a closed form.
+    quantities : tuple of Quantity
+        Observables of ``output.quantities``.
 
     Examples
     --------
@@ -205,6 +221,7 @@ class Ensemble:
     compile_seconds: float
     run_seconds: float
     setup_seconds: float = 0.0
+    quantities: tuple[Quantity, ...] = ()
 
     @property
     def t(self) -> Array:
@@ -243,13 +260,14 @@ class Ensemble:
             compile_seconds=self.compile_seconds,
             run_seconds=self.run_seconds / len(self),
             modified=self.modified[index],
+            quantities=self.quantities,
         )
 
     def __getitem__(self, name: str) -> Array:
         """Column by name, shape (trajectories, m). Raises UsageError for an unknown name."""
         made = np.empty(self.states.shape[:2])
         for i, (top, modified) in enumerate(zip(self.tops, self.modified, strict=True)):
-            made[i] = columns(top, self.n, self.h, self.states[i], [name], modified)[name]
+            made[i] = columns(top, self.n, self.h, self.states[i], [name], modified, quantities=self.quantities)[name]
         return made
 
     def trajectories(self) -> pd.DataFrame:
@@ -275,11 +293,13 @@ class Ensemble:
         return pd.DataFrame(rows).set_index("name")
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return all recorded rows as a DataFrame: trajectory, n, t, the components, the invariants."""
+        """Return all recorded rows as a DataFrame: trajectory, n, t, the components, the invariants, the quantities."""
         import pandas as pd
 
         frames: Sequence[pd.DataFrame] = [
-            pd.DataFrame({"trajectory": i, **{name: trajectory[name] for name in column_names(trajectory.top)}})
+            pd.DataFrame(
+                {"trajectory": i, **{name: trajectory[name] for name in column_names(trajectory.top, self.quantities)}}
+            )
             for i, trajectory in enumerate(map(self.trajectory, range(len(self))))
         ]
         return pd.concat(frames, ignore_index=True)

@@ -73,7 +73,7 @@ def _print_result(result: RunResult, labelled: bool) -> None:
 
         header, *lines = ensemble_table(report)
     else:
-        from topcli.runs.report import INVARIANTS, accuracy_note, precision_note, warning_of
+        from topcli.runs.report import INVARIANTS, QUANTITIES, accuracy_note, precision_note, warning_of
 
         warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
         cells = INVARIANTS.cells(report)
@@ -89,6 +89,9 @@ def _print_result(result: RunResult, labelled: bool) -> None:
     if warning:
         print_message(f"warning: {report['name']}: {warning}")
     print_table(header, lines, report["name"] if labelled else "")
+    if report.get("quantities"):
+        observed = QUANTITIES.cells(report)
+        print_table(observed.header, observed.lines)
 
 
 def _plan_data(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> dict[str, Any]:

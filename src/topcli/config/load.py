@@ -21,7 +21,7 @@ from topcli.config.files import (
 )
 from topcli.config.models import Config, Experiment, changed_name, name_fault
 from topcli.config.ranges import duration_fault, steps_of
-from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
+from topcli.config.sections import read_columns, read_initial, read_quantities, read_scheme, read_top
 from topcli.config.written import read_written, with_written_numbers
 from topcli.contracts import Top, checked_equations
 from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
@@ -145,7 +145,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
     config = _config(data, problems)
     cls, top = _top(data, problems)
     scheme = read_scheme(data["scheme"], cls, problems) if cls and "scheme" in data else None
-    state = members = columns = written = None
+    state = members = columns = quantities = written = None
     if cls and top and "ensemble" in data:
         from topcli.config.ensemble import read_members
 
@@ -158,6 +158,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         if top and scheme:
             integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
             columns = read_columns(config.output, top.components, integrals, problems)
+            quantities = read_quantities(config.output, type(top), integrals, problems)
         _check(config, top, "ensemble" in data, problems)
         if config.precision != DOUBLE and top and state and not problems.messages:
             written = read_written(data, top, state, config.precision, problems)
@@ -175,7 +176,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         options=scheme[1],
         h=config.h,
         N=config.N,
-        output=config.output.model_copy(update={"columns": columns}),
+        output=config.output.model_copy(update={"columns": columns, "quantities": quantities}),
         precision=config.precision,
         max_digits=config.max_digits or MAX_DIGITS,
         written=written,

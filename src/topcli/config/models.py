@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
 from topcli.analysis.columns import ATTITUDES, column_names
+from topcli.analysis.quantities import Quantity, quantities_of
 from topcli.config.document import STRICT, as_integer, describe
 from topcli.config.ranges import MAX_STEPS
 from topcli.config.text import to_yaml
@@ -105,6 +106,11 @@ class Output(BaseModel):
         description="the columns to record, by name or symbol: n, t, components, invariants; all when absent",
         json_schema_extra={"minItems": 1, "uniqueItems": True},
     )
+    quantities: dict[str, Any] | None = Field(
+        default=None,
+        description="observables to record too, by name: formulas of components, parameters, t and h",
+        json_schema_extra={"additionalProperties": {"type": ["string", "number"]}},
+    )
     attitude: Literal["quaternion", "euler-angles"] | None = Field(
         default=None,
         description="also record the attitude of the body: quaternion (q0 to q3) or euler-angles (psi, theta, phi)",
@@ -115,8 +121,8 @@ class Output(BaseModel):
     )
 
     def resolved(self) -> dict[str, Any]:
-        """Return the section as plain data; ``attitude`` and ``digits`` only if they are given."""
-        optional = ("attitude", "digits")
+        """Return the section as plain data; ``quantities``, ``attitude`` and ``digits`` only if they are given."""
+        optional = ("quantities", "attitude", "digits")
         return {key: value for key, value in self.model_dump(mode="json").items() if key not in optional or value}
 
     @property
@@ -226,9 +232,15 @@ class Experiment(BaseModel):
 
     @property
     def recorded(self) -> list[str]:
-        """Names of the recorded columns; those of the attitude come last unless ``output.columns`` names them."""
+        """Names of the recorded columns; quantities and the attitude come last unless ``output.columns`` names them."""
         named = list(self.output.columns or column_names(self.top))
-        return [*named, *(name for name in self.output.attitude_columns if name not in named)]
+        further = (*(self.output.quantities or ()), *self.output.attitude_columns)
+        return [*named, *(name for name in further if name not in named)]
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Observables of the user."""
+        return quantities_of(type(self.top), self.output.quantities)
 
     def method(self) -> Method:
         """Build the scheme for the top with the options."""

@@ -24,9 +24,9 @@ from pydantic import BaseModel, ValidationError
 from topcli.config.document import STRICT, Document, KeyPath, Problems, as_integer, describe, validate
 from topcli.config.draws import ABSOLUTE, first_drawn, random_model
 from topcli.config.files import BARE
-from topcli.config.models import Count, StepSize, canonical
+from topcli.config.models import Count, Output, StepSize, canonical
 from topcli.config.ranges import duration_fault, steps_of
-from topcli.config.sections import read_initial, read_scheme, read_top, vectors_of
+from topcli.config.sections import read_initial, read_quantities, read_scheme, read_top, vectors_of
 from topcli.config.sweep import MISSING, Assignment, Sweep
 from topcli.contracts import Top
 from topcli.tops import TOPS
@@ -55,6 +55,8 @@ class Row(NamedTuple):
     N: int
     every: int
     keys: tuple[Any, ...]
+    quantities: str = ""
+    """Canonical JSON of ``output.quantities``; empty without them."""
 
     @property
     def recorded(self) -> int:
@@ -70,7 +72,12 @@ class Row(NamedTuple):
             "scheme": json.loads(self.scheme),
             "h": self.h,
             "N": self.N,
-            "output": {"format": "parquet", "every": self.every, "columns": None},
+            "output": {
+                "format": "parquet",
+                "every": self.every,
+                "columns": None,
+                **({"quantities": json.loads(self.quantities)} if self.quantities else {}),
+            },
         }
 
 
@@ -203,9 +210,13 @@ class RowReader:
             if top is None or state is None:
                 return None
         h, N, every = steps
-        text = f'{{"N":{N},"every":{every},"h":{h!r},"initial":{state.text},"scheme":{scheme.text},"top":{top.text}}}'
+        quantities = self._quantities(cls, problems)
+        if quantities is None:
+            return None
+        start = f'{state.text},"quantities":{quantities}' if quantities else state.text
+        text = f'{{"N":{N},"every":{every},"h":{h!r},"initial":{start},"scheme":{scheme.text},"top":{top.text}}}'
         digest = hashlib.sha256(text.encode()).hexdigest() if self._whole else ""
-        row = Row(number, digest, cls.form, top.text, scheme.text, state.value, h, N, every, ())
+        row = Row(number, digest, cls.form, top.text, scheme.text, state.value, h, N, every, (), quantities)
         return row._replace(keys=tuple([label(values, row, top, scheme) for label in self._labels]))
 
     def _section(
@@ -283,7 +294,7 @@ class RowReader:
         for key, value in output.items():
             if key == "attitude" and value is not None:
                 problems.add(("output", key), "a sweep records no attitude; run single rows with it")
-            elif key not in ("every", "format", "columns", "attitude"):
+            elif key not in ("every", "format", "columns", "quantities", "attitude"):
                 problems.add(("output", key), "unknown key; only 'every' matters in a sweep")
         h = self._value("h", values, None)
         h = base.get("h") if h is None else h
@@ -316,6 +327,21 @@ class RowReader:
             text = f"records {N // every + 1} states of a row (at most {MAX_RECORDED}); record fewer"
             problems.add(("output", "every"), text)
         return (h, N, every) if len(problems.messages) == before else None
+
+    def _quantities(self, cls: type[Top], problems: Problems) -> str | None:
+        """Canonical JSON of the quantities of rows with tops of class ``cls``, empty without any; None if wrong."""
+        given = (self.sweep.base.get("output") or {}).get("quantities")
+        if not given:
+            return ""
+        kept = self._cache.setdefault("quantities", {})
+        if cls not in kept:
+            before = len(problems.messages)
+            output = validate(Output, {"quantities": given}, ("output",), problems)
+            formulas = read_quantities(output, cls, cls.new().invariants(), problems) if output else None
+            if len(problems.messages) > before:
+                return None
+            kept[cls] = canonical(formulas)
+        return kept[cls]
 
     def _from_duration(self, steps: _Steps, problems: Problems) -> tuple[float, int]:
         """h and N of a row. A step from a range becomes the nearest T/N."""

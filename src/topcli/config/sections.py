@@ -151,7 +151,7 @@ def _formula(value: Any, path: KeyPath, names: Sequence[str], problems: Problems
     from topcli.field.expression import parse
 
     if isinstance(value, dict):
-        if path[1] == "field":
+        if path[1] != "invariants":
             problems.add(path, f"must be a formula such as 2*{names[0]}, not {describe(value)}")
             return None
         relation = validate(Relation, value, path, problems)
@@ -349,6 +349,28 @@ def read_initial(
     return None if initial is None else tuple(chain.from_iterable(getattr(initial, name) for name in cls.vectors))
 
 
+def read_quantities(
+    output: Output, cls: type[Top], integrals: Sequence[Invariant], problems: Problems
+) -> dict[str, str] | None:
+    """The formulas of ``output.quantities`` as text, checked; None if there are none."""
+    if not output.quantities:
+        return None
+    from topcli.analysis.quantities import usable_names
+    from topcli.tops.custom import name_fault
+
+    earlier = dict.fromkeys(cls.model_fields, "parameter") | dict.fromkeys(cls.components, "component")
+    earlier |= dict.fromkeys((integral.name for integral in integrals), "invariant")
+    earlier |= dict.fromkeys(chain.from_iterable(ATTITUDES.values()), "column of the attitude")
+    formulas: dict[str, str] = {}
+    for name, value in output.quantities.items():
+        path = ("output", "quantities", name)
+        if fault := name_fault(name, "quantity", earlier):
+            problems.add(path, fault)
+        elif isinstance(text := _formula(value, path, usable_names(cls), problems), str):
+            formulas[name] = text
+    return formulas
+
+
 def read_columns(
     output: Output, components: Sequence[str], integrals: Sequence[Invariant], problems: Problems
 ) -> tuple[str, ...] | None:
@@ -356,7 +378,7 @@ def read_columns(
     given = output.columns
     if given is None:
         return None
-    plain = {name: name for name in ("n", "t", *components, *output.attitude_columns)}
+    plain = {name: name for name in ("n", "t", *components, *(output.quantities or ()), *output.attitude_columns)}
     names = {
         text: integral.name for integral in integrals for text in spellings(integral.name, integral.symbol)
     } | plain

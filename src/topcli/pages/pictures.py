@@ -154,12 +154,13 @@ def series_pictures(path: Path, experiment: Experiment | None, h: float, name: s
     data.setdefault("t", data[time] * h)
     vectors = vectors_of(names, experiment)
     moving = [component for own in vectors.values() for component in own]
-    others = [column for column in names if column not in {"t", *INTEGERS, *moving}]
+    observed = [column for column in (experiment.output.quantities or () if experiment else ()) if column in names]
+    others = [column for column in names if column not in {"t", *INTEGERS, *moving, *observed}]
     bounded = before_explosion(data, moving) if moving else data
     cut = f", up to t = {bounded['t'][-1]:.6g} before the motion explodes" if len(bounded["t"]) < len(data["t"]) else ""
     pictures = [
         Picture(time_panel(own, experiment), bounded, f"{name}-{vector}", f"{vector} over time t{cut}", SMALL)
-        for vector, own in vectors.items()
+        for vector, own in [*vectors.items(), *((column, [column]) for column in observed)]
     ]
     if moved := deviations(data, others):
         constant = [column for column in others if DEVIATION + column not in moved]

@@ -39,7 +39,7 @@ from topcli.pages.contents import (
 )
 from topcli.pages.pictures import quantile_pictures, series_pictures
 from topcli.runs.decision import flattened
-from topcli.runs.report import INVARIANTS, comparison_lines, ensemble_table, precision_note, warning_of
+from topcli.runs.report import INVARIANTS, QUANTITIES, comparison_lines, ensemble_table, precision_note, warning_of
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.files import DamagedError, read_json
 from topcli.store.manifest import MANIFEST, REPORT, DamagedRun, StoredRun, stored_sweep
@@ -134,6 +134,8 @@ def _add_content(
     elif report:
         chapter.attempt("invariants", _invariants, report)
         chapter.attempt("verdicts", _verdicts, report)
+        if report.get("quantities"):
+            chapter.attempt("quantities", QUANTITIES.cells, report)
     if chapter.kind != "ensemble" and name:
         h = config.get("h", report.get("h", 1.0))
         chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(h), name))

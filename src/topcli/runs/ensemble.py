@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from topcli.analysis.columns import column_names, columns, invariant_values
+from topcli.analysis.columns import columns, invariant_values
 from topcli.analysis.tally import EnsembleSummary, InvariantTally, measure_columns
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
@@ -51,7 +51,7 @@ class GroupRun(Generic[Kept]):
         self.invariants = (*group.top.invariants(), *self.modified)
         self._last = first.N // first.output.every * first.output.every
         self.tally = self._tally(0)
-        self.names = list(first.output.columns or column_names(group.top))
+        self.names = first.recorded
 
         def on_piece(piece: Piece) -> Kept:
             values = invariant_values(self.invariants, piece.states.reshape(-1, piece.states.shape[-1]))
@@ -87,7 +87,16 @@ class GroupRun(Generic[Kept]):
 
         ``values`` (m,) are those of the invariants by name, if they have been evaluated before.
         """
-        table = columns(self.group.top, n, self.experiment.first.h, states, self.names, self.modified, values)
+        table = columns(
+            self.group.top,
+            n,
+            self.experiment.first.h,
+            states,
+            self.names,
+            self.modified,
+            values,
+            self.experiment.first.quantities,
+        )
         return {"trajectory": (which + self.offset).astype(np.int64, copy=False), **table}
 
     def last_rows(self) -> Columns:
@@ -155,9 +164,7 @@ class EnsembleRecording(Recording):
         keep = _all_rows if experiment.store == "trajectories" else _no_rows
         with ExitStack() as self._open:
             if experiment.store != "statistics":
-                self._table(
-                    "series", ["trajectory", *(experiment.first.output.columns or column_names(experiment.top))]
-                )
+                self._table("series", ["trajectory", *experiment.first.recorded])
             self._summary = EnsembleSummary(self._open.enter_context(tempfile.TemporaryFile(dir=self.writer.folder)))
             for group in experiment.members.groups:
                 run = GroupRun(experiment, group, offset, keep, options.stop, options.threads)

@@ -18,7 +18,7 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
 from topcli.engine.precise import PreciseRun, longest, prepared
-from topcli.engine.precise_numbers import RATIONAL, decimal_text
+from topcli.engine.precise_numbers import RATIONAL, NotRationalError, decimal_text
 from topcli.engine.run import Run
 from topcli.runs.recorder import Recorder, Rows
 from topcli.store.checkpoint import Checkpoint
@@ -61,7 +61,15 @@ class PreciseTally:
     def values(self, states: NDArray[Any]) -> dict[str, list[Any]]:
         """Values of the invariants at ``states`` (m, d) in this precision; None where one does not exist."""
         with self._run.arithmetic.active():
-            return {invariant.name: _values(invariant, states) for invariant in self._invariants}
+            values = {invariant.name: _values(invariant, states) for invariant in self._invariants}
+        return self.exact(values)
+
+    def exact(self, values: dict[str, list[Any]]) -> dict[str, list[Any]]:
+        """The same values. Raises NotRationalError for those that rational numbers do not have."""
+        for name, at_rows in values.items() if self._rational else ():
+            if any(isinstance(x, float) for x in at_rows):
+                raise NotRationalError(f"precision: {name!r} has no rational values; leave it out or choose another")
+        return values
 
     def add(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, list[Any]]:
         """Add rows: step numbers (m,) and states (m, d); return the values of the invariants."""
@@ -156,8 +164,12 @@ class PreciseRecorder(Recorder):
     def evaluated(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Add rows to the tally; return their columns."""
         values = self.precise.add(n, states)
+        with self._run.arithmetic.active():
+            observed = {q.name: list(q.values(self._run.top, n, self._run.h, states)) for q in self._quantities}
+        values = {**values, **self.precise.exact(observed)}
         doubles = {name: np.array([_double(x) for x in at_rows]) for name, at_rows in values.items()}
         top, h = self._experiment.top, self._experiment.h
+        self.quantities.add({name: doubles[name] for name in observed})
         made = columns(top, n, h, states.astype(np.float64), self._names, self._modified, doubles)
         if self._digits:
             at = {name: list(states[:, i]) for i, name in enumerate(top.components)}
@@ -204,4 +216,5 @@ def precise_trajectory(experiment: Experiment, run: PreciseRun) -> Trajectory:
         loop.run_seconds,
         experiment.modified,
         rows,
+        quantities=experiment.quantities,
     )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.columns import attitude_columns, columns, invariant_values
+from topcli.analysis.quantities import QuantityTally
 from topcli.analysis.tally import InvariantTally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending, Method
@@ -82,12 +83,14 @@ class Recorder:
         self._experiment = experiment
         self._modified = experiment.modified
         self._invariants = (*experiment.top.invariants(), *self._modified)
-        self._names = experiment.recorded
+        self._names, self._quantities = experiment.recorded, experiment.quantities
+        self.quantities = QuantityTally(self._quantities)
         self._batch = PendingRows()
         self.tally = self.new_tally()
         self.series = SeriesWriter(path, self.all_names(self._names), metadata, start.series if start else None)
         if start is not None:
             self.tally.restore(start.tally)
+            self.quantities.restore(start.tally)
             if len(start.rows[0]):
                 self._batch.add(start.rows[0], self.loaded(start.rows[1]))
 
@@ -143,11 +146,14 @@ class Recorder:
             states = np.ascontiguousarray(states[:, :d])
         values = invariant_values(self._invariants, states)
         self.tally.add(n, states, values)
-        return columns(top, n, h, states, self._names, self._modified, values | attitude)
+        observed = {quantity.name: quantity.values(top, n, h, states) for quantity in self._quantities}
+        self.quantities.add(observed)
+        return columns(top, n, h, states, self._names, self._modified, values | observed | attitude)
 
     def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
         """All that a checkpoint holds of the rows so far; with ``flush`` the series is flushed to the disk first."""
-        return self.tally.state(), self.series.mark(flush=flush), self._batch.rows()
+        sums = {**self.tally.state(), **self.quantities.state()}
+        return sums, self.series.mark(flush=flush), self._batch.rows()
 
     def finish(self, ending: Ending) -> Ending:
         """Pass on the remaining rows and complete the series; the ending, with the step at which the motion was left.

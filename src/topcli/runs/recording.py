@@ -172,7 +172,7 @@ class SingleRecording(Recording):
             **accuracy_data(self.ready.method, experiment, ending.step),
             **((precise and precision_data(experiment.precision, precise.arithmetic.library, recorder.growth)) or {}),
         }
-        report = report_data(summary, recorder.tally.report())
+        report = report_data(summary, recorder.tally.report(), recorder.quantities.rows())
         manifest = {"step": ending.step, "left_motion": report["left_motion"], "series": path.name}
         return report, report_markdown(report), manifest | ({"resumed": self.resumed} if self.resumed else {})
 

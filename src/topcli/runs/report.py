@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from topcli.analysis.quantities import FIGURES
 from topcli.analysis.tally import LOST, QUANTILES, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
 from topcli.contracts import Ending, Method, Outcome, Sampler
 from topcli.engine.run import NO_FAILURE, Endings
@@ -118,8 +119,22 @@ def precision_note(report: Mapping[str, Any]) -> str:
     return f"{length}; too few rows for the law of their growth"
 
 
-def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[str, Any]:
-    """Content of ``report.json``: the ``summary`` of the run and a row for each invariant."""
+QUANTITIES = Table(
+    "quantities",
+    (
+        Column("quantity", "name"),
+        *(Column(figure, figure, ten_digits) for figure in FIGURES),
+    ),
+    heading="Quantities",
+    index="name",
+)
+"""The report on the user's own observables."""
+
+
+def report_data(
+    summary: dict[str, Any], rows: Sequence[InvariantRow], quantities: Sequence[dict[str, Any]] = ()
+) -> dict[str, Any]:
+    """Content of ``report.json``: the ``summary`` of the run, a row for each invariant, and for each quantity."""
     return finite(
         {
             "schema_version": SCHEMA_VERSION,
@@ -128,6 +143,7 @@ def report_data(summary: dict[str, Any], rows: Sequence[InvariantRow]) -> dict[s
             "significance": SIGNIFICANCE,
             "lost": LOST,
             "invariants": [row.as_dict() for row in rows],
+            **({"quantities": list(quantities)} if quantities else {}),
         }
     )
 
@@ -177,6 +193,14 @@ def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] 
     ]
 
 
+def _quantities_markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Section of ``report.md`` on the user's own observables; empty without them."""
+    if not rows:
+        return []
+    formulas = [f"- {row['name']} = `{row['formula']}`" for row in rows]
+    return ["## Quantities", "", *QUANTITIES.cells({"quantities": rows}).markdown(), "", *formulas, ""]
+
+
 def report_markdown(report: dict[str, Any]) -> str:
     """Content of ``report.md``."""
     lines = [
@@ -192,6 +216,7 @@ def report_markdown(report: dict[str, Any]) -> str:
         "error is that of the model: a linear trend with noise that does not grow, or a random walk, which has a slope "
         "in any one run.",
         "",
+        *_quantities_markdown(report.get("quantities") or []),
         seconds_note(report["seconds"]),
         *(["", f"{note[0].upper()}{note[1:]}."] if (note := accuracy_note(report)) else []),
         "",

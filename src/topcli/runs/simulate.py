@@ -32,7 +32,8 @@ def trajectory_of(experiment: Experiment) -> Trajectory:
         assert prepared is not None
         return precise_trajectory(experiment, prepared)
     run = run_of(experiment, experiment.method())
-    return Trajectory.of_run(run, experiment.scheme.name, experiment.modified, experiment.output.attitude or "")
+    attitude = experiment.output.attitude or ""
+    return Trajectory.of_run(run, experiment.scheme.name, experiment.modified, attitude, experiment.quantities)
 
 
 def simulate(
@@ -134,6 +135,7 @@ def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> E
         tallies=tuple(part.tally for part in parts),
         table={name: np.concatenate([table[name] for table in tables]) for name in tables[0]},
         modified=tuple(part.modified for part in parts for _ in range(part.group.count)),
+        quantities=first.quantities,
         compile_seconds=sum(part.run.compile_seconds for part in parts),
         run_seconds=sum(part.run.run_seconds for part in parts),
         setup_seconds=sum(part.run.setup.seconds for part in parts if part.run.setup),

@@ -178,6 +178,7 @@ class BatchRecorder:
         last, drifts = int(self._n[-1]), bool(self._summed[DRIFT])
         self._tally = InvariantTally(summed, experiment.h, top, count, last, drifts)
         self._columns = {name: np.full((count, m), np.nan) for name in _columns(needs)}
+        self._quantities = {quantity.name: quantity for quantity in experiment.quantities}
         self._states = np.full((count, m if STATES in needs else 0, d), np.nan)
         self._probe_rows = np.arange(m)[probe_rows(m)] if PROBES in needs else np.empty(0, dtype=np.int64)
         self._probes = np.full((count, len(self._probe_rows), d), np.nan)
@@ -214,7 +215,7 @@ class BatchRecorder:
         self._tally.add(n, states, values, first, kept)
         reached = None if (kept == m).all() else np.arange(m) < kept[:, None]
         for name, column in self._columns.items():
-            recorded = self._column(name, states, flat, values)
+            recorded = self._column(name, n, states, flat, values)
             column[runs, rows] = recorded if reached is None else np.where(reached, recorded, np.nan)
         if self._states.size:
             self._states[runs, rows] = states if reached is None else np.where(reached[..., None], states, np.nan)
@@ -226,13 +227,18 @@ class BatchRecorder:
                 error = distances(states[i, : kept[i]], reference[row : row + kept[i]])
                 self.max_error[first + i] = np.maximum(self.max_error[first + i], error.max())
 
-    def _column(self, name: str, states: Array, flat: Array, values: Mapping[str, Array]) -> Array:
+    def _column(
+        self, name: str, n: NDArray[np.int64], states: Array, flat: Array, values: Mapping[str, Array]
+    ) -> Array:
         """Column (runs, m) of a piece."""
         components = self.experiment.top.components
         if name in components:
             return states[..., components.index(name)]
         if name in values:
             return values[name].reshape(states.shape[:2])
+        if name in self._quantities:
+            steps, h = np.tile(n, len(states)), self.experiment.h
+            return self._quantities[name].values(self.experiment.top, steps, h, flat).reshape(states.shape[:2])
         with np.errstate(all="ignore"):
             return self._integrals[name].value(flat).reshape(states.shape[:2])
 

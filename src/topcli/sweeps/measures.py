@@ -6,7 +6,7 @@ A measure is a function of a ``Batch``, finished runs that differ only in their 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,9 +26,10 @@ FAMILY = ".NAME"
 """End of the name of a family."""
 STATES, SWING, PROBES = "states", "swing", "probes"
 ERROR, END_ERROR = "error", "end_error"
-DEVIATION, DRIFT = "deviation", "drift"
+DEVIATION, DRIFT, COLUMN = "deviation", "drift", "column"
 RECORDED = (STATES, SWING, PROBES, ERROR, END_ERROR)
-"""Words that ``needs`` may hold beside the names of columns; a family may also need ``DEVIATION`` or ``DRIFT``."""
+"""Words that ``needs`` may hold beside the names of columns; a family may also need ``DEVIATION``, ``DRIFT`` or
+``COLUMN``, the column of its name."""
 TAKEN = frozenset(
     "row outcome message digest cpu current top initial scheme h N T output sample seed drawn".split()  # noqa: SIM905
 )
@@ -91,9 +92,14 @@ class Measure:
             summary=self.summary.replace("NAME", name),
             unit=self.unit.replace("NAME", name),
             evaluate=lambda batch: evaluate(batch, name),
-            needs=tuple(f"{need}.{name}" if need in (DEVIATION, DRIFT) else need for need in self.needs),
+            needs=tuple(_need(need, name) for need in self.needs),
             names=None,
         )
+
+
+def _need(need: str, name: str) -> str:
+    """What a member of a family needs, from what the family needs."""
+    return name if need == COLUMN else f"{need}.{name}" if need in (DEVIATION, DRIFT) else need
 
 
 class MeasureMisfitError(UsageError):
@@ -215,7 +221,13 @@ def measures_of_form(form: str) -> list[Measure]:
 
 
 def resolve_measures(
-    names: Sequence[str], top: Top, scheme: Scheme, options: BaseModel | None = None, *, any_counter: bool = False
+    names: Sequence[str],
+    top: Top,
+    scheme: Scheme,
+    options: BaseModel | None = None,
+    *,
+    any_counter: bool = False,
+    quantities: Collection[str] = (),
 ) -> tuple[Measure, ...]:
     """Return the measures called ``names`` for runs of ``top`` under ``scheme``.
 
@@ -231,6 +243,8 @@ def resolve_measures(
         Options of the scheme, by default its defaults.
     any_counter : bool, optional
         True to accept counters that the scheme does not have; their values are nan.
+    quantities : collection of str, optional
+        Names of ``output.quantities`` of the runs, which are columns too.
 
     Returns
     -------
@@ -253,18 +267,18 @@ def resolve_measures(
         if name in names[:i]:
             raise UsageError(f"measure {quoted(name)} is named twice")
         try:
-            measure = _find(name, top, scheme, options)
+            measure = _find(name, top, scheme, options, quantities)
         except NoCounterError:
             if not any_counter:
                 raise
             measure = MEASURES[COUNTER + FAMILY].member(name.partition(".")[2])
-        if reason := _misfit(measure, top, scheme, options):
+        if reason := _misfit(measure, top, scheme, options, quantities):
             raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {reason}")
         resolved.append(replace(measure, needs=tuple(top.swing if need == SWING else need for need in measure.needs)))
     return tuple(resolved)
 
 
-def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Measure:
+def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None, quantities: Collection[str]) -> Measure:
     if name not in MEASURES or name.endswith(FAMILY):
         plugin_failures()
     if name in MEASURES and not name.endswith(FAMILY):
@@ -274,6 +288,7 @@ def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Mea
     if family is None or family.names is None:
         raise UnknownNameError(f"unknown measure {quoted(name)}; {nearest(name, names_of(top, scheme, options))}")
     known = list(family.names(top, scheme, options or scheme.options()))
+    known += quantities if COLUMN in family.needs else []
     if member in known:
         return family.member(member)
     whose = f"top {top.kind!r} under scheme {scheme.name!r}"
@@ -291,13 +306,15 @@ def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None) -> Mea
     )
 
 
-def _misfit(measure: Measure, top: Top, scheme: Scheme, options: BaseModel | None) -> str:
+def _misfit(
+    measure: Measure, top: Top, scheme: Scheme, options: BaseModel | None, quantities: Collection[str] = ()
+) -> str:
     """Reason why a measure does not fit; empty if it does."""
     columns = [
         need for need in measure.needs if need not in RECORDED and need.partition(".")[0] not in (DEVIATION, DRIFT)
     ]
     if columns:
-        known = [*top.components, *(integral.name for integral in integrals_of(top, scheme, options=options))]
+        known = [*column_names(top, scheme, options or scheme.options()), *quantities]
         for column in columns:
             if column not in known:
                 return f"it needs {quoted(column)}, which top {top.kind!r} under scheme {scheme.name!r} does not have"
@@ -307,6 +324,11 @@ def _misfit(measure: Measure, top: Top, scheme: Scheme, options: BaseModel | Non
 def integral_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     """Names of the invariants of the top and of the integrals of the scheme."""
     return [integral.name for integral in integrals_of(top, scheme, options=options)]
+
+
+def column_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
+    """Names of the components of the state and of the integrals."""
+    return [*top.components, *integral_names(top, scheme, options)]
 
 
 def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
@@ -370,6 +392,25 @@ def deviation(batch: Batch, name: str) -> Array:
     """Largest magnitude of the deviation over the recorded rows."""
     return batch.deviations[name]
 
+
+def _figure_of_column(name: str, summary: str, figure: Callable[[Array], Array]) -> None:
+    """Register a family: a figure of the recorded rows of one column."""
+
+    @measure(
+        f"{name}.NAME",
+        summary=f"{summary} of NAME over the recorded rows",
+        unit="unit of NAME",
+        needs=[COLUMN],
+        names=column_names,
+        noun="column",
+    )
+    def evaluate(batch: Batch, column: str) -> Array:
+        return figure(batch.columns[column])
+
+
+_figure_of_column("min", "smallest value", lambda rows: rows.min(axis=1))
+_figure_of_column("max", "largest value", lambda rows: rows.max(axis=1))
+_figure_of_column("mean", "mean", lambda rows: rows.mean(axis=1))
 
 ERROR_UNIT = "norm of the state"
 

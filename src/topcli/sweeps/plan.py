@@ -139,7 +139,8 @@ def _check_measures(
     for name in sweep.measures:
         errors = lacking.setdefault(name, [])
         try:
-            resolve_measures([name], experiment.top, experiment.scheme, experiment.options)
+            quantities = tuple(experiment.output.quantities or ())
+            resolve_measures([name], experiment.top, experiment.scheme, experiment.options, quantities=quantities)
             errors.append(None)
         except NoCounterError as error:
             errors.append(error)

@@ -62,11 +62,12 @@ class Shared(NamedTuple):
     h: float
     N: int
     every: int
+    quantities: str = ""
 
     @classmethod
     def of(cls, row: Row) -> Shared:
         """Shared properties of ``row``."""
-        return cls(row.form, row.top, row.scheme, row.h, row.N, row.every)
+        return cls(row.form, row.top, row.scheme, row.h, row.N, row.every, row.quantities)
 
 
 @dataclass
@@ -183,14 +184,17 @@ def _top(text: str, form: str) -> Top:
 
 
 @lru_cache(maxsize=256)
-def _measures(names: tuple[str, ...], top: str, scheme: str, form: str) -> tuple[Measure, ...]:
-    """Measures of rows with this top and scheme."""
-    return resolve_measures(names, _top(top, form), *_scheme(scheme, form), any_counter=True)
+def _measures(names: tuple[str, ...], shared: Shared) -> tuple[Measure, ...]:
+    """Measures of rows that share these values."""
+    like = shared_experiment(shared)
+    quantities = tuple(like.output.quantities or ())
+    return resolve_measures(names, like.top, like.scheme, like.options, any_counter=True, quantities=quantities)
 
 
 @lru_cache(maxsize=256)
 def shared_experiment(shared: Shared) -> Experiment:
     """Experiment of rows that share these values; its initial state has no meaning."""
+    quantities = json.loads(shared.quantities) if shared.quantities else None
     top = _top(shared.top, shared.form)  # first, since a config may declare it
     scheme, options = _scheme(shared.scheme, shared.form)
     return Experiment.model_construct(
@@ -201,7 +205,7 @@ def shared_experiment(shared: Shared) -> Experiment:
         options=options,
         h=shared.h,
         N=shared.N,
-        output=Output.model_construct(format="parquet", every=shared.every, columns=None),
+        output=Output.model_construct(format="parquet", every=shared.every, columns=None, quantities=quantities),
     )
 
 
@@ -218,7 +222,7 @@ class KeptRuns(threading.local):
         key = (shared, measures, count)
         run = self._runs.get(key)
         if run is None:
-            chosen = _measures(measures, shared.top, shared.scheme, shared.form)
+            chosen = _measures(measures, shared)
             run = self._runs[key] = self._make(shared_experiment(shared), chosen, count=count, threads=1)
             if len(self._runs) > KEPT_RUNS:
                 self._runs.popitem(last=False)

@@ -76,7 +76,8 @@ def name_fault(name: str, what: str, earlier: Mapping[str, str]) -> str:
     if not NAME.fullmatch(name):
         return f"a name has letters, digits and _, and begins with a letter; {name[:40]!r} cannot name a {what}"
     if name in earlier:
-        return f"{name!r} names a {earlier[name]} already; choose another name"
+        article = "an" if earlier[name][0] in "aeiou" else "a"
+        return f"{name!r} names {article} {earlier[name]} already; choose another name"
     if name in TAKEN or (what == "parameter" and (hasattr(Custom, name) or name.startswith("model_"))):
         return f"{name!r} is taken; choose another name for the {what}"
     return ""

@@ -1,0 +1,202 @@
+"""Quantities of ``output``: columns, reports, figures and measures of formulas that a user writes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import topcli
+from conftest import GEN
+from custom_tops import config
+from resuming import after, content
+from sweeping import sweep, table
+from topcli.config.load import load, load_experiment
+from topcli.config.sweep import load_sweep
+from topcli.errors import ConfigError, TopcliError, UnknownNameError
+from topcli.pages.pictures import series_pictures
+from topcli.runs.decision import RunOptions
+from topcli.runs.run import run_experiment
+from topcli.store.series import read_series
+
+QUANTITIES = {"spin": "sqrt(w1**2 + w2**2 + w3**2)", "phase": "w3*t + k*h - 0.1", "half": 0.5}
+FIGURES = ("first", "last", "min", "max", "mean")
+INITIAL = {"omega": list(GEN[:3]), "gamma": list(GEN[3:])}
+
+
+def with_quantities(**changes):
+    output = {"quantities": QUANTITIES, **changes.pop("output", {})}
+    return config(output=output, name="observed", **changes)
+
+
+def expected(columns, k: float = 0.3, h: float = 0.01):
+    spin = np.sqrt(columns["w1"] ** 2 + columns["w2"] ** 2 + columns["w3"] ** 2)
+    return {"spin": spin, "phase": columns["w3"] * columns["t"] + k * h - 0.1, "half": np.full(len(spin), 0.5)}
+
+
+@pytest.mark.parametrize("fmt", ["parquet", "csv"])
+def test_quantities_are_columns_and_their_figures_are_in_the_report(tmp_path: Path, fmt: str) -> None:
+    result = run_experiment(load(with_quantities(output={"format": fmt})), tmp_path, RunOptions())
+    series = read_series(result.stored.series)
+    assert list(series) == ["n", "t", "w1", "w2", "w3", "energy", "momentum", "spin", "phase", "half"]
+    rows = {row["name"]: row for row in result.report["quantities"]}
+    assert [row["formula"] for row in rows.values()] == [QUANTITIES["spin"], QUANTITIES["phase"], "0.5"]
+    for name, values in expected(series).items():
+        assert series[name] == pytest.approx(values, rel=1e-15, abs=1e-16)
+        figures = (values[0], values[-1], values.min(), values.max(), values.mean())
+        assert [rows[name][figure] for figure in FIGURES] == pytest.approx(figures, rel=1e-12)
+    stored = json.loads((result.stored.folder / "report.json").read_text())
+    assert stored["quantities"] == result.report["quantities"]
+    text = (result.stored.folder / "report.md").read_text()
+    line = next(line for line in text.splitlines() if line.startswith("| phase |"))
+    cells = [float(cell) for cell in line.split("|")[2:-1]]
+    assert cells == pytest.approx([rows["phase"][figure] for figure in FIGURES], rel=1e-9)
+    assert "- phase = `w3*t + k*h - 0.1`" in text
+
+
+def test_a_run_prints_the_figures_of_its_quantities(cli) -> None:
+    Path("q.yaml").write_text(load(with_quantities()).to_yaml())
+    printed = cli("run", "q.yaml").out.splitlines()
+    rows = json.loads(Path("results/observed/report.json").read_text())["quantities"]
+    at = next(i for i, line in enumerate(printed) if line.startswith("quantity"))
+    assert printed[at].split() == ["quantity", *FIGURES]
+    for line, row in zip(printed[at + 1 :], rows, strict=True):
+        name, *cells = line.split()
+        assert name == row["name"]
+        assert [*map(float, cells)] == pytest.approx([row[figure] for figure in FIGURES], rel=1e-9)
+
+
+def test_quantities_of_a_built_in_top() -> None:
+    """c0 is a parameter of the Kowalevski top and c0/C the constant of its equations."""
+    output = {"quantities": {"nutation": "gamma3*c0", "moment": "omega1*gamma1 + A*omega3"}}
+    trajectory = topcli.simulate(
+        top={"kind": "kowalevski", "c0": 2.0, "A": 3.0}, initial=INITIAL, scheme="hk", h=0.01, N=50, output=output
+    )
+    assert trajectory["nutation"] == pytest.approx(2.0 * trajectory["gamma3"], rel=1e-15)
+    moment = trajectory["omega1"] * trajectory["gamma1"] + 3.0 * trajectory["omega3"]
+    assert trajectory["moment"] == pytest.approx(moment, rel=1e-15)
+    assert trajectory.to_pandas().columns.tolist()[-2:] == ["nutation", "moment"]
+
+
+def test_chosen_columns_and_identity() -> None:
+    plain, observed = load(config()), load(with_quantities())
+    assert "quantities" not in plain.resolved()["output"]
+    assert plain.digest != observed.digest
+    assert load(observed.resolved()).digest == observed.digest
+    assert observed.resolved()["output"]["quantities"] == {**QUANTITIES, "half": "0.5"}
+    chosen = load(with_quantities(output={"columns": ["phase", "t"]}))
+    assert chosen.recorded == ["phase", "t", "spin", "half"]
+
+
+def test_quantities_of_an_ensemble(tmp_path: Path) -> None:
+    many = with_quantities(ensemble={"grid": {"top.k": [0.1, 0.6], "w1": [0.5, 0.7]}})
+    result = run_experiment(load(many), tmp_path, RunOptions())
+    series = read_series(result.stored.series)
+    for trajectory in range(4):
+        rows = {name: values[series["trajectory"] == trajectory] for name, values in series.items()}
+        for name, values in expected(rows, k=(0.1, 0.6)[trajectory // 2]).items():
+            assert rows[name] == pytest.approx(values, rel=1e-15, abs=1e-16)
+    ensemble = topcli.simulate_ensemble(many)
+    assert ensemble["phase"][3] == pytest.approx(rows["phase"], rel=1e-15)
+    assert ensemble.trajectory(3)["spin"].tolist() == ensemble["spin"][3].tolist()
+
+
+def test_quantities_in_another_precision(tmp_path: Path) -> None:
+    """h = 0.01 and 0.1 are exact: phase is k h - 0.1 = -0.097 at the start, to all digits."""
+    given = with_quantities(precision=40, N=20, output={"digits": 35})
+    series = read_series(run_experiment(load(given), tmp_path, RunOptions()).stored.series)
+    assert series["phase_decimal"][0].startswith("-9.7" + "0" * 30)
+    assert series["phase"] == pytest.approx(expected(series)["phase"], rel=1e-14)
+    with pytest.raises(TopcliError, match="'spin' has no rational values"):
+        run_experiment(load(given | {"precision": "rational", "name": "r"}), tmp_path, RunOptions())
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_resumed_run_has_the_same_figures(tmp_path: Path) -> None:
+    experiment = load(with_quantities())
+    whole = content(run_experiment(experiment, tmp_path / "whole", RunOptions()).stored.folder)
+    stopped = RunOptions(resume=True, stop=after(5), checkpoint_every=0.0)
+    first = run_experiment(experiment, tmp_path / "cut", stopped)
+    assert first.outcome.value == "interrupted"
+    result = run_experiment(experiment, tmp_path / "cut", replace(stopped, stop=lambda: False))
+    resumed = content(result.stored.folder)
+    assert resumed["report"] == whole["report"]
+    assert resumed["series"] == whole["series"]
+
+
+def test_pictures_show_quantities_over_time(tmp_path: Path) -> None:
+    experiment = load_experiment(with_quantities())
+    result = run_experiment(experiment, tmp_path, RunOptions())
+    pictures = series_pictures(result.stored.series, experiment, experiment.h, "page")
+    assert pictures is not None
+    shown = {picture.name: [line.column for line in picture.panel.lines] for picture in pictures.pictures}
+    assert shown["page-spin"] == ["spin"]
+    assert shown["page-phase"] == ["phase"]
+    assert not {"deviation:spin", "deviation:phase"} & {name for names in shown.values() for name in names}
+
+
+def test_measures_of_columns(tmp_path: Path) -> None:
+    study = {
+        "name": "study",
+        "base": {**config(), "output": {"quantities": QUANTITIES, "every": 5}},
+        "grid": {"top.parameters.k": [0.1, 0.4], "h": [0.01, 0.02]},
+        "measure": ["max.spin", "mean.phase", "min.w3", "mean.energy", "min.half"],
+    }
+    sweep(tmp_path, study)
+    for row in table(tmp_path):
+        k, h = row["top.parameters.k"], row["h"]
+        run = topcli.simulate(config(h=h, output={"every": 5}), overrides=[f"top.parameters.k={k}"])
+        columns = {name: run[name] for name in ("t", "w1", "w2", "w3", "energy")}
+        observed = expected(columns, k, h)
+        assert row["max.spin"] == pytest.approx(observed["spin"].max(), rel=1e-14)
+        assert row["mean.phase"] == pytest.approx(observed["phase"].mean(), rel=1e-13)
+        assert row["min.w3"] == columns["w3"].min()
+        assert row["mean.energy"] == pytest.approx(columns["energy"].mean(), rel=1e-14)
+        assert row["min.half"] == 0.5
+    shown = load_sweep(study)
+    assert shown.digest != load_sweep({**study, "base": config()}).digest
+
+
+def test_rows_of_other_quantities_are_other_rows(tmp_path: Path) -> None:
+    study = {"name": "study", "base": {**config(), "output": {"quantities": {"x": "w1"}}}, "grid": {"h": [0.01, 0.02]}}
+    study["measure"] = ["max.x"]
+    sweep(tmp_path, study)
+    before = [row["max.x"] for row in table(tmp_path)]
+    study["base"]["output"]["quantities"]["x"] = "2*w1"
+    sweep(tmp_path, study)
+    assert [row["max.x"] for row in table(tmp_path) if row["current"]] == [2 * value for value in before]
+
+
+@pytest.mark.parametrize(
+    ("quantities", "message"),
+    [
+        ({"x": "w4"}, "output.quantities.x: column 1: unknown name 'w4'; known: w1, w2"),
+        ({"x": "energy"}, "output.quantities.x: column 1: unknown name 'energy'; known: w1, w2, w3, t, A, B, C, k, h"),
+        ({"x": [1]}, "output.quantities.x: must be a formula such as 2*w1, not a list"),
+        ({"x": {"value": "w1"}}, "output.quantities.x: must be a formula such as 2*w1, not a section"),
+        ({"w1": "w2"}, "output.quantities.w1: 'w1' names a component already"),
+        ({"k": "w2"}, "output.quantities.k: 'k' names a parameter already"),
+        ({"energy": "w2"}, "output.quantities.energy: 'energy' names an invariant already"),
+        ({"psi": "w2"}, "output.quantities.psi: 'psi' names a column of the attitude already"),
+        ({"t": "w2"}, "output.quantities.t: 't' is taken"),
+        ({"a b": "w2"}, "a name has letters, digits and _"),
+        ("w1", "output.quantities: must be a section with keys, not the text 'w1'"),
+    ],
+)
+def test_what_is_no_quantity_is_refused(quantities, message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        load(config(output={"quantities": quantities}))
+    assert message in str(error.value)
+    study = {"name": "s", "base": config(output={"quantities": quantities}), "grid": {"h": [0.1, 0.2]}}
+    with pytest.raises(ConfigError) as error:
+        topcli.sweep({**study, "measure": ["steps"]})
+    assert message in str(error.value)
+
+
+def test_a_measure_of_an_unknown_column_names_the_nearest() -> None:
+    study = {"name": "s", "base": {**config(), "output": {"quantities": QUANTITIES}}, "grid": {"h": [0.1, 0.2]}}
+    with pytest.raises(UnknownNameError, match="has no column 'spn'; did you mean 'spin'"):
+        topcli.sweep({**study, "measure": ["max.spn"]})
