@@ -43,6 +43,8 @@ def test_an_installed_scheme_equals_the_built_in_bit_for_bit(installed: Path, tm
         assert (done.returncode, done.stderr) == (0, "")
     ours, theirs = (tmp_path / "results" / name / "series.csv" for name in ("bohlin-a", "example-bohlin-a"))
     assert ours.read_bytes() == theirs.read_bytes()
+    source = EXAMPLE / "src" / "topcli_example_scheme.py"
+    assert (theirs.parent / "source.topcli_example_scheme.py").read_text() == source.read_text()
     manifest = json.loads((theirs.parent / "manifest.json").read_text())
     assert manifest["scheme_origin"] == "topcli-example-scheme"
     listed = topcli_process("list", "schemes", "--json", cwd=tmp_path, path=installed)

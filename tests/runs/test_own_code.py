@@ -165,3 +165,33 @@ def test_a_scheme_of_a_script_names_the_script(own_registry: None) -> None:
         """Test."""
 
     assert find_scheme("scripted", "euler").origin == __file__
+
+
+HELPED = "from turning import field\n" + FILES["gyrostat.py"].replace("field = Gyrostat.field", "")
+"""The file of the page, with the field in a module beside it."""
+
+
+@pytest.mark.parametrize(("scheme", "N"), [("heun", 20), ("hk+suzuki4", 20), ("rk4", 20)])
+def test_a_run_keeps_the_source_of_own_code(cli: Callable[..., Said], folder: Path, scheme: str, N: int) -> None:
+    """Also of modules beside the file; a run of topcli's own parts keeps none."""
+    (folder / "turning").mkdir()
+    (folder / "turning" / "__init__.py").write_text("from turning.equations import field\n")
+    equations = FILES["gyrostat.py"].partition("def field")[2].partition("integrals =")[0]
+    (folder / "turning" / "equations.py").write_text("def field" + equations.replace("\n    ", "\n"))
+    (folder / "gyrostat.py").write_text(HELPED)
+    settings = ("--set", f"scheme={scheme}", "--set", f"N={N}", "--set", "T=null")
+    assert cli("run", "rotor.yaml", "--plugin", "gyrostat.py", *settings, "--name", "kept").code == 0
+    kept = {path.name: path.read_text() for path in Path("results/kept").glob("source.*")}
+    assert kept == {
+        "source.gyrostat.py": HELPED,
+        "source.turning.__init__.py": (folder / "turning" / "__init__.py").read_text(),
+        "source.turning.equations.py": (folder / "turning" / "equations.py").read_text(),
+    }
+    manifest = json.loads(Path("results/kept/manifest.json").read_text())
+    digest = hashlib.sha256(HELPED.encode()).hexdigest()
+    assert manifest["files"]["source.gyrostat.py"]["sha256"] == digest
+    assert cli("verify", "kept").code == 0
+    Path("results/kept/source.gyrostat.py").write_text("# other\n")
+    assert "source.gyrostat.py: damaged" in cli("verify", "kept").err
+    assert cli("run", "kowalevski_hk", "--plugin", "gyrostat.py", "--set", "N=20", "--name", "plain").code == 0
+    assert not list(Path("results/plain").glob("source.*"))

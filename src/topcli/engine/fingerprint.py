@@ -370,25 +370,30 @@ def _base_of(scheme: Scheme) -> Scheme | None:
     return next((cell.cell_contents for cell in cells if isinstance(cell.cell_contents, Scheme)), None)
 
 
+def own_parts(top: type[Top], scheme: Scheme) -> dict[Any, list[Any]]:
+    """Class of a top and function ``build`` of a scheme that are not topcli's own, each with all that it declares."""
+    parts: dict[Any, list[Any]] = {} if is_built_in(top) else {top: [top]}
+    while base := _base_of(scheme):
+        scheme = base
+    build = inspect.unwrap(scheme.build)
+    if not is_built_in(build):
+        parts[build] = [build, scheme.modified, scheme.longest_step, scheme.order_with, scheme.conserves]
+    return parts
+
+
 def own_code(top: type[Top], scheme: Scheme) -> str:
     """Digest of the code of a top and of a scheme that are not topcli's own; empty if both are.
 
     It covers everything that they define and refer to, such as field, constants and invariants, whether a step uses it
     or not, but not where their file lies, its comments, or code of topcli.
     """
-    values: list[Any] = []
-    if not is_built_in(top):
-        values.append(top)
-    while base := _base_of(scheme):
-        scheme = base
-    build = inspect.unwrap(scheme.build)
-    if not is_built_in(build):
-        values += [build, scheme.modified, scheme.longest_step, scheme.order_with, scheme.conserves]
-    if not values:
+    parts = own_parts(top, scheme)
+    if not parts:
         return ""
-    walk = _OwnWalk(frozenset(value.__module__.partition(".")[0] for value in (top, build)))
-    for value in values:
-        walk.value(value)
+    walk = _OwnWalk(frozenset(value.__module__.partition(".")[0] for value in parts))
+    for values in parts.values():
+        for value in values:
+            walk.value(value)
     return walk.digest.hexdigest()
 
 

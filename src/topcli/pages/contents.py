@@ -194,6 +194,7 @@ def provenance_block(manifest: Mapping[str, Any]) -> Facts:
         **(manifest.get("environment") or {}),
         "commit": f"{commit}{dirty}" if commit else None,
         "code of the scheme": manifest.get("scheme_origin"),
+        "code of the top": manifest.get("top_origin"),
         "digest of the experiment": manifest.get("digest"),
         "digest of the code": manifest.get("code", manifest.get("source")),
     }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
+from topcli.engine.fingerprint import own_parts
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.runs.decision import RunOptions
 from topcli.runs.identity import Identity, Prepared
@@ -24,7 +25,7 @@ from topcli.runs.report import (
     report_markdown,
     seconds_of,
 )
-from topcli.schemes.plugins import top_origin
+from topcli.schemes.plugins import sources_of, top_origin
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from topcli.store.files import io_failure, json_text
 from topcli.store.folder import RunWriter
@@ -85,6 +86,7 @@ class Recording:
         writer, origin, identity = self.writer, self.origin, self.origin.identity
         texts = {"report.json": json_text(report), "report.md": markdown, "config.yaml": config_text(identity)}
         first = self.experiment if isinstance(self.experiment, Experiment) else self.experiment.first
+        texts |= sources_of(own_parts(type(first.top), first.scheme))
         manifest = {
             "name": identity.name,
             **identity.digests,

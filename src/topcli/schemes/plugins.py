@@ -6,11 +6,12 @@ import importlib.abc
 import importlib.machinery
 import inspect
 import pkgutil
+import re
 import sys
 import sysconfig
 import traceback
 import types
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -46,6 +47,25 @@ def file_of(value: Any) -> str:
     return str(getattr(module, "__file__", None) or value.__module__)
 
 
+def sources_of(values: Iterable[Any]) -> dict[str, str]:
+    """Source of the functions and classes of plugins, by the names under which a run keeps it.
+
+    Of a file that ``--plugin`` names, with the modules beside it that it imports; of a package, the module.
+    """
+    content: dict[str, bytes] = {}
+    for value in values:
+        file = file_of(value)
+        loaded = [each.content for each in registry.files if value.__module__ in each.modules]
+        for found in loaded:
+            content |= found
+        if not loaded and Path(file).is_file():
+            content[f"{value.__module__}.py"] = Path(file).read_bytes()
+    return {
+        f"source.{re.sub(r'[^A-Za-z0-9_.-]', '.', name)}": text.decode("utf-8", "replace")
+        for name, text in content.items()
+    }
+
+
 @dataclass(frozen=True)
 class SchemeFile:
     """Loaded plugin file: its ``path`` as given, its ``folder``, and the content of its modules by relative path."""
@@ -53,6 +73,8 @@ class SchemeFile:
     path: str
     folder: str
     content: dict[str, bytes]
+    modules: frozenset[str] = frozenset()
+    """Names of the modules, which only the process that loaded them knows."""
 
 
 Table = MutableMapping[Any, Any]
@@ -176,8 +198,7 @@ class _Beside(importlib.abc.MetaPathFinder):
 
     def __init__(self, folder: Path) -> None:
         self.folder = str(folder)
-        self.found: set[str] = set()
-        self.files: list[Path] = []
+        self.found: dict[str, Path | None] = {}
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: types.ModuleType | None = None
@@ -191,17 +212,15 @@ class _Beside(importlib.abc.MetaPathFinder):
             return None
         if type(spec.loader) is importlib.machinery.SourceFileLoader:
             spec.loader = FromSource(spec.loader.name, spec.loader.path)
-        self.found.add(fullname)
-        if spec.has_location and spec.origin:
-            self.files.append(Path(spec.origin))
+        self.found[fullname] = Path(spec.origin) if spec.has_location and spec.origin else None
         return spec
 
 
 @contextmanager
-def modules_beside(folder: Path) -> Iterator[list[Path]]:
+def modules_beside(folder: Path) -> Iterator[dict[str, Path | None]]:
     """Make the modules of ``folder`` importable, before all others but those of the standard library and topcli.
 
-    The value is the growing list of the files of those that are imported. The modules are
+    The value holds the files of those that are imported by name, None for one without a file. The modules are
     forgotten at the end: a module of the same name beside another plugin file is another module.
     """
     beside = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__init__.py")}
@@ -213,7 +232,7 @@ def modules_beside(folder: Path) -> Iterator[list[Path]]:
     importlib.invalidate_caches()
     sys.meta_path.insert(0, finder)
     try:
-        yield finder.files
+        yield finder.found
     finally:
         sys.meta_path.remove(finder)
         for name in finder.found:

@@ -285,8 +285,12 @@ def load_scheme_file(path: Path) -> None:
             f"plugin {path}: registers nothing; decorate a class with @topcli.top, or a function with "
             "@topcli.scheme(...) or @topcli.measure(...)"
         )
-    modules = {file.relative_to(folder).as_posix(): file.read_bytes() for file in imported}
-    registry.files.append(SchemeFile(str(path), str(folder), {path.name: path.read_bytes(), **modules}))
+    files = [file for file in imported.values() if file]
+    content = {
+        path.name: path.read_bytes(),
+        **{file.relative_to(folder).as_posix(): file.read_bytes() for file in files},
+    }
+    registry.files.append(SchemeFile(str(path), str(folder), content, frozenset((name, *imported))))
 
 
 def loaded_scheme_files() -> tuple[SchemeFile, ...]:

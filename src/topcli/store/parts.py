@@ -31,7 +31,7 @@ RESERVE = "reserve"
 RESERVED = 1 << 18
 """Bytes that suffice for the reports, a footer and a checkpoint."""
 _PART = re.compile(r"\.(.+)\.part-(\d+)-[0-9a-f]{8}")
-_RESULTS = re.compile(r"(series|trajectories|points)\.(parquet|csv)|report\.(json|md)|config\.yaml")
+_RESULTS = re.compile(r"(series|trajectories|points)\.(parquet|csv)|report\.(json|md)|config\.yaml|source\.[\w.-]+")
 _OURS = frozenset([MANIFEST, CHECKPOINT, LOCK, RESERVE])
 TEMPORARIES = re.compile(rf"\.manifest\.\d+\.json|\.checkpoint\.\d+\.npz|\.{LOCK}")
 """Names of files that a killed process may leave half-written."""
