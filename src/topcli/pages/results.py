@@ -149,13 +149,21 @@ def _without(data: Any, key: str) -> Any:
     return {name: value for name, value in data.items() if name != key} if isinstance(data, dict) else data
 
 
+def _of_top(top: Any) -> dict[str, Any]:
+    """Parameters of a top, and the formulas of one that the config declares."""
+    if not (isinstance(top, dict) and isinstance(top.get("field"), dict)):
+        return {"parameters": _without(top, "kind")}
+    formulas = {f"{name}'": formula for name, formula in top["field"].items()}
+    return {"parameters": top.get("parameters"), **formulas, "invariants": top.get("invariants")}
+
+
 def _setup(config: Mapping[str, Any], report: Mapping[str, Any]) -> Facts:
     """Top, scheme, steps and initial state."""
     top, scheme, h, N = ({**report, **config}.get(key) for key in ("top", "scheme", "h", "N"))
     described = isinstance(scheme, dict)
     facts = {
         "top": report.get("top_title"),
-        "parameters": _without(top, "kind"),
+        **_of_top(top),
         "scheme": f"{scheme['name']}: {report.get('scheme_title', '')}" if described else scheme,
         "options": _without(scheme, "name") if described else None,
         **{f"initial {key}": value for key, value in (config.get("initial") or {}).items()},

@@ -362,11 +362,23 @@ def case(
 def cases_of(form: str) -> list[Case]:
     """Cases of a form of a top; for one that topcli has none for, those that make sense for any top."""
     own = [case for case in OWN.values() if case.form == form]
-    return [*([case for case in CASES if case.form == form] or _cases_of_declared(TOPS[form])), *own]
+    return [*([case for case in CASES if case.form == form] or _cases_of_declared(TOPS[form], _starts.get(form))), *own]
+
+
+_starts: dict[str, tuple[Top, Floats]] = {}
+"""Top and initial state of a config by the form of the top, for the cases that suit any top."""
+
+
+def start_from(top: Top, state: Floats) -> None:
+    """Try a top without cases of its own with the parameters and from the initial state of a config."""
+    _starts[top.form] = top, state
 
 
 @cache
-def _cases_of_declared(declared: type[Top]) -> tuple[Case, ...]:
+def _cases_of_declared(declared: type[Top], start: tuple[Top, Floats] | None) -> tuple[Case, ...]:
+    if start is not None:
+        top, state = start
+        return _plain_cases(top, state, state)
     if declared.form in CATALOGUE:
         scene = load_experiment(gentle_scene(declared.form))
         return _plain_cases(scene.top, scene.y0, scene.y0)

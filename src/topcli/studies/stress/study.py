@@ -15,7 +15,7 @@ from topcli.errors import (
     quoted,
 )
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import Data, Faults, Flag, Head, Result, SchemeNames, Study, TopName
+from topcli.studies.study import ConfigFile, Data, Faults, Flag, Head, Result, SchemeNames, Study, TopName
 from topcli.table import Column, Table
 
 if TYPE_CHECKING:
@@ -50,6 +50,18 @@ def _options(texts: Sequence[str]) -> dict[str, Any]:
     return options
 
 
+def _top_of(config: str | Path, top: str | None) -> str:
+    """Form of the top of a config, from whose initial state its cases begin. Raises as ``load_experiment``."""
+    from topcli.config.load import load_experiment
+    from topcli.studies.stress.cases import start_from
+
+    if top is not None:
+        raise UsageError(f"--top {quoted(top)}: --config names a top too; keep one of them")
+    experiment = load_experiment(config)
+    start_from(experiment.top, experiment.y0)
+    return experiment.top.form
+
+
 def _case_names() -> list[str]:
     from topcli.studies.stress.cases import case_names
 
@@ -60,6 +72,7 @@ def measure(
     *schemes: SchemeNames,
     cases: Annotated[Sequence[str], Flag("--case", "CASE", names=_case_names)] = (),
     top: TopName = None,
+    config: ConfigFile = None,
     options: Annotated[Mapping[str, Any] | None, Flag("--set", "KEY=VALUE", read=_options, several=True)] = None,
     watch: Watch = SILENT,
 ) -> Result:
@@ -76,6 +89,8 @@ def measure(
         Try only this case; repeat for several. All by default; ``topcli list cases`` shows them.
     top : str, optional
         Try only schemes and cases of this top.
+    config : path or str, optional
+        Try the top of this config. A top without cases of its own starts from the initial state of the config.
     options : mapping, optional
         Set an option for all schemes that have it, e.g. scheme.branch=sign.
     watch : Watch, optional
@@ -104,6 +119,8 @@ def measure(
     """
     from topcli.studies.stress.trials import chosen, require_options, stress, stress_data, stress_source
 
+    if config is not None:
+        top = _top_of(config, top)
     used, _ = chosen(schemes, cases, top)
     require_options(options or {}, used)
     file = None if schemes or cases or top or options else STRESS.file

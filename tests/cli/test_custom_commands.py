@@ -1,0 +1,119 @@
+"""A top declared in fifteen lines of YAML under every command that takes a config."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from custom_tops import VOLTERRA, Y0
+from topcli.store.series import read_series
+
+pytestmark = pytest.mark.slow
+
+SWEEP = """\
+base: v.yaml
+grid: {top.k: [0.0, 0.5], scheme: [hk, rk4], h: [0.01, 0.02]}
+measure: [error.max, deviation.energy, max.w3, swings]
+"""
+
+
+@pytest.fixture
+def config(in_tmp: Path) -> Path:
+    path = in_tmp / "v.yaml"
+    path.write_text(VOLTERRA)
+    assert len(VOLTERRA.splitlines()) == 15
+    return path
+
+
+def exact(t: float, k: float = 0.3) -> np.ndarray:
+    """State at t by an integration of equations written here."""
+
+    def rates(_, w):
+        return [(w[1] * w[2] - k * w[1]) / 3.0, (-2.0 * w[2] * w[0] + k * w[0]) / 2.0, w[0] * w[1]]
+
+    return solve_ivp(rates, (0.0, t), Y0, method="DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
+
+
+def test_runs_and_comparisons_agree_with_an_independent_integration(cli, config: Path) -> None:
+    schemes = ["hk", "midpoint", "rk4"]
+    found = cli("compare", *schemes, "--config", "v.yaml", "--json").json()["schemes"]
+    assert [scheme["scheme"] for scheme in found] == schemes
+    for scheme in found:
+        assert cli("run", "v.yaml", "--set", f"scheme={scheme['scheme']}", "--name", scheme["scheme"]).code == 0
+        series = read_series(Path("results") / scheme["scheme"] / "series.parquet")
+        last = np.array([series[name][-1] for name in ("w1", "w2", "w3")])
+        error = np.linalg.norm(last - exact(4.0))
+        assert scheme["end_error"] == pytest.approx(error, rel=1e-3)
+    assert [scheme["invariants"][0]["verdict"] for scheme in found][1] == "exact"
+
+
+def test_orders_are_as_declared(cli, config: Path) -> None:
+    found = cli("order", "hk", "midpoint", "rk4", "--config", "v.yaml", "--json")
+    assert found.code == 0
+    rows = {row["scheme"]: row for row in found.json()["schemes"]}
+    assert {name: round(row["order"], 1) for name, row in rows.items()} == {"hk": 2.0, "midpoint": 2.0, "rk4": 4.0}
+
+
+def test_hard_cases(cli, config: Path) -> None:
+    found = cli("stress", "hk", "midpoint", "rk4", "--config", "v.yaml", "--json")
+    assert found.code == 0
+    trials = found.json()["trials"]
+    assert {trial["verdict"] for trial in trials} == {"ok"}
+    outcomes = {(trial["scheme"], trial["case"]): trial["outcome"] for trial in trials}
+    assert outcomes["midpoint", "drift"] == "held"
+    assert outcomes["rk4", "there-and-back"] == "degraded"
+    assert cli("stress", "hk", "--config", "v.yaml", "--top", "euler").code == 2
+
+
+def test_round_off_is_a_random_walk(cli, config: Path) -> None:
+    found = cli("roundoff", "midpoint", "--config", "v.yaml", "--steps", "1e5", "--json")
+    assert found.code == 0
+    rows = found.json()["forms"][0]["invariants"]
+    assert {row["name"] for row in rows} == {"energy", "momentum"}
+
+
+def test_sweeps_tables_pictures_and_pages(cli, config: Path) -> None:
+    Path("s.yaml").write_text(SWEEP)
+    assert cli("sweep", "s.yaml").code == 0
+    assert (
+        "0.02"
+        in cli(
+            "table", "results/s", "--rows", "h", "--columns", "scheme", "--value", "error.max", "--where", "top.k=0.5"
+        ).out
+    )
+    assert (
+        cli("plot", "sweep", "results/s", "--x", "h", "--y", "error.max", "--by", "scheme", "--where", "top.k=0.5").code
+        == 0
+    )
+    row = cli("show", "results/s", "--row", "3", "--json").json()["config"]
+    Path("row.yaml").write_text(json.dumps(row))
+    assert cli("run", "row.yaml").code == 0
+    assert cli("run", "v.yaml").code == 0
+    assert cli("report", "results/v", "results/s", "--out", "page.html").code == 0
+    page = Path("page.html").read_text()
+    assert "custom top of w1, w2, w3" in page
+    assert "((B - C)*w2*w3 - k*w2)/A" in page
+
+
+def test_a_run_resumes_from_its_own_config(cli, config: Path) -> None:
+    first = cli("run", "v.yaml")
+    again = cli("run", "results/v/config.yaml", "--name", "v")
+    assert "up to date" in again.err
+    assert first.out == again.out
+    Path("v.yaml").write_text(VOLTERRA.replace("- k*w2)/A", "- k*w2 + 0)/A"))
+    other = cli("run", "v.yaml")
+    assert other.code == 2
+    assert "holds a different experiment (top.field.w1" in other.err
+
+
+def test_a_series_of_another_program(cli, config: Path) -> None:
+    t = np.linspace(0.0, 4.0, 41)
+    rows = np.array([[time, *exact(time)] if time else [0.0, *Y0] for time in t])
+    np.savetxt("other.csv", rows, delimiter=",", header="t,w1,w2,w3", comments="")
+    found = cli("analyse", "other.csv", "--config", "v.yaml", "--json")
+    assert found.code == 0
+    assert found.json()["max_error"] < 1e-11
