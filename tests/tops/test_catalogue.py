@@ -55,6 +55,24 @@ def e3(y: Sequence[Any], H: Sequence[Any], p: Sequence[Any]) -> list[Any]:
     return [*(a + b for a, b in sums), *cross(y[3:], H[:3])]
 
 
+def su2(y: Sequence[Any], H: Sequence[Any], p: Sequence[Any]) -> list[Any]:
+    """Two spins: a' = H_a x a, b' = H_b x b."""
+    return [*cross(H[:3], y[:3]), *cross(H[3:], y[3:])]
+
+
+def canonical(y: Sequence[Any], H: Sequence[Any], p: Sequence[Any]) -> list[Any]:
+    return [H[1], -H[0]]
+
+
+def so4(y: Sequence[Any], H: Sequence[Any], p: Sequence[Any]) -> list[Any]:
+    """M' = [M, H_M] with antisymmetric matrices of dimension four."""
+    pairs = list(itertools.combinations(range(4), 2))
+    M, W = ([[0] * 4 for _ in range(4)] for _ in "MW")
+    for (i, j), m, w in zip(pairs, y, H, strict=True):
+        M[i][j], M[j][i], W[i][j], W[j][i] = m, -m, w, -w
+    return [sum((M[i][k] * W[k][j] - W[i][k] * M[k][j] for k in range(4)), start=0) for i, j in pairs]
+
+
 def body(y: Sequence[Any], H: Sequence[Any], p: Sequence[Any]) -> list[Any]:
     """The same for m = J omega + k e3 and gamma; the constants are J, the centre of gravity and k."""
     m = [p[0] * y[0], p[1] * y[1], p[2] * y[2] + p[5]]
@@ -70,10 +88,14 @@ BRACKETS: dict[str, Bracket] = {
     "goryachev-chaplygin": body,
     "hess-appelrot": body,
     "clebsch": e3,
+    "kirchhoff": e3,
+    "gaudin": su2,
+    "weierstrass": canonical,
+    "so4": so4,
 }
 
 
-@by_form
+@pytest.mark.parametrize("form", BRACKETS)
 def test_the_field_is_that_of_the_energy(form: str) -> None:
     """By the Poisson bracket of the top, exactly."""
     top = TOPS[form].new()
@@ -101,65 +123,85 @@ def test_integrals_are_independent(form: str) -> None:
 
 
 PRIME = 2**31 - 1
+Row = dict[tuple[int, Any], int]
 
 
 def mod(c: Fraction) -> int:
     return c.numerator * pow(c.denominator, -1, PRIME) % PRIME
 
 
-def rank_mod(rows: list[dict[Any, int]]) -> int:
-    """Rank of a sparse matrix over the integers modulo ``PRIME``."""
-    pivots: dict[Any, dict[Any, int]] = {}
-    for row in rows:
-        left = {key: c for key, c in row.items() if c}
-        while left:
-            key = min(left)
-            if key not in pivots:
-                scale = pow(left[key], -1, PRIME)
-                pivots[key] = {k: c * scale % PRIME for k, c in left.items()}
+def null_vectors(images: dict[Any, Polynomial]) -> list[dict[Any, int]]:
+    """Combinations of the keys whose ``images`` cancel, by elimination modulo ``PRIME``."""
+    pivots: dict[Any, Row] = {}
+    found = []
+    for key, image in images.items():
+        row: Row = {**{(0, m): mod(c) for m, c in image.terms.items()}, (1, key): 1}
+        while row:
+            first = min(row)
+            if first[0] == 1:
+                found.append({tag: c for (_, tag), c in row.items()})
                 break
-            factor = left[key]
-            for k, c in pivots[key].items():
-                left[k] = (left.get(k, 0) - factor * c) % PRIME
-            left = {k: c for k, c in left.items() if c}
-    return len(pivots)
+            if first not in pivots:
+                scale = pow(row[first], -1, PRIME)
+                pivots[first] = {k: c * scale % PRIME for k, c in row.items()}
+                break
+            factor = row[first]
+            for k, c in pivots[first].items():
+                row[k] = (row.get(k, 0) - factor * c) % PRIME
+            row = {k: c for k, c in row.items() if c}
+    return found
 
 
 def count_of_integrals(top: Top, degree: int) -> int:
-    """Dimension of the space of polynomial integrals without constants, up to a degree, by elimination."""
+    """Number of functionally independent integrals among the polynomials up to a degree, by exact elimination."""
     field, d = field_of(top), len(top.components)
-    monomials = [m for k in range(1, degree + 1) for m in itertools.combinations_with_replacement(range(d), k)]
-    rows = []
-    for monomial in monomials:
-        one = Polynomial({monomial: Fraction(1)})
-        rate = sum((one.derivative(i) * field[i] for i in set(monomial)), start=Polynomial({}))
-        rows.append({m: mod(c) for m, c in rate.terms.items()})
-    return len(monomials) - rank_mod(rows)
+    rates = {}
+    for k in range(1, degree + 1):
+        for monomial in itertools.combinations_with_replacement(range(d), k):
+            one = Polynomial({monomial: Fraction(1)})
+            rates[monomial] = sum((one.derivative(i) * field[i] for i in set(monomial)), start=Polynomial({}))
+    gradients = {}
+    for n, vector in enumerate(null_vectors(rates)):
+        integral = Polynomial({m: Fraction(c) for m, c in vector.items()})
+        at = [integral.derivative(i).value([3, 5, 7, 11, 13, 17][:d]) % PRIME for i in range(d)]
+        gradients[n] = Polynomial({(i,): Fraction(c) for i, c in enumerate(at)})
+    return len(gradients) - len(null_vectors(gradients))
 
 
-def count_of_declared(top: Top, degree: int) -> int:
-    """Dimension of the space that the declared integrals and their products span, up to a degree."""
-    y = variables(len(top.components))
-    declared = [
-        Polynomial.of(one(y, constants(top))) for name, one in top.integrals.items() if name not in top.holds_on
-    ]
-    products = [
-        np.prod(np.array(chosen, dtype=object))
-        for k in range(1, degree + 1)
-        for chosen in itertools.combinations_with_replacement(declared, k)
-        if sum(one.degree for one in chosen) <= degree
-    ]
-    return rank_mod([{m: mod(c) for m, c in one.terms.items() if m} for one in products])
-
-
-DEGREES = {"kowalevski-gyrostat": 4, "goryachev-chaplygin": 3}
+DEGREES = {"kowalevski-gyrostat": 4, "goryachev-chaplygin": 3, "weierstrass": 3}
 """Degrees up to which integrals are looked for; 2 where none is given."""
 
 
 @by_form
 def test_no_polynomial_integral_is_missed(form: str) -> None:
-    top, degree = TOPS[form].new(), DEGREES.get(form, 2)
-    assert count_of_integrals(top, degree) == count_of_declared(top, degree) > 0
+    top = TOPS[form].new()
+    everywhere = top.integrals.keys() - top.holds_on.keys()
+    assert count_of_integrals(top, DEGREES.get(form, 2)) == len(everywhere)
+
+
+def test_coupled_euler_tops_lose_an_integral_without_their_condition() -> None:
+    top = TOPS["coupled-euler"]
+    assert [one.name for one in top(alpha5=12.0).invariants()] == ["h12", "h45", "coupling"]
+    assert count_of_integrals(top(alpha5=12.0), 2) == 3
+    assert [*top(alpha5=12.0).integrals_of("hk", 0.1)] == ["modified_h12", "modified_h45"]
+    assert len(top(alpha1=0.1, alpha2=-6.0, alpha5=0.3, alpha6=-2.0).invariants()) == 4  # as decimals
+
+
+def test_fields_without_a_bracket() -> None:
+    """Suslov's with the multiplier of its constraint, omega3 = 0; the products of coupled Euler tops."""
+    assert set(CATALOGUE) - set(BRACKETS) == {"suslov", "coupled-euler"}
+    top = TOPS["suslov"].new()
+    w1, w2 = variables(2)
+    I1, I2, I13, I23 = constants(top)
+    m3 = I13 * w1 + I23 * w2  # J omega; (J omega)' = J omega x omega + multiplier e3
+    torque = cross([I1 * w1, I2 * w2, m3], [w1, w2, Polynomial({})])
+    assert [rate * moment for rate, moment in zip(field_of(top), (I1, I2), strict=True)] == torque[:2]
+    x = variables(5)
+    products = [(1, 2), (2, 0), (0, 1), (4, 2), (2, 3)]
+    alpha = constants(TOPS["coupled-euler"].new())
+    rates = [a * x[i] * x[j] for a, (i, j) in zip((*alpha[:3], *alpha[4:]), products, strict=True)]
+    rates[2] += alpha[3] * x[3] * x[4]
+    assert list(field_of(TOPS["coupled-euler"].new())) == rates
 
 
 # the HK map
@@ -227,7 +269,7 @@ def test_integrals_of_the_hk_map_stay_exact_to_round_off(form: str) -> None:
 
 @by_form
 def test_schemes_have_their_order(form: str) -> None:
-    """Of steps in plain Python, compared with another integrator; those of order two are undone by a step back."""
+    """Of steps in plain Python, compared with another integrator; a step back undoes those that are self-adjoint."""
     top = TOPS[form].new()
     y0, p, field = start(top), top.constants(), type(top).field
     exact = solve_ivp(lambda t, y: field(tuple(y), p), (0.0, 0.5), y0, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
@@ -236,18 +278,18 @@ def test_schemes_have_their_order(form: str) -> None:
         scheme = find_scheme(name, form)
         method = scheme.build(top, scheme.options())
         assert isinstance(method, Stepper)
-        constants, errors = method.parameters(top), []
-        for N in (16, 32):
-            s = method.enter(y0, 0.5 / N, p) if method.enter else y0
+
+        def after(y: Any, h: float, N: int, method: Stepper = method) -> Any:
+            s = method.enter(tuple(y), h, p) if method.enter else y
             for _ in range(N):
-                s = method.step(s, 0.5 / N, constants)
-            y = method.leave(s, 0.5 / N, constants) if method.leave else s
-            errors.append(np.linalg.norm(np.subtract(y, exact)))
+                s = method.step(s, h, method.parameters(top))
+            return np.array(method.leave(s, h, p) if method.leave else s)
+
+        errors = [np.linalg.norm(after(y0, 0.5 / N, N) - exact) for N in (16, 32)]
         assert scheme.order is not None
         assert np.log2(errors[0] / errors[1]) == pytest.approx(scheme.order, abs=0.2), name
-        back = method.step(method.enter(tuple(y), -0.5 / N, p) if method.enter else y, -0.5 / N, constants)
-        last = method.step(back, 0.5 / N, constants)[: len(y0)]
-        assert (np.abs(np.subtract(last, y)).max() < 1e-14) == scheme.self_adjoint, name
+        missed = np.abs(after(after(y0, 0.2, 1), -0.2, 1) - y0).max()
+        assert (missed < 1e-14) if scheme.self_adjoint else (1e-11 < missed < 0.1), name
 
 
 @pytest.mark.slow

@@ -24,7 +24,13 @@ CATALOGUE = {
     "kowalevski-gyrostat": "gyrostats.KowalevskiGyrostat",
     "goryachev-chaplygin": "partial.GoryachevChaplygin",
     "hess-appelrot": "partial.HessAppelrot",
-    "clebsch": "clebsch.Clebsch",
+    "clebsch": "fluid.Clebsch",
+    "kirchhoff": "fluid.Kirchhoff",
+    "suslov": "suslov.Suslov",
+    "coupled-euler": "coupled_euler.CoupledEuler",
+    "gaudin": "gaudin.Gaudin",
+    "weierstrass": "weierstrass.Weierstrass",
+    "so4": "so4.So4",
 }
 """Tops that are declared by their field and integrals alone; the schemes that a field is enough for step them."""
 
