@@ -55,7 +55,6 @@ class CoupledEuler(Top):
 \dot x_4 = \alpha_5 x_5x_3, \quad \dot x_5 = \alpha_6 x_3x_4
 """
     components = ("x1", "x2", "x3", "x4", "x5")
-    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"x": (0, 5)}
     energy = "coupling"
     swing = "x3"
     field = staticmethod(field)

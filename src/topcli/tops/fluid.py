@@ -65,7 +65,7 @@ def kirchhoff_energy(y: Floats, p: Floats) -> Any:
     return (across + p[1] * y[2] ** 2 + p[3] * y[5] ** 2) / 2
 
 
-def m3(y: Floats, p: Floats) -> Any:
+def m_axis(y: Floats, p: Floats) -> Any:
     """Angular momentum about the axis of symmetry."""
     return y[2]
 
@@ -137,8 +137,17 @@ a = \mathrm{diag}(a_1, a_1, a_3), \quad b = \mathrm{diag}(b_1, b_1, b_3)
 """
     swing = "p3"
     field = staticmethod(kirchhoff)
-    integrals: ClassVar[Mapping[str, Integral]] = {"p_sq": p_sq, "m_p": m_p, "energy": kirchhoff_energy, "m3": m3}
-    symbols: ClassVar[Mapping[str, tuple[str, str]]] = {**InFluid.symbols, "energy": ("H", "H"), "m3": ("m₃", "m_3")}
+    integrals: ClassVar[Mapping[str, Integral]] = {
+        "p_sq": p_sq,
+        "m_p": m_p,
+        "energy": kirchhoff_energy,
+        "m_axis": m_axis,
+    }
+    symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
+        **InFluid.symbols,
+        "energy": ("H", "H"),
+        "m_axis": ("m·e₃", r"m\cdot e_3"),
+    }
 
     a1: float = Field(default=1.0, description="coefficient of m1² and m2² in twice the energy")
     a3: float = Field(default=1.6, description="coefficient of m3² in twice the energy")

@@ -64,7 +64,6 @@ class So4(Top):
 \dot M = [M, \Omega], \qquad M_{ij} = (J_i + J_j)\,\Omega_{ij}
 """
     components = ("m12", "m13", "m14", "m23", "m24", "m34")
-    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"m": (0, 6)}
     field = staticmethod(field)
     integrals: ClassVar[Mapping[str, Integral]] = {
         "m_sq": m_sq,

@@ -32,14 +32,13 @@ class Suslov(Top):
     """
 
     kind = "suslov"
-    title = "Suslov's problem (nonholonomic constraint omega3 = 0)"
+    title = "Suslov problem (nonholonomic constraint omega3 = 0)"
     citation = "Suslov 1946; Petrera, Pfadler, Suris 2011 (HK map)"
     formula = r"""
 I_1\dot\omega_1 = -\ell\,\omega_2, \qquad I_2\dot\omega_2 = \ell\,\omega_1, \qquad
 \ell = I_{13}\,\omega_1 + I_{23}\,\omega_2
 """
     components = ("omega1", "omega2")
-    vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 2)}
     field = staticmethod(field)
     integrals: ClassVar[Mapping[str, Integral]] = {"energy": energy}
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
