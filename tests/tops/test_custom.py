@@ -5,25 +5,32 @@ from __future__ import annotations
 import json
 import pickle
 import re
+import subprocess
+import sys
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from matplotlib.mathtext import MathTextParser
 
 import topcli
 from custom_tops import SECTION, VOLTERRA, Y0, Volterra, config, section
 from json_schema import fits
 from topcli.config.load import load, load_experiment
+from topcli.config.rows import RowReader
 from topcli.config.schema import config_schema
+from topcli.config.sweep import load_sweep
 from topcli.config.text import parse_yaml
 from topcli.contracts import Outcome
 from topcli.errors import ConfigError, TopcliError
 from topcli.field.polynomial import field_of
 from topcli.figures.picture import component_symbol
 from topcli.schemes.registry import names_for
+from topcli.sweeps.row_results import Work
 from topcli.tops import TOPS, top_names
 from topcli.tops.custom import EXAMPLE
 
@@ -288,3 +295,89 @@ def test_labels_of_components() -> None:
     assert {name: component_symbol(name) for name in names} == names
     for label in names.values():
         MathTextParser("path").parse(label)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compensated", [False, True])
+@pytest.mark.parametrize("scheme", ["hk", "midpoint"])
+def test_twelve_components(scheme: str, compensated: bool) -> None:
+    """A chain whose sum of squares is conserved by every triple of terms x(i) x(i+1) x(i+2) with factors 1, 2, -3."""
+    d = 12
+    names = [f"x{i}" for i in range(d)]
+    field = {
+        f"x{i}": f"x{(i + 1) % d}*x{(i + 2) % d} + 2*x{(i - 1) % d}*x{(i + 1) % d} - 3*x{(i - 2) % d}*x{(i - 1) % d}"
+        for i in range(d)
+    }
+    top = {"kind": "custom", "components": names, "field": field}
+    top["invariants"] = {"energy": " + ".join(f"{name}**2" for name in names)}
+    start = {name: 0.1 * (i % 5) - 0.1 for i, name in enumerate(names)}
+    given = config(top=top, initial=start, scheme={"name": scheme, "compensated": compensated}, N=100)
+    trajectory = topcli.simulate(given)
+    assert trajectory.states.shape == (101, d)
+    reference = topcli.simulate({**given, "scheme": "dop853"})
+    assert trajectory.states[-1] == pytest.approx(reference.states[-1], abs=2e-5)
+    assert np.ptp(trajectory["energy"]) < (1e-4 if scheme == "hk" else 1e-14)
+
+
+def test_the_schema_of_configs_knows_quantities() -> None:
+    observed = {"quantities": {"x": "w1", "y": 2}}
+    assert fits(schema_of_configs(), {"name": "x", **config(output={**observed, "columns": ["t", "x"]})})
+    assert not fits(schema_of_configs(), {"name": "x", **config(output={"quantities": {"x": [1]}})})
+    heavy = {"name": "x", **load("heavy_hk").resolved()}
+    for output, accepted in (
+        ({"columns": ["t", "x"]}, False),
+        ({"columns": ["t", "x"], **observed}, True),
+        ({"columns": ["t", "t"], **observed}, False),
+    ):
+        assert fits(schema_of_configs(), heavy | {"output": output}) is accepted
+
+
+WORKER = """
+import json, pickle, sys
+from topcli.sweeps.row_results import Work
+rows, measures = pickle.load(sys.stdin.buffer)
+results = Work(measures)(rows)
+json.dump([results.outcome, results.values], sys.stdout)
+"""
+
+
+def test_a_process_that_never_read_the_config_computes_its_rows() -> None:
+    study = {"name": "s", "base": config(N=50, output={"quantities": {"x": "k*w1"}})}
+    study |= {"grid": {"top.k": [0.1, 0.2], "scheme": ["hk", "rk4"]}}
+    rows, measures = list(RowReader(load_sweep(study)).rows()), ("max.x", "deviation.energy")
+    data = pickle.dumps((rows, measures))
+    made = subprocess.run([sys.executable, "-c", WORKER], input=data, capture_output=True, check=True)
+    outcomes, values = json.loads(made.stdout)
+    assert outcomes == ["completed"] * 4
+    here = Work(measures)(rows)
+    assert values == here.values
+
+
+texts = st.sampled_from(["w1", "k*w1", "w1**", "sin(w1)", "1/0", "1/w1", "", "w1**3", "q", "w1*w1*k", "0", "((w1"])
+pieces = (
+    texts
+    | st.none()
+    | st.booleans()
+    | st.floats()
+    | st.integers(-3, 3)
+    | st.lists(texts, max_size=2)
+    | st.dictionaries(
+        st.sampled_from(["w1", "w2", "value", "on", "energy", "k", "kind", ""]), texts | st.floats(), max_size=3
+    )
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.dictionaries(st.sampled_from(["components", "parameters", "field", "invariants", "k", "x"]), pieces, max_size=4)
+)
+def test_no_section_ends_in_an_internal_error(changes) -> None:
+    """Each part replaced by something else, of a top that is right."""
+    right = {"kind": "custom", "components": ["w1", "w2"], "parameters": {"k": 1.0}}
+    right |= {"field": {"w1": "k*w2", "w2": "-k*w1"}, "invariants": {"energy": "w1**2 + w2**2"}}
+    whole = config(top=right | changes, initial={"w1": 1.0, "w2": 0.0}, scheme="rk4", N=3)
+    try:
+        experiment = load(whole)
+    except TopcliError:
+        return
+    assert load(experiment.resolved()).digest == experiment.digest

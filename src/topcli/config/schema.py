@@ -154,7 +154,12 @@ def _for_top(cls: type[Top]) -> Schema:
                 "initial": initial,
                 "ensemble": _ensemble_section(cls),
                 "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
-                "output": {"properties": {"columns": {"anyOf": [{"type": "array", "items": items}, {"type": "null"}]}}},
+                "output": {
+                    "anyOf": [
+                        {"properties": {"columns": {"anyOf": [{"type": "array", "items": items}, {"type": "null"}]}}},
+                        {"required": ["quantities"]},  # which are columns too
+                    ]
+                },
             },
             **complete,
         },

@@ -248,7 +248,8 @@ def stepper(
     ``kept`` slots that do not change follow. The rounding errors of the sums of the slots ``lost`` are carried. After
     the changes, ``change`` returns the status if it is ``iterative``, and an addition to each of the ``counters``; it
     returns the new slots themselves instead of changes if not ``adds``. ``enter`` gives the moved and kept slots, by
-    default the physical state; ``leave`` is by default that of a state of 6 components, or of fewer if fewer are moved.
+    default the physical state; ``leave`` is by default that of a state of all that is moved, or of 6 components at most
+    where others are kept.
     """
     errors = tuple(lost)
     tail = (0.0,) * (len(errors) + iterative + len(counters))
@@ -262,7 +263,7 @@ def stepper(
         _writer(moved, kept, errors, iterative, len(counters), adds)(change),
         width,
         enter_slots if begin or tail else None,
-        leave or (first(min(moved, 6)) if width > 6 or tail else None),
+        leave or (first(min(moved, 6) if kept else moved) if width > 6 or tail else None),
         counters,
         iterative=iterative,
         checked=checked,
