@@ -47,6 +47,7 @@ def config_page() -> Page:
     from topcli.config.ensemble import Section
     from topcli.config.models import Config, Output
     from topcli.config.ranges import Range
+    from topcli.config.sections import CustomSection
 
     header = ("key", "type", "default", "meaning")
     lines = [
@@ -79,6 +80,9 @@ def config_page() -> Page:
         lines += [f"- {link}: {found or 'no parameters'}"]
     lines += [
         "",
+        "The kind `custom` declares [a top of your own](../own-top.md) by these keys:",
+        "",
+        *table(header, keys_of(CustomSection)),
         "## `scheme`",
         "",
         "The name alone, or a section with `name`, `compose` (a composition, where the scheme "

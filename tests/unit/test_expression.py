@@ -172,6 +172,14 @@ def test_compiled_formulas_have_the_bits_of_the_same_text_in_python() -> None:
         assert [*map(bits, written(state, p))] == [*map(bits, declared(state, p))]
 
 
+def test_one_formula_may_be_used_for_several_functions() -> None:
+    text = "-(w1 - 2)**2 + abs(-k)"
+    first, second = (value_of(parse(text, (*Y, *P)), Y, order) for order in (P, P[::-1]))
+    third = value_of(parse(text, (*Y, *P)), Y[::-1], P)
+    assert (first((3.0, 9.0), (0.0, -5.0)), second((3.0, 9.0), (-5.0, 0.0))) == (4.0, 4.0)
+    assert third((9.0, 3.0), (0.0, -5.0)) == 4.0
+
+
 def test_half_exponents_are_powers_of_the_root() -> None:
     for text, expected in (("w1**0.5", 1.5), ("w1**(3/2)", 3.375), ("w1**-1.5", 1 / 3.375), ("4**.5*A", 2.0)):
         assert value(text, (2.25, 0.0), (1.0, 1.0)) == pytest.approx(expected, rel=1e-15)

@@ -18,7 +18,7 @@ import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -65,7 +65,12 @@ def parse(text: str, names: Iterable[str]) -> Expression:
     ExpressionError
         For anything that is no formula, with its line and column, what is wrong, and what would be right.
     """
-    reader = _Reader(text, tuple(names))
+    return _parsed(text, tuple(names))
+
+
+@lru_cache(maxsize=1024)  # a sweep reads the same section for each of its parameters
+def _parsed(text: str, names: tuple[str, ...]) -> Expression:
+    reader = _Reader(text, names)
     tree, _ = reader.checked(reader.tree(), 0)
     return Expression(text, tree, frozenset(reader.used))
 
@@ -212,25 +217,24 @@ def _function(name: str) -> ast.expr:
     return ast.Name(name) if name == "abs" else ast.Attribute(ast.Name("math"), name)
 
 
-class _Written(ast.NodeTransformer):
-    """Writer of a formula with the place of each name, and of its numbers in the tuple ``c``."""
+def _written(node: ast.expr, places: Mapping[str, str], numbers: dict[float, int]) -> ast.expr:
+    """A formula with the place of each name, and of its numbers in the tuple ``c``, to which new ones are added."""
 
-    def __init__(self, places: Mapping[str, str]) -> None:
-        self.places, self.numbers = places, dict[float, int]()
+    def inner(part: ast.expr) -> ast.expr:
+        return _written(part, places, numbers)
 
-    def visit_BinOp(self, node: ast.BinOp) -> ast.BinOp:
-        is_power = isinstance(node.op, ast.Pow)
-        return ast.BinOp(self.visit(node.left), node.op, node.right if is_power else self.visit(node.right))
-
-    def visit_Call(self, node: ast.Call) -> ast.Call:
-        return ast.Call(node.func, [self.visit(node.args[0])], [])
-
-    def visit_Name(self, node: ast.Name) -> ast.Name:
-        return ast.Name(self.places[node.id])
-
-    def visit_Constant(self, node: ast.Constant) -> ast.Name:
-        value = float(str(node.value))
-        return ast.Name(f"c[{self.numbers.setdefault(value, len(self.numbers))}]")
+    match node:
+        case ast.Name(id=name):
+            return ast.Name(places[name])
+        case ast.Constant(value=value):
+            return ast.Name(f"c[{numbers.setdefault(float(str(value)), len(numbers))}]")
+        case ast.UnaryOp(op=op, operand=operand):
+            return ast.UnaryOp(op, inner(operand))
+        case ast.BinOp(left=left, op=op, right=right):
+            return ast.BinOp(inner(left), op, right if isinstance(op, ast.Pow) else inner(right))
+        case ast.Call(func=function, args=[argument]):
+            return ast.Call(function, [inner(argument)], [])
+    raise TypeError(f"{type(node).__name__} is no part of a formula")
 
 
 def function_of(
@@ -242,9 +246,9 @@ def function_of(
     """
     places = {name: f"y[{i}]" for i, name in enumerate(components)}
     places |= {name: f"p[{i}]" for i, name in enumerate(parameters)}
-    writer = _Written(places)
-    returned = "".join(f"{ast.unparse(writer.visit(each.tree))}, " for each in expressions)
-    constants = "".join(f"{value!r}, " for value in writer.numbers)
+    numbers: dict[float, int] = {}
+    returned = "".join(f"{ast.unparse(_written(each.tree, places, numbers))}, " for each in expressions)
+    constants = "".join(f"{value!r}, " for value in numbers)
     lines = [f"c = ({constants})"] * bool(constants) + [f"return ({returned})"]
     scope: dict[str, Any] = {"math": math, "__name__": __name__}
     source = f"def {name}(y, p):\n    " + "\n    ".join(lines)
