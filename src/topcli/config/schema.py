@@ -22,6 +22,7 @@ from topcli.contracts import Scheme, Top
 from topcli.errors import UsageError
 from topcli.field.expression import NAME
 from topcli.schemes.compose import COMPOSITIONS, obstacle
+from topcli.schemes.plugins import without_users_errors
 from topcli.schemes.registry import all_schemes, find_scheme, names_for
 from topcli.tops import CUSTOM, TOPS, forms, top_class, top_names
 
@@ -101,7 +102,8 @@ def _for_custom() -> Schema:
         "properties": properties,
         "additionalProperties": {"type": "number", "description": "a parameter, in the place of its value above"},
     }
-    schemes = [scheme for scheme in all_schemes() if scheme.top == example_class().form]
+    form = example_class().form  # first: its schemes are registered when they are listed
+    schemes = [scheme for scheme in all_schemes() if scheme.top == form]
     return {
         "if": _is_top({"const": CUSTOM}),
         "then": {
@@ -120,10 +122,10 @@ def _for_top(cls: type[Top]) -> Schema:
     kind: Schema = {"const": cls.kind}
     schemes = [scheme for scheme in all_schemes() if scheme.top == cls.form]
     top = cls.new()
-    integrals = [
-        *top.invariants(),
-        *(invariant for s in schemes if s.modified for invariant in s.modified(top, 0.01, s.options())),
-    ]
+    integrals = [*top.invariants()]
+    for scheme in schemes:
+        with without_users_errors():
+            integrals += scheme.modified(top, 0.01, scheme.options()) if scheme.modified else ()
     attitude = [name for names in ATTITUDES.values() for name in names]
     columns = [
         "n",

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
+from traceback import walk_tb
 from typing import Any
 
 from topcli.contracts import Top
@@ -235,6 +236,18 @@ def field_of(top: Top, exact: Callable[[float], Fraction] = decimal) -> Field:
         raise NotPolynomialError(f"cannot be evaluated with exact parameters: {error}") from None
 
 
+def _place(field: Callable[..., Any], error: BaseException | None = None) -> str:
+    """``(file:line)`` of the innermost line of a user's field that an error passed, or of its head; else nothing."""
+    code = getattr(field, "__code__", None)
+    if code is None or field.__module__.partition(".")[0] == "topcli":
+        return ""
+    line, inner = code.co_firstlineno, error
+    while inner is not None:
+        lines = [n for frame, n in walk_tb(inner.__traceback__) if frame.f_code.co_filename == code.co_filename]
+        line, inner = (lines[-1], None) if lines else (line, inner.__context__)
+    return f" ({code.co_filename}:{line})"
+
+
 def required_field(
     top: Top, needed_by: str, degree: float = math.inf, exact: Callable[[float], Fraction] = decimal
 ) -> Field:
@@ -246,9 +259,10 @@ def required_field(
     try:
         field = field_of(top, exact)
     except NotPolynomialError as error:
-        raise UsageError(f"top {top.kind!r}: {needed_by} needs a {wanted} field, but this one {error}") from None
+        place = _place(top.field, error)
+        raise UsageError(f"top {top.kind!r}: {needed_by} needs a {wanted} field, but this one {error}{place}") from None
     for name, rate in zip(top.components, field, strict=True):
         if rate.degree > degree:
-            reason = f"{name}' has degree {rate.degree}"
+            reason = f"{name}' has degree {rate.degree}{_place(top.field)}"
             raise UsageError(f"top {top.kind!r}: {needed_by} needs a {wanted} field, but {reason}")
     return field

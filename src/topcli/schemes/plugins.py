@@ -274,6 +274,16 @@ def users_error(error: Exception) -> SchemeCodeError | None:
     return SchemeCodeError(f"{place}: {reason_of(error)}")
 
 
+@contextmanager
+def without_users_errors() -> Iterator[None]:
+    """Leave the block at an error of a user's code, which is reported where that code is used."""
+    try:
+        yield
+    except Exception as error:
+        if not (isinstance(error, SchemeCodeError) or users_error(error)):
+            raise
+
+
 def reason_of(error: BaseException) -> str:
     """Type and first line of the message of an error."""
     return (f"{type(error).__name__}: {error}".splitlines() or [type(error).__name__])[0][:400]

@@ -30,13 +30,11 @@ from topcli.schemes.plugins import (
     import_plugin,
     is_built_in,
     known_failures,
-    line_of,
     modules_beside,
     origin_of,
     plugin_failures,
     registry,
     users_error,
-    users_place,
 )
 from topcli.tops import CATALOGUE, TOPS
 
@@ -167,9 +165,12 @@ def scheme(
 
         def register_for(form: str, modified: Any = modified) -> None:
             _require_free(name, form, origin)
+            kept = tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves)
+            if origin != "topcli":
+                _require_invariants(name, form, kept)
             registry.schemes[name.lower(), form] = declared(
                 top=form,
-                conserves=tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves),
+                conserves=kept,
                 limits=dict(limits(TOPS[form].new()) if callable(limits) else limits),
                 integrable=integrable(TOPS[form].new()) if callable(integrable) else integrable,
                 modified=modified,
@@ -218,6 +219,14 @@ def _require_free(name: str, form: str, origin: str) -> None:
         raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {known.origin}")
     if form not in TOPS:
         raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
+
+
+def _require_invariants(name: str, form: str, conserved: Iterable[str]) -> None:
+    """Raise ValueError for a conserved quantity that is no invariant of the top."""
+    known = [invariant.name for invariant in TOPS[form].new().invariants()]
+    for one in conserved:
+        if one not in known:
+            raise ValueError(f"scheme {name!r} conserves {one!r}, no invariant of top {form!r}; {nearest(one, known)}")
 
 
 def _declared() -> list[str]:
@@ -391,20 +400,8 @@ def _misfit(name: str, form: str) -> str:
     try:
         registry.for_every_top[name](form)
     except UsageError as error:
-        return f"{error}{_place_of(error, TOPS[form])}"
+        return str(error)
     return ""
-
-
-def _place_of(error: BaseException, top: type[Top]) -> str:
-    """Where in the code of a user's top an error arose, or the line of its field, in brackets; empty for other tops."""
-    if is_built_in(top) or error.__context__ is None:
-        return ""
-    cause: BaseException | None = error
-    while cause is not None:
-        if place := users_place(cause):
-            return f" ({place})"
-        cause = cause.__context__
-    return f" ({line_of(top.field)})"
 
 
 def composed(base: Scheme, name: str) -> Scheme:

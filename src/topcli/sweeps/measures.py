@@ -18,7 +18,7 @@ from topcli.analysis.swings import swing_spacing as spacing_of_first
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.references import obstacle
-from topcli.schemes.plugins import origin_of, plugin_table
+from topcli.schemes.plugins import origin_of, plugin_table, without_users_errors
 from topcli.schemes.registry import all_schemes, plugin_failures
 from topcli.tops import TOPS
 
@@ -214,9 +214,10 @@ def _fitting(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list
 def measures_of_form(form: str) -> list[Measure]:
     """Measures that fit the top of this form under any of its schemes, those of families included, sorted by name."""
     top = TOPS[form].new()
-    named = {
-        fitting.name: fitting for scheme in all_schemes() if scheme.top == form for fitting in _fitting(top, scheme)
-    }
+    named: dict[str, Measure] = {}
+    for scheme in (each for each in all_schemes() if each.top == form):
+        with without_users_errors():
+            named |= {each.name: each for each in _fitting(top, scheme)}
     return [named[name] for name in sorted(named)]
 
 

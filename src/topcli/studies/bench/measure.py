@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -30,6 +31,7 @@ from topcli.errors import UsageError
 from topcli.runs.identity import scheme_code
 from topcli.runs.report import finite
 from topcli.schemes.plugins import users_error
+from topcli.schemes.registry import loaded_scheme_files
 from topcli.store.provenance import environment, installed
 from topcli.studies.bench.contest import LineUp, Problem, Rung, ladder, tolerance_option
 from topcli.studies.bench.peers import NoResultError, Peer, missing
@@ -165,7 +167,8 @@ class PeerProcess:
             stderr=self._log,
             env={**os.environ, **_ONE_THREAD},
         )
-        self.send("start", peer.variants, problem.experiment.resolved(), problem.duration, problem.intervals)
+        plugins = [Path(file.path).absolute() for file in loaded_scheme_files()]
+        self.send("start", peer.variants, problem.experiment.resolved(), problem.duration, problem.intervals, plugins)
 
     def send(self, method: str, *arguments: Any) -> None:
         """Send a request, a method of ``Worker``, without waiting for the answer."""

@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -26,6 +27,7 @@ import numpy as np
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.schemes.registry import load_scheme_file
 from topcli.studies import imported
 
 
@@ -130,8 +132,12 @@ def checked(states: Array, problem: PeerProblem) -> Array:
 class Worker:
     """The variants of one peer for one problem, and the prepared calls."""
 
-    def start(self, place: str, config: dict[str, Any], span: float, intervals: int) -> list[tuple[Any, ...]]:
+    def start(
+        self, place: str, config: dict[str, Any], span: float, intervals: int, plugins: Sequence[Path]
+    ) -> list[tuple[Any, ...]]:
         """Load a peer for a problem; return the name, the parameter and the values of each variant."""
+        for path in plugins:
+            load_scheme_file(path)
         experiment = load_experiment(config)
         times = np.arange(intervals + 1) * (span / intervals)
         variants = imported(place)(PeerProblem(experiment.top, np.array(experiment.y0), times))

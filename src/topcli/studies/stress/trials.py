@@ -23,7 +23,7 @@ from topcli.errors import (
     shortened,
 )
 from topcli.runs.identity import scheme_code
-from topcli.schemes.plugins import users_error
+from topcli.schemes.plugins import reason_of, users_error
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.store.provenance import environment
 from topcli.studies.stress.cases import CASES, cases_named, cases_of
@@ -110,7 +110,7 @@ def judged_trial(
         raise
     except (ArithmeticError, ValueError) as error:
         # the interpreter may raise where machine code returns inf or nan
-        finding = Finding(CaseOutcome.BROKE, f"failed: {type(error).__name__}: {error}".splitlines()[0], 0)
+        finding = Finding(CaseOutcome.BROKE, f"failed: {users_error(error) or reason_of(error)}", 0)
     except Exception as error:
         known_error = error if isinstance(error, SchemeCodeError) else users_error(error)
         if known_error is None:
