@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -117,3 +119,12 @@ def test_a_series_of_another_program(cli, config: Path) -> None:
     found = cli("analyse", "other.csv", "--config", "v.yaml", "--json")
     assert found.code == 0
     assert found.json()["max_error"] < 1e-11
+
+
+def test_a_page_on_a_study_needs_no_config(cli, config: Path) -> None:
+    """The page of hard cases knows the top by its form only; the schemes are cited."""
+    Path("s.json").write_text(cli("stress", "hk", "--case", "one-step", "--config", "v.yaml", "--json").out)
+    code = "import sys; from topcli.__main__ import entry; sys.argv[1:] = sys.argv[1].split(); entry()"
+    made = subprocess.run([sys.executable, "-c", code, "report s.json --out s.html"], capture_output=True, text=True)
+    assert (made.returncode, made.stderr) == (0, "wrote s.html\n")
+    assert "scheme hk: Kahan 1993" in Path("s.html").read_text()

@@ -35,7 +35,12 @@ HIGHEST = 24
 """Degree of a formula in its names, and its largest exponent."""
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ALLOWED = re.compile(r"[A-Za-z0-9_+\-*/(). \t\n]*")
-_HINTS = {"^": "; a power is written x**2", "[": "; use parentheses ( )", "{": "; use parentheses ( )"}
+_HINTS = {
+    "^": "; a power is written x**2",
+    "[": "; use parentheses ( )",
+    "{": "; use parentheses ( )",
+    ",": "; a decimal has a point",
+}
 _OPERATORS: dict[type, Callable[[Fraction, Fraction], Fraction]] = {
     ast.Add: lambda a, b: a + b,
     ast.Sub: lambda a, b: a - b,

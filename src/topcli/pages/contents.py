@@ -14,9 +14,9 @@ from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.config.text import to_yaml
 from topcli.errors import TopcliError, UsageError, shortened
-from topcli.schemes.registry import find_scheme
+from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.table import DASH, Cells, number
-from topcli.tops import TOPS
+from topcli.tops import CATALOGUE, TOPS
 
 if TYPE_CHECKING:
     from topcli.contracts import Array
@@ -233,8 +233,10 @@ def citation_block(parts: Parts, version: object) -> Notes:
             sources.append(f"{TOPS[form].kind} top: {TOPS[form].citation}")
         try:
             sources.append(f"scheme {name}: {find_scheme(name, form).citation}")
-        except UsageError:
-            sources.append(f"scheme {shortened(name)}: its source is unknown to this topcli")
+        except UsageError:  # of a top that only a config or a plugin declares
+            like = [scheme.citation for scheme in all_schemes() if scheme.name == name and scheme.top in CATALOGUE]
+            source = like[0] if like else "its source is unknown to this topcli"
+            sources.append(f"scheme {shortened(name)}: {source}")
     release = shortened(version) if isinstance(version, str) else "unknown"
     own = f"the topcli authors, topcli: numerical experiments on discrete spinning tops, version {release}"
     return Notes("Citation", [own, PAPER, *dict.fromkeys(sources)])

@@ -395,7 +395,9 @@ def _stand_in(name: str, form: str, failure: PluginFailure) -> Scheme:
 
 def _misfit(name: str, form: str) -> str:
     """Reason why a scheme for every top does not integrate a declared one; empty for other schemes and tops."""
-    if name not in registry.for_every_top or (is_built_in(TOPS[form]) and form not in _declared()):
+    if name not in registry.for_every_top or form not in TOPS:
+        return ""
+    if is_built_in(TOPS[form]) and form not in _declared():
         return ""
     try:
         registry.for_every_top[name](form)
