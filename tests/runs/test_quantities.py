@@ -81,6 +81,14 @@ def test_quantities_of_a_built_in_top() -> None:
     assert trajectory.to_pandas().columns.tolist()[-2:] == ["nutation", "moment"]
 
 
+def test_quantities_beside_the_attitude() -> None:
+    output = {"quantities": {"x": "gamma1 - gamma2"}, "attitude": "quaternion"}
+    given = {"top": "heavy", "initial": INITIAL, "scheme": "rk4", "h": 0.01, "N": 30, "output": output}
+    trajectory = topcli.simulate(given)
+    assert trajectory["x"].tolist() == (trajectory["gamma1"] - trajectory["gamma2"]).tolist()
+    assert trajectory.to_pandas().columns.tolist()[-5:] == ["x", "q0", "q1", "q2", "q3"]
+
+
 def test_chosen_columns_and_identity() -> None:
     plain, observed = load(config()), load(with_quantities())
     assert "quantities" not in plain.resolved()["output"]

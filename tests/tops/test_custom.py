@@ -11,6 +11,7 @@ from fractions import Fraction
 from functools import cache
 from pathlib import Path
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -29,7 +30,10 @@ from topcli.contracts import Outcome
 from topcli.errors import ConfigError, TopcliError
 from topcli.field.polynomial import field_of
 from topcli.figures.picture import component_symbol
+from topcli.runs.decision import RunOptions
+from topcli.runs.run import run_experiment
 from topcli.schemes.registry import names_for
+from topcli.store.series import read_series
 from topcli.sweeps.row_results import Work
 from topcli.tops import TOPS, top_names
 from topcli.tops.custom import EXAMPLE
@@ -381,3 +385,17 @@ def test_no_section_ends_in_an_internal_error(changes) -> None:
     except TopcliError:
         return
     assert load(experiment.resolved()).digest == experiment.digest
+
+
+@pytest.mark.parametrize("scheme", ["hk", "rk4"])
+def test_roots_of_parameters_in_other_precisions(tmp_path, scheme: str) -> None:
+    """x' = sqrt(2) x to 38 digits, by a generated step and by one that calls the field; not in rational numbers."""
+    top = {"kind": "custom", "components": ["x"], "field": {"x": "sqrt(2)*x"}}
+    whole = config(top=top, initial={"x": 1}, scheme=scheme, N=1, h=0.5, precision=40, output={"digits": 38})
+    series = read_series(run_experiment(load(whole), tmp_path, RunOptions()).stored.series)
+    with mpmath.workdps(45):
+        z = mpmath.sqrt(2) / 2
+        expected = (1 + z / 2) / (1 - z / 2) if scheme == "hk" else 1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24
+        assert abs(mpmath.mpf(str(series["x_decimal"][1])) - expected) < mpmath.mpf(10) ** -36
+    with pytest.raises(TopcliError, match=r"math.sqrt, which rational numbers do not have"):
+        topcli.simulate({**whole, "precision": "rational"})

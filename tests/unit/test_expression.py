@@ -253,3 +253,16 @@ def test_functions_of_polynomials_are_refused_in_columns_too() -> None:
     column = np.array([Polynomial.variable(0)], dtype=object)
     with pytest.raises(NotPolynomialError):
         value("cos(w1)", (column, column), (1.0, 1.0))
+
+
+def test_functions_of_parameters_are_exact_to_many_digits() -> None:
+    """sqrt(A) w1 + sin(k) w2 for A = 2 and k = 0.3; the root of a square is rational."""
+    field = function_of("field", [parse(t, (*Y, *P)) for t in ("sqrt(A)*w1 + sin(k)*w2", "sqrt(A/50)*w1")], Y, P)
+    first, second = polynomial_field(field, 2, [2.0, 0.3])
+    assert second.terms == {(0,): Fraction(1, 5)}
+    with mpmath.workdps(160):
+        for monomial, expected in (((0,), mpmath.sqrt(2)), ((1,), mpmath.sin(mpmath.mpf(3) / 10))):
+            c = first.terms[monomial]
+            assert abs(mpmath.mpf(c.numerator) / c.denominator - expected) < mpmath.mpf(10) ** -155
+    with pytest.raises(NotPolynomialError, match="takes sqrt of -2"):
+        polynomial_field(field, 2, [-2.0, 0.3])

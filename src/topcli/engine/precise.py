@@ -40,6 +40,14 @@ from topcli.errors import UsageError
 DOUBLE_BITS = 53
 
 
+def irrational_name(function: Callable[..., Any]) -> str:
+    """First function of ``math`` in a plain function that rational numbers do not have; empty for none."""
+    plain = plain_function(function)
+    if plain is None or math not in plain.__globals__.values():
+        return ""
+    return next((name for name in names_in(plain) if name in IRRATIONAL), "")
+
+
 class Rebuilder(Copier):
     """Copier of functions into an arithmetic."""
 
@@ -86,10 +94,8 @@ class Rebuilder(Copier):
 
     def copy(self, function: types.FunctionType) -> types.FunctionType:
         """Copy of a function. Raises NotRationalError if it needs a function that rational numbers do not have."""
-        if self.arithmetic.name == RATIONAL and math in function.__globals__.values():
-            for name in names_in(function):
-                if name in IRRATIONAL:
-                    raise NotRationalError(f"uses math.{name}, which rational numbers do not have")
+        if self.arithmetic.name == RATIONAL and (name := irrational_name(function)):
+            raise NotRationalError(f"uses math.{name}, which rational numbers do not have")
         return super().copy(function)
 
     def function(self, function: Callable[..., Any] | None) -> Any:
@@ -127,6 +133,8 @@ def precise_method(
         raise refused(scheme, arithmetic, reason)
     if arithmetic.name == RATIONAL and built.iterative:
         raise refused(scheme, arithmetic, "solves its equations by iteration, and the solution is not rational")
+    if arithmetic.name == RATIONAL and built.generated and (name := irrational_name(top.field)):
+        raise refused(scheme, arithmetic, f"has constants by math.{name}, which rational numbers do not have")
     rebuilder = Rebuilder(arithmetic)
     try:
         if built.stages is not None:

@@ -261,6 +261,11 @@ def function_of(
     return scope[name]
 
 
+def uses_math(function: Callable[..., Any]) -> bool:
+    """True if the code of a plain function refers to the module ``math``."""
+    return isinstance(function, types.FunctionType) and function.__globals__.get("math") is math
+
+
 def in_arithmetic(
     function: Callable[..., Any], number: Callable[[float], Any], functions: Any = None
 ) -> Callable[..., Any]:

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
+from functools import cache
 from traceback import walk_tb
 from typing import Any
 
 from topcli.contracts import Top
 from topcli.errors import UsageError
-from topcli.field.expression import in_arithmetic
+from topcli.field.expression import FUNCTIONS, in_arithmetic, uses_math
 
 Monomial = tuple[int, ...]
 """Indices of the factors of a product of variables, in order: (0, 0, 2) is the square of variable 0 times variable 2;
@@ -116,6 +117,10 @@ class Polynomial:
                 return math.prod([self] * int(exponent), start=Polynomial.of(1))
         raise NotPolynomialError(f"takes the power {exponent} of the state")
 
+    def constant(self) -> Fraction:
+        """Value of a constant. Raises NotPolynomialError for a function of the state."""
+        return self._constant("calls a function of the state that is no polynomial")
+
     def _constant(self, otherwise: str) -> Fraction:
         if self.degree > 0:
             raise NotPolynomialError(otherwise)
@@ -125,7 +130,7 @@ class Polynomial:
         return bool(self._constant(DECIDES))
 
     def __float__(self) -> float:
-        return float(self._constant("calls a function of the state that is no polynomial"))
+        return float(self.constant())
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Polynomial | int | float | Fraction) and self.terms == Polynomial.of(other).terms
@@ -203,15 +208,48 @@ def decimal(value: Any) -> Fraction:
     return Fraction(repr(float(value))) if isinstance(value, float) else Fraction(value)
 
 
+DIGITS = 170
+"""Decimal digits of a function of parameters in an exact field: more than any precision of a run."""
+
+
+class ExactMath:
+    """Functions of the module ``math`` of constants: square roots of squares exactly, others to ``DIGITS``."""
+
+    def __getattr__(self, name: str) -> Any:
+        return _function(name) if name in FUNCTIONS else getattr(math, name)
+
+
+@cache
+def _function(name: str) -> Callable[[object], Polynomial]:
+    from mpmath.ctx_mp import MPContext
+    from mpmath.libmp import to_rational
+
+    context: Any = MPContext()
+    context.dps = DIGITS
+
+    def value(x: object) -> Polynomial:
+        exact = Polynomial.of(x).constant()
+        if name == "sqrt" and exact >= 0:
+            root = Fraction(math.isqrt(exact.numerator), math.isqrt(exact.denominator))
+            if root * root == exact:
+                return Polynomial.of(root)
+        found = getattr(context, name)(context.mpf(exact.numerator) / exact.denominator)
+        if not isinstance(found, context.mpf) or not context.isfinite(found):
+            raise NotPolynomialError(f"takes {name} of {float(exact):g}, which is no number")
+        return Polynomial.of(Fraction(*to_rational(found._mpf_)))
+
+    return value
+
+
 def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: Iterable[object]) -> Field:
     """Polynomials of the ``d`` components of ``field(y, p)``, where p are the ``constants``.
 
-    Numbers in the field's own code are exact too, but not those of functions that it calls.
+    Numbers in the field's own code and ``math`` of constants are exact too, but not in functions that it calls.
     Raises NotPolynomialError for a field that is no polynomial of the state.
     """
     y = tuple(map(Polynomial.variable, range(d)))
     try:
-        exact = in_arithmetic(field, decimal)
+        exact = in_arithmetic(field, decimal, ExactMath() if uses_math(field) else None)
         rates = tuple(map(Polynomial.of, exact(y, tuple(map(Polynomial.of, constants)))))
     except TypeError as error:
         raise NotPolynomialError(f"cannot be evaluated with polynomials: {error}") from None

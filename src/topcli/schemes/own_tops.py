@@ -12,7 +12,7 @@ import numpy as np
 from topcli.contracts import Floats, Top
 from topcli.errors import UsageError, nearest
 from topcli.schemes.plugins import import_built_in, line_of, origin_of, registry
-from topcli.tops import TOPS
+from topcli.tops import CUSTOM, TOPS
 
 KIND = re.compile(r"[a-z][a-z0-9_-]*")
 TAKEN = ("n", "t")
@@ -91,6 +91,8 @@ def _require_names(declared: type[Top], where: str) -> bool:
     kind, form = declared.kind, declared.form
     if not (isinstance(kind, str) and KIND.fullmatch(kind)):
         raise UsageError(f"{where}: kind {kind!r} is no name in lower case, such as 'gyrostat'")
+    if kind == CUSTOM:
+        raise UsageError(f"{where}: kind {CUSTOM!r} is that of tops that a config declares; choose another")
     if form != kind and not form.startswith((f"{kind}+", f"{kind}/")):
         raise UsageError(f"{where}: form {form!r} is neither {kind!r} nor begins with '{kind}+' or '{kind}/'")
     if form in TOPS:
