@@ -26,6 +26,7 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "overlay": ("plot", "fig2", "--overlay", "exact", "--format", "png"),
     "polhodes": ("plot", "polhodes", "--format", "png"),
     "nutation": ("plot", "nutation", "--format", "png"),
+    "catalogue": ("plot", "catalogue", "--format", "png"),
     "bifurcation": ("plot", "bifurcation", "--format", "png"),
     "torus": ("plot", "torus", "--format", "png"),
     "body": ("plot", "body", "--format", "png"),

@@ -18,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from conftest import ROOT
+from declared import SCHEMES
 from drawn_artists import drawn
 from figure_studies import PREPARE, loaded_named
 from layout import drawn_texts, layout_faults, smallest_size
@@ -30,7 +31,6 @@ from topcli.figures.growth import loaded_roundoff
 from topcli.figures.picture import Grid, Line, Panel, draw
 from topcli.figures.style import styled
 from topcli.figures.sweep import Choice, sweep_figure
-from topcli.schemes.registry import all_schemes
 from topcli.store.series import write_parquet
 from topcli.studies.stress.trials import chosen
 from topcli.studies.study import Result
@@ -112,7 +112,7 @@ def test_the_picture_of_hard_cases_shows_the_declared_limits() -> None:
         f"{scheme.name} ({scheme.top})": sorted(case for case in scheme.limits if (scheme.top, case) in names)
         for scheme in schemes
     }
-    assert len(schemes) == len(all_schemes())
+    assert len(schemes) == len(SCHEMES)
     assert {name: sorted(broke) for name, broke in STORED["stress"].items()} == declared, "run make docs-images"
 
 

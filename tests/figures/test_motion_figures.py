@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import same_color
 from matplotlib.figure import Figure
+from scipy.integrate import solve_ivp
 from scipy.spatial import cKDTree
 
 from conftest import GEN, PAPER, ROOT
@@ -17,9 +18,12 @@ from topcli.analysis.motion.diagram import branches, regions
 from topcli.analysis.motion.torus import Torus
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
+from topcli.contracts import Top
 from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request
+from topcli.figures.picture import component_symbol
+from topcli.tops import CATALOGUE
 from topcli.tops.kowalevski import Kowalevski
 
 TORUS = (-0.4, 0.2, 0.0, -0.28, 0.0, 0.96)
@@ -211,3 +215,31 @@ def test_scenes_of_another_top_are_refused(name: str, tmp_path: Path) -> None:
 def test_a_motion_on_a_separatrix_has_no_torus() -> None:
     with pytest.raises(ValueError, match="not on a torus"):
         Torus.of((0.5, 0.25, 0.0, 0.0, 0.0, 1.0), 1.0)
+
+
+def integrated(top: Top, y0: tuple[float, ...], t: np.ndarray) -> np.ndarray:
+    """States (m, d) by an integrator of SciPy."""
+    p = top.constants()
+    found = solve_ivp(lambda t, y: type(top).field(tuple(y), p), t[[0, -1]], y0, "DOP853", t, rtol=1e-11, atol=1e-12)
+    return found.y.T
+
+
+def test_portraits_are_the_motions_of_the_scenes() -> None:
+    """Both curves of every top against another integrator, over the first few units of time."""
+    figure = figure_of("catalogue")
+    panels = dict(zip(CATALOGUE, figure.axes, strict=True))
+    for form, axes in panels.items():
+        assert axes.get_title(loc="left") == form
+        lines = {line.get_label(): line for line in axes.lines if len(line.get_xdata()) > 1}
+        assert [*lines] == ["gentle", "hard"]
+        assert len({line.get_linestyle() for line in lines.values()}) == 2
+        for (case, line), duration in zip(lines.items(), (40.0, 80.0), strict=True):
+            scene = load_experiment(f"{form.replace('-', '_')}_{case}")
+            t = np.linspace(0.0, duration, 1501)[:61]
+            moved = integrated(scene.top, scene.y0, t)
+            shown = np.column_stack([line.get_xdata(), line.get_ydata()])[:61]
+            plane = [
+                next(i for i, name in enumerate(scene.top.components) if component_symbol(name) == label)
+                for label in (axes.get_xlabel(), axes.get_ylabel())
+            ]
+            np.testing.assert_allclose(shown, moved[:, plane], rtol=0.0, atol=1e-7)

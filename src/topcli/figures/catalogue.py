@@ -129,6 +129,12 @@ FIGURES: dict[str, Figure] = {
             deferred("motion:load_bifurcation"),
         ),
         Figure(
+            "catalogue",
+            "Tops of the catalogue: motions of their gentle and hard scenes",
+            "volterra_gentle",
+            deferred("portraits:load_portraits"),
+        ),
+        Figure(
             "torus",
             "Kowalevski top: a torus with the lines of the flows of E and k²",
             "kowalevski_torus",
