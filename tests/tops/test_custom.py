@@ -132,6 +132,8 @@ def test_a_field_of_other_functions() -> None:
     assert np.ptp(energy) < 1e-10
     with pytest.raises(TopcliError, match="'hk' does not fit"):
         load(config(top=pendulum, initial=start))
+    with pytest.raises(ConfigError, match=r"top.invariants.energy: 'energy' is no integral of the field: its rate"):
+        load(config(top=pendulum | {"invariants": {"energy": "p**2/2 + cos(q)"}}, initial=start, scheme="rk4"))
     precise = topcli.simulate(config(top=pendulum, initial=start, scheme="rk4", N=3, precision=40))
     assert precise["p"] == pytest.approx(trajectory["p"][:4], rel=1e-14)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import re
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -9,7 +12,8 @@ import pytest
 
 from topcli.arithmetic.sized import Sized
 from topcli.contracts import Top
-from topcli.field.integrals import broken_integral
+from topcli.field.integrals import broken_integral, measured_change
+from topcli.tops import TOPS
 
 STATES = np.random.default_rng(3).uniform(-1.0, 1.0, (50, 6))
 
@@ -136,3 +140,42 @@ def test_an_invariant_relation_holds_on_its_own_zero() -> None:
     on = declared({"hess": hess}, {"hess": {"hess": 0.0}})
     assert broken_integral(on(A=4.0, B=1.6, C=1.0, x=1.0, z=1.0)) == ""
     assert "'hess' is no integral" in broken_integral(on(A=4.0, B=1.6, C=1.0, x=1.0, z=1.01))
+
+
+@pytest.mark.parametrize("form", TOPS)
+def test_integrals_are_told_from_other_functions_by_differences_too(form: str) -> None:
+    """What is judged exactly elsewhere; the control adds a thousandth of the square of a component."""
+    top = TOPS[form].new()
+    for invariant in top.invariants():
+        if invariant.on:
+            continue
+        assert measured_change(top, invariant) == ""
+
+        def wrong(y, value=invariant.value, scale=invariant.scale):
+            return value(y) + 1e-3 * scale(y[:1])[0] * y[:, 0] ** 2
+
+        assert "its rate of change is" in measured_change(top, replace(invariant, value=wrong)), invariant.name
+
+
+class Pendulum(Top):
+    """Pendulum by its angle and momentum."""
+
+    kind = "pendulum-declared"
+    components = ("q", "p")
+    sign: float = 1.0
+
+    @staticmethod
+    def field(y, p):
+        return (y[1], -math.sin(y[0]))
+
+    integrals: ClassVar = {"energy": lambda y, p: y[1] ** 2 / 2 - p[0] * np.cos(y[0])}
+
+
+def test_an_integral_that_is_no_polynomial_is_judged_by_its_changes() -> None:
+    assert broken_integral(Pendulum()) == ""
+    q, p = np.random.default_rng(0).normal(size=2)
+    wrong = broken_integral(Pendulum(sign=-1.0))
+    assert wrong.startswith("'energy' is no integral of the field: its rate of change is ")
+    rate, place = re.fullmatch(r".*rate of change is (\S+) at \((.*)\)", wrong).groups()
+    assert [*map(float, place.split(", "))] == pytest.approx([q, p], rel=1e-2)
+    assert float(rate) == pytest.approx(-2.0 * p * math.sin(q), rel=2e-2)

@@ -1,15 +1,16 @@
-"""Integrals of a field: whether a declared one is conserved, by its exact rate of change."""
+"""Integrals of a field: whether a declared one is conserved, by its exact rate of change if it is a polynomial."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from topcli.contracts import Array, Top
+from topcli.contracts import Array, Invariant, Top
 from topcli.field.polynomial import Field, Monomial, NotPolynomialError, Polynomial, field_of
 
 ROUNDING = 1e-12
@@ -66,14 +67,59 @@ def rate_of_change(field: Field, integral: Polynomial, zeros: Sequence[Polynomia
     return {m: float(c) for m, c in rates.terms.items()}
 
 
+def _measured(top: Top, invariant: Invariant) -> str:
+    try:
+        return measured_change(top, invariant)
+    except Exception:  # of a user's code, as above
+        return ""
+
+
+STATES = 12
+"""Random states at which an integral that is no polynomial is judged; the majority decides, for it may have poles."""
+REACH = 1e-3
+"""Length of the change of such a state along the field, relative to the state."""
+CONSERVED = 1e-8
+"""Change of an integral over that distance, relative to its terms, that finite differences may leave."""
+
+
+def measured_change(top: Top, invariant: Invariant) -> str:
+    """Where and how fast an invariant changes along the field, by differences at random states; empty if it does not.
+
+    States at which the field or the invariant has no value are left out.
+    """
+    random, p = np.random.default_rng(0), top.constants()
+    changes: list[str] = []
+    judged = 0
+    for y in random.normal(size=(STATES, len(top.components))):
+        try:
+            rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
+        except (ArithmeticError, ValueError):
+            continue
+        with np.errstate(all="ignore"):
+            s = REACH * np.abs(y).max() / np.abs(rates).max()
+            left2, left, here, right, right2 = invariant.value(y + s * np.outer([-2.0, -1.0, 0.0, 1.0, 2.0], rates))
+            change = (left2 - right2 + 8.0 * (right - left)) / 12.0
+            size = float(invariant.scale(y[None, :])[0])
+        if np.isfinite([change, here, size]).all():
+            judged += 1
+            if abs(change) > CONSERVED * size:
+                at = ", ".join(f"{value:.3g}" for value in y)
+                changes.append(f"its rate of change is {change / s:.3g} at ({at})")
+    return changes[0] if 2 * len(changes) > max(judged, 3) else ""
+
+
 def broken_integral(top: Top) -> str:
     """Name of a declared integral that the field of ``top`` does not conserve, and why; empty if there is none.
 
-    Integrals and fields that are no polynomials are not judged, nor is code that raises.
+    Polynomials are judged exactly, others at random states, unless they hold on a level. Code that raises is not
+    judged.
     """
     d = len(top.components)
+    field: Field | None = None
     try:
-        field, invariants = field_of(top), top.invariants()
+        invariants = top.invariants()
+        with suppress(NotPolynomialError):
+            field = field_of(top)
     except Exception:  # a user's code may raise anything; it is reported where it is run with numbers
         return ""
     values = {invariant.name: invariant.value for invariant in invariants}
@@ -81,9 +127,13 @@ def broken_integral(top: Top) -> str:
         if unknown := invariant.on.keys() - values.keys():
             return f"{invariant.name!r} holds on {min(unknown)!r}, which is no integral of the top"
         try:
+            if field is None:
+                raise NotPolynomialError
             zeros = [polynomial_value(values[name], d) - Polynomial.of(level) for name, level in invariant.on.items()]
             rates = rate_of_change(field, polynomial_value(invariant.value, d), zeros)
         except NotPolynomialError:
+            if not invariant.on and (change := _measured(top, invariant)):
+                return f"{invariant.name!r} is no integral of the field: {change}"
             continue
         if rates:
             monomial, c = max(rates.items(), key=lambda item: abs(item[1]))
