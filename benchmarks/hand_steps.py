@@ -1,15 +1,17 @@
-"""Steps of HK derived by hand, with which ``steps_generated.py`` compares those generated from the field.
+"""Steps of HK and the midpoint rule derived by hand: ``steps_generated.py`` compares those generated with them.
 
 Lagrange: one complex unknown after another is eliminated, and expressions in omega3 alone are made exact. Heavy: gamma
-is eliminated by a Cayley rotation, and the 3x3 system for omega is solved by Cramer's rule.
+is eliminated by a Cayley rotation, and the 3x3 system for omega is solved by Cramer's rule. Midpoint rule: the same
+elimination in each iteration of Newton's method.
 """
 
 from __future__ import annotations
 
+import math
+
 from topcli.arithmetic.fused import fma, two_prod, two_sum
-from topcli.arithmetic.vectors import cayley_increment, resolvent, solve3
+from topcli.arithmetic.vectors import Matrix, Vector, cayley_increment, resolvent, solve3
 from topcli.contracts import Floats
-from topcli.schemes.any_top.midpoint import implicit_matrix
 
 
 def pivot(state: Floats, h: float, p: Floats) -> Floats:
@@ -111,3 +113,83 @@ def hk_heavy_change(state: Floats, h: float, p: Floats) -> Floats:
     )
     z1, z2, z3 = resolvent(a1, a2, a3, d * (g2 * u3 - g3 * u2), d * (g3 * u1 - g1 * u3), d * (g1 * u2 - g2 * u1))
     return (u1, u2, u3, b1 + z1, b2 + z2, b3 + z3)
+
+
+def implicit_matrix(a: Vector, gamma: Vector, d: float, p: Floats) -> Matrix:
+    """Matrix K, in row-major order, for a = d omega and gamma; ``p`` is (A, B, C, mg x0, mg y0, mg z0)."""
+    a1, a2, a3 = a
+    A, B, C, x, y, z = p
+    e1, e2, e3 = d * gamma[0], d * gamma[1], d * gamma[2]
+    s11, s21, s31 = resolvent(a1, a2, a3, 0.0, e3, -e2)
+    s12, s22, s32 = resolvent(a1, a2, a3, -e3, 0.0, e1)
+    s13, s23, s33 = resolvent(a1, a2, a3, e2, -e1, 0.0)
+    f1, f2, f3 = 1.0 / A, 1.0 / B, 1.0 / C
+    k1, k2, k3 = f1 * (B - C), f2 * (C - A), f3 * (A - B)
+    f1, f2, f3 = d * f1, d * f2, d * f3
+    return (
+        1.0 - f1 * (s21 * z - s31 * y),
+        -k1 * a3 - f1 * (s22 * z - s32 * y),
+        -k1 * a2 - f1 * (s23 * z - s33 * y),
+        -k2 * a3 - f2 * (s31 * x - s11 * z),
+        1.0 - f2 * (s32 * x - s12 * z),
+        -k2 * a1 - f2 * (s33 * x - s13 * z),
+        -k3 * a2 - f3 * (s11 * y - s21 * x),
+        -k3 * a1 - f3 * (s12 * y - s22 * x),
+        1.0 - f3 * (s13 * y - s23 * x),
+    )
+
+
+def angular_acceleration(o1: float, o2: float, o3: float, q1: float, q2: float, q3: float, p: Floats) -> Vector:
+    """Angular acceleration I^-1 (I omega x omega + gamma x g) at omega = o, gamma = q.
+
+    The differences of the moments are used with their rounding errors: the three must add up to zero, otherwise the
+    energy drifts by an ulp per unit time.
+    """
+    A, B, C, x, y, z = p
+    k1, r1 = two_sum(B, -C)
+    k2, r2 = two_sum(C, -A)
+    k3, r3 = two_sum(A, -B)
+    o23, o31, o12 = o2 * o3, o3 * o1, o1 * o2
+    return (
+        ((k1 * o23 + r1 * o23) + (q2 * z - q3 * y)) / A,
+        ((k2 * o31 + r2 * o31) + (q3 * x - q1 * z)) / B,
+        ((k3 * o12 + r3 * o12) + (q1 * y - q2 * x)) / C,
+    )
+
+
+NEWTON_LIMIT, SETTLED = 25, 2.0**-33
+
+
+def midpoint_change(state: Floats, h: float, p: Floats) -> Floats:
+    """Change in one step of the implicit midpoint rule; ``p`` is (A, B, C, mg x0, mg y0, mg z0).
+
+    Returns the change, the status (0.0, or nan if Newton's iteration did not converge), and the number of iterations.
+
+    Given the mean omega, Poisson's equation is a Cayley rotation of gamma; Newton's iteration finds half the change of
+    omega, v. After the last iteration the change of omega is evaluated again from the equations, so that the remaining
+    error of the iteration is comparable to a rounding error of the change.
+    """
+    w1, w2, w3, g1, g2, g3 = state
+    A, B, C, x, y, z = p
+    d = 0.5 * h
+    gravity = (abs(x) + abs(y) + abs(z)) * (abs(g1) + abs(g2) + abs(g3)) * (1.0 / A + 1.0 / B + 1.0 / C)
+    tolerance = SETTLED * (abs(w1) + abs(w2) + abs(w3) + abs(d) * gravity)
+    v1, v2, v3 = 0.0, 0.0, 0.0
+    status = math.nan
+    iterations = 0.0
+    for _ in range(NEWTON_LIMIT):
+        iterations += 1.0
+        o1, o2, o3 = w1 + v1, w2 + v2, w3 + v3
+        a1, a2, a3 = d * o1, d * o2, d * o3
+        b1, b2, b3 = cayley_increment(a1, a2, a3, g1, g2, g3)
+        q1, q2, q3 = g1 + 0.5 * b1, g2 + 0.5 * b2, g3 + 0.5 * b3
+        f1, f2, f3 = angular_acceleration(o1, o2, o3, q1, q2, q3, p)
+        e1, e2, e3 = solve3(implicit_matrix((a1, a2, a3), (q1, q2, q3), d, p), d * f1 - v1, d * f2 - v2, d * f3 - v3)
+        v1, v2, v3 = v1 + e1, v2 + e2, v3 + e3
+        if abs(e1) + abs(e2) + abs(e3) <= tolerance:
+            status = 0.0
+            break
+    o1, o2, o3 = w1 + v1, w2 + v2, w3 + v3
+    b1, b2, b3 = cayley_increment(d * o1, d * o2, d * o3, g1, g2, g3)
+    f1, f2, f3 = angular_acceleration(o1, o2, o3, g1 + 0.5 * b1, g2 + 0.5 * b2, g3 + 0.5 * b3, p)
+    return (h * f1, h * f2, h * f3, b1, b2, b3, status, iterations)

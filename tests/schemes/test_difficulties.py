@@ -18,7 +18,6 @@ from topcli.engine.loop import plain_loop
 from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.runs.report import warning_of
-from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.euler.hk import euler_determinant
 from topcli.schemes.kowalevski.hk import kowalevski_determinant
 from topcli.schemes.layout import AMBIGUOUS, NEAR_SINGULAR
@@ -191,30 +190,44 @@ def test_run_of_taylor_prints_only_its_end(cli: Callable[..., Said]) -> None:
 @pytest.mark.parametrize("y", [(0.0,) * 6, (0.0, 0.0, 0.0, 0.6, 0.0, 0.8), (0.0, 0.0, 2.0, 0.6, 0.0, 0.8), PAPER])
 @pytest.mark.parametrize("h", [1e-9, 0.1])
 def test_equilibria_and_special_states_settle(y: Floats, h: float) -> None:
-    for p in ((1.0, 1.0, 1.0, 0.6, 0.0, 0.8), (2.0, 2.0, 1.0, 0.0, 0.0, 0.0), (2.0, 2.0, 1.0, 1.0, 0.0, 0.0)):
-        assert midpoint(y, h, p)[6] == 0.0
+    for A, C, x, z in ((1.0, 1.0, 0.6, 0.8), (2.0, 1.0, 0.0, 0.0), (2.0, 1.0, 1.0, 0.0)):
+        top = Heavy(A=A, B=A, C=C, x0=x, y0=0.0, z0=z)
+        assert carried_out(top, "midpoint", y, h, 3)[1].outcome is Outcome.COMPLETED
 
 
 def test_hanging_top_stays_at_rest() -> None:
     """Gamma along g at rest is an equilibrium; the step leaves it where it is, to the last bit."""
     y = (0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
-    assert midpoint(y, 0.1, (2.0, 1.5, 1.0, 0.0, 0.0, 3.0))[:6] == y
+    states, _ = carried_out(Heavy(A=2.0, B=1.5, C=1.0, x0=0.0, y0=0.0, z0=3.0), "midpoint", y, 0.1, 1)
+    assert (states == y).all()
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e9])
+def test_slow_and_fast_tops_settle_to_the_last_bits(scale: float) -> None:
+    """Omega is far smaller or larger than gamma: the equations hold for both, each to its own size."""
+    top, h = Heavy(x0=scale**2, y0=0.5 * scale**2, z0=0.8 * scale**2), 0.2 / scale
+    y = tuple(np.array(GEN) * [scale, scale, scale, 1.0, 1.0, 1.0])
+    start, end = np.longdouble(carried_out(top, "midpoint", y, h, 1)[0])
+    rates = np.array(top.field(tuple((start + end) / 2), tuple(map(np.longdouble, top.constants()))))
+    residual = np.abs(end - start - h * rates) / (scale, scale, scale, 1.0, 1.0, 1.0)
+    assert residual.max() < 4e-16
 
 
 def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
     """An h with no hope: the outcome, the step, the rows before it, compiled and interpreted alike."""
-    top, y0, h = Heavy(A=3.0, B=2.0, C=1.2, x0=40.0, y0=-30.0, z0=60.0), (9.0, -8.0, 7.0, 0.6, 0.48, 0.64), 7.0
+    top, y0, h = Heavy(A=3.0, B=2.0, C=1.2, x0=40.0, y0=-30.0, z0=60.0), (9.0, -8.0, 7.0, 0.6, 0.48, 0.64), 11.0
     method = find_scheme("midpoint", "heavy").build(top, find_scheme("midpoint", "heavy").options())
     assert isinstance(method, Stepper)
     states, ending = carried_out(top, "midpoint", y0, h, 1000)
-    assert (ending.outcome, ending.step, len(states)) == (Outcome.NO_CONVERGENCE, 2, 2)
+    assert (ending.outcome, ending.step, len(states)) == (Outcome.NO_CONVERGENCE, 4, 4)
     assert np.isfinite(states).all()
-    assert ending.counters["iterations"] == 35  # 10 in the first step, and all 25 in the second
-    assert ending.message.startswith("did not converge at step 2")
-    enter, drive = plain_loop(method, 6, 6)
-    work, out, p = np.zeros(method.width), np.zeros(6000), np.array(top.constants())
+    assert ending.counters["iterations"] == 108  # 58 in three steps, and twice 25 in the fourth
+    assert ending.message.startswith("did not converge at step 4")
+    p = np.array(method.parameters(top))
+    enter, drive = plain_loop(method, 6, len(p))
+    work, out = np.zeros(method.width), np.zeros(6000)
     enter(np.array(y0), work, p, h)
-    assert drive(work, out, p, h, 1000, 1, 1) == -2
+    assert drive(work, out, p, h, 1000, 1, 1) == -4
     assert math.isnan(work[method.width - 2])
 
 

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from topcli.engine.run import Run
 from topcli.errors import TopcliError, UsageError
 from topcli.schemes.any_top.kahan import build_quadratic
-from topcli.schemes.any_top.midpoint import build_generated
+from topcli.schemes.any_top.midpoint import build_midpoint
 from topcli.schemes.layout import CompensatedOption
 from topcli.schemes.registry import find_scheme, load_scheme_file, names_for
 from topcli.tops import TOPS
@@ -132,7 +132,7 @@ def test_a_declared_integral_that_is_none_is_named(own_registry: None, tmp_path:
             build_quadratic,
             "scheme 'hk' needs a quadratic field, but .* calls a function of the state",
         ),
-        ("pendulum", set(), build_generated, "scheme 'midpoint' needs a polynomial field, but .* calls a function"),
+        ("pendulum", set(), build_midpoint, "scheme 'midpoint' needs a polynomial field, but .* calls a function"),
     ],
 )
 def test_others_are_not_offered_and_say_why(tops: None, kind: str, offered: set[str], build: Any, reason: str) -> None:

@@ -32,8 +32,9 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson, Floats
 from topcli.engine.run import Run
 from topcli.errors import UsageError
-from topcli.schemes.any_top.midpoint import midpoint
+from topcli.schemes.any_top.midpoint import build_midpoint
 from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, longest_step
+from topcli.schemes.layout import CompensatedOption
 from topcli.schemes.registry import find_scheme
 from topcli.studies.lax_checks import lax_experiment, lax_study
 from topcli.tops.heavy import Heavy
@@ -198,11 +199,8 @@ def test_spectrum_along_the_flow(equations: EulerPoisson, form: LaxForm) -> None
 
 
 def midpoint_run(equations: EulerPoisson, y0, h: float, steps: int) -> np.ndarray:
-    p = (*equations.moments, *equations.gravity)
-    states = [tuple(map(float, y0))]
-    for _ in range(steps):
-        states.append(midpoint(states[-1], h, p)[:6])
-    return np.array(states)
+    top = heavy(equations)
+    return Run(top, build_midpoint(top, CompensatedOption()), y0, h, steps).collect().states
 
 
 @pytest.mark.slow

@@ -64,18 +64,13 @@ class Code:
 
     outputs: list[int]
 
-    def __init__(self, field: Field, first: int = 0) -> None:
-        self.field, self.graph = field, Graph(first)
+    def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
+        self.field, self.graph, self.factors = field, Graph(first), factors
 
-
-class Rates(Code):
-    """h times a field of any degree."""
-
-    def __init__(self, field: Field, first: int = 0) -> None:
-        super().__init__(field, first)
-        h, y = self.graph.fixed("h"), [self.graph.input(f"s[{i}]") for i in range(len(field))]
-        terms = (((c, (h, *(y[k] for k in m))) for m, c in sorted(rate.terms.items())) for rate in field)
-        self.outputs = [self.graph.node_of(tuple(rate)) for rate in terms]
+    @staticmethod
+    def factors_of(field: Field) -> tuple[Fraction, ...]:
+        """Factors that the code takes out of the components of a field."""
+        return (Fraction(1),) * len(field)
 
 
 class KahanStep(Code):
@@ -84,8 +79,8 @@ class KahanStep(Code):
     factor = 2
     """The output is the input plus this multiple of the solution."""
 
-    def __init__(self, field: Field, first: int = 0) -> None:
-        super().__init__(field, first)
+    def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
+        super().__init__(field, first, factors)
         graph, every = self.graph, range(len(field))
         self.half: dict[int, Sum] = {}
         """Half of the change of the components that are solved."""
@@ -290,9 +285,25 @@ class KahanStep(Code):
 
 
 class NewtonStep(KahanStep):
-    """Newton's step of the midpoint rule, for a field of any degree: input (y, u), output the new u."""
+    """Newton's step of the midpoint rule, for a field of any degree: input (y, u), output the new u, then sizes.
+
+    The size of a component is the sum of the magnitudes of the terms of d f. Round-off in its u is relative to it.
+
+    The right-hand sides are sums with whole coefficients, such as B - C, divided by a whole number, such as A: rounding
+    errors of quotients (B - C)/A would be a torque, and the integrals would drift.
+    """
 
     factor = 1
+
+    def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
+        self._sizes: dict[int, int] = {}
+        super().__init__(field, first, factors)
+        self.outputs += [self._sizes[i] for i in range(len(field))]
+
+    @staticmethod
+    def factors_of(field: Field) -> tuple[Fraction, ...]:
+        """For each component, one over the common denominator of its coefficients."""
+        return tuple(Fraction(1, math.lcm(*(c.denominator for c in rate.terms.values()))) for rate in field)
 
     def _inputs(self) -> tuple[list[int], list[int]]:
         graph, d = self.graph, len(self.field)
@@ -301,8 +312,19 @@ class NewtonStep(KahanStep):
 
     def _side(self, i: int) -> Sum:
         terms: Sum = ((Fraction(-1), (self.start[i],)),)
-        for monomial, c in sorted(self.field[i].terms.items()):
-            terms += self._scaled(c, [self.y[k] for k in monomial])
+        graph, divisor = self.graph, 1 / self.factors[i]
+        rate = tuple((c * divisor, tuple(self.y[k] for k in m)) for m, c in sorted(self.field[i].terms.items()))
+        if rate:
+            ((sign, (node,)),) = graph.value(rate)
+            size = graph.size(node)
+            if not is_power_of_two(divisor):
+                node, size = (graph.node("/", x, graph.constant(divisor)) for x in (node, size))
+                divisor = Fraction(1)
+            factor = graph.product(self.d, graph.constant(1 / divisor))
+            terms += ((sign, (factor, node)),)
+            self._sizes[i] = graph.product(factor, size)
+        else:
+            self._sizes[i] = graph.fixed("0.0")
         for j in self.half:
             terms += self.graph.times(minus(self._entry(i, j)), self.half[j])
         return terms
@@ -310,7 +332,7 @@ class NewtonStep(KahanStep):
 
 @dataclass(frozen=True)
 class Pattern:
-    """A field with typical coefficients, from which the step of all fields like it is generated.
+    """A field with typical coefficients, from which the step of all fields like it is generated, and its ``factors``.
 
     Powers of two are kept. Any other size is a power of two near the actual one times a prime of its own, so that each
     constant of the step tells by its factors which product of coefficients it is. ``ratios`` maps each prime to the
@@ -318,12 +340,15 @@ class Pattern:
     """
 
     field: Field
+    factors: tuple[Fraction, ...]
     ratios: Mapping[int, Fraction]
 
     @classmethod
-    def of(cls, field: Field) -> Pattern:
-        """Pattern of a field."""
-        sizes = sorted({abs(c) for rate in field for c in rate.terms.values() if not is_power_of_two(abs(c))})
+    def of(cls, field: Field, factors: Sequence[Fraction]) -> Pattern:
+        """Pattern of a field with ``factors`` taken out of its components, which get a prime of their own."""
+        rows = list(zip(field, factors, strict=True))
+        known = {*factors, *(abs(c) / factor for rate, factor in rows for c in rate.terms.values())}
+        sizes = sorted(size for size in known if not is_power_of_two(size))
         octaves = [size.numerator.bit_length() - size.denominator.bit_length() for size in sizes]
         typical, ratios = {}, {}
         for octave, group in itertools.groupby(zip(octaves, sizes, strict=True), key=lambda pair: pair[0]):
@@ -333,11 +358,13 @@ class Pattern:
                 typical[size] = _mantissa(prime) * Fraction(2) ** octave
                 ratios[prime] = size / typical[size]
 
-        def coefficient(c: Fraction) -> Fraction:
+        def size(c: Fraction) -> Fraction:
             return typical.get(abs(c), abs(c)) * (1 if c > 0 else -1)
 
-        rates = (Polynomial({m: coefficient(c) for m, c in sorted(rate.terms.items())}) for rate in field)
-        return cls(tuple(rates), ratios)
+        def rates(rate: Polynomial, factor: Fraction) -> Polynomial:
+            return Polynomial({m: size(factor) * size(c / factor) for m, c in sorted(rate.terms.items())})
+
+        return cls(tuple(rates(*row) for row in rows), tuple(map(size, factors)), ratios)
 
     def actual(self, constant: Fraction) -> Fraction:
         """The constant of the actual step in place of that of the typical one."""
@@ -380,12 +407,12 @@ class Generated(Generic[Kind]):
 
 
 @lru_cache(maxsize=256)
-def _typical(kind: type[Code], field: Field, first: int) -> Any:
-    return kind(field, first)
+def _typical(kind: type[Code], field: Field, first: int, factors: tuple[Fraction, ...]) -> Any:
+    return kind(field, first, factors)
 
 
 def generated(kind: type[Kind], field: Field, first: int = 0) -> Generated[Kind]:
     """Code of a ``kind`` for a field; its constants begin at ``p[first]``."""
-    pattern = Pattern.of(field)
-    code = _typical(kind, pattern.field, first)
+    pattern = Pattern.of(field, kind.factors_of(field))
+    code = _typical(kind, pattern.field, first, pattern.factors)
     return Generated(code, tuple(map(pattern.actual, code.graph.constants)))

@@ -27,10 +27,10 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top, checked_equations
+from topcli.engine.run import Run
 from topcli.errors import UsageError, shortened
 from topcli.runs.report import finite
 from topcli.runs.simulate import trajectory_of
-from topcli.schemes.any_top.midpoint import midpoint
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.entries import under_scheme
 from topcli.tops import BodyTop, forms, other_forms
@@ -123,15 +123,8 @@ def _windows(experiment: Experiment) -> tuple[Array, float]:
 
 def _midpoint_states(experiment: Experiment, h: float, steps: int) -> Array:
     """States (n, 6) of the midpoint rule after 0 to ``steps`` steps, up to the first that does not converge."""
-    equations = checked_equations(experiment.top, NAME)
-    p = (*equations.moments, *equations.gravity)
-    states = [tuple(_body(np.array([experiment.y0]))[0].tolist())]
-    for _ in range(steps):
-        *state, status, _ = midpoint(states[-1], h, p)
-        if status != 0.0:
-            break
-        states.append(tuple(state))
-    return np.array(states)
+    top, rule = experiment.top, find_scheme("midpoint", experiment.top.form)
+    return _body(Run(top, rule.build(top, rule.options()), experiment.y0, h, steps).collect().states)
 
 
 def _pairs(numbers: Array) -> list[list[float]]:

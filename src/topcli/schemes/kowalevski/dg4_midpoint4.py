@@ -49,6 +49,7 @@ from topcli.arithmetic.fused import follow_precision
 from topcli.arithmetic.vectors import (
     Floats6,
     Matrix,
+    Vector,
     add,
     axpy,
     dot,
@@ -60,7 +61,6 @@ from topcli.arithmetic.vectors import (
     subtract,
 )
 from topcli.contracts import Floats, NoOptions, Stepper, Top
-from topcli.schemes.any_top.midpoint import implicit_matrix, midpoint
 from topcli.schemes.kowalevski.four_integrals import (
     EPS,
     INTEGRALS,
@@ -141,6 +141,61 @@ def implicit_change(a: Floats, e: Floats, matrix: Matrix, d: float, c: float, r:
     return (z1, z2, z3, t1, t2, t3)
 
 
+def omega_matrix(a: Vector, gamma: Vector, d: float, c: float) -> Matrix:
+    """Matrix of 1 - h/2 f' for the change of omega alone, in row-major order, for a = d omega, gamma and d = h/2."""
+    a1, a2, a3 = a
+    e1, e2, e3 = d * gamma[0], d * gamma[1], d * gamma[2]
+    _, s21, s31 = resolvent(a1, a2, a3, 0.0, e3, -e2)
+    _, s22, s32 = resolvent(a1, a2, a3, -e3, 0.0, e1)
+    _, s23, s33 = resolvent(a1, a2, a3, e2, -e1, 0.0)
+    k = d * c
+    return (
+        1.0,
+        -0.5 * a3,
+        -0.5 * a2,
+        0.5 * a3 - 0.5 * k * s31,
+        1.0 - 0.5 * k * s32,
+        0.5 * a1 - 0.5 * k * s33,
+        k * s21,
+        k * s22,
+        1.0 + k * s23,
+    )
+
+
+def iterated(
+    y: Floats,
+    z: Floats,
+    excess: Floats4,
+    size: tuple[float, float, float],
+    four: bool,
+    system: tuple[Vector, Vector, Matrix],
+    h: float,
+    p: Floats,
+) -> tuple[Floats, float, float, float, float]:
+    """Change of a step by a simplified Newton iteration from ``z``; see ``right_hand_side``.
+
+    Its status, the number of iterations, the last residual, and the number of integrals that are not fully corrected
+    follow. ``size`` are the tolerance, the reach of corrections, and the weight of gamma's residual; ``system`` are the arguments
+    of ``implicit_change``.
+    """
+    tolerance, reach, weight = size
+    a, e, matrix = system
+    off, short, iterations = 0.0, 0.0, 0.0
+    for i in range(DG_ITERATIONS if four else MIDPOINT_ITERATIONS):
+        iterations += 1.0
+        f, short = right_hand_side(y, z, excess, reach, four, h, p)
+        r = subtract(f, z)
+        before = off
+        off = abs(r[0]) + abs(r[1]) + abs(r[2]) + weight * (abs(r[3]) + abs(r[4]) + abs(r[5]))
+        # near a degenerate torus the iteration stalls at the magnified rounding errors of D^T f; it is projected below
+        if off <= tolerance or (0.25 * before < off <= FLOOR * tolerance and i > 0):
+            return f, 0.0, iterations, off, short
+        b = implicit_change(a, e, matrix, 0.5 * h, p[0], r)
+        # written out: with a call of add the step takes a tenth longer
+        z = (z[0] + b[0], z[1] + b[1], z[2] + b[2], z[3] + b[3], z[4] + b[4], z[5] + b[5])
+    return z, math.nan, iterations, off, short
+
+
 def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     """New omega, gamma, from these and the four target values; the status of the iteration; what the counters add."""
     w1, w2, w3, g1, g2, g3, i1, i2, i3, k = s
@@ -158,28 +213,18 @@ def dg4_step(s: Floats, h: float, p: Floats) -> Floats:
     z = subtract(hk_kowalevski(y, h, p), y)
     m1, m2, m3, n1, n2, n3 = axpy(y, 0.5, z)
     a, e = (d * m1, d * m2, d * m3), (d * n1, d * n2, d * n3)
-    matrix = implicit_matrix(a, (n1, n2, n3), d, (2.0, 2.0, 1.0, c, 0.0, 0.0))
+    matrix = omega_matrix(a, (n1, n2, n3), d, c)
     four = k > VANISHING * (w * w + abs(c) * g)
-    start = z
-    status = math.nan
-    off, short = 0.0, 0.0
-    for i in range(DG_ITERATIONS + MIDPOINT_ITERATIONS):
-        if i == DG_ITERATIONS:
-            four = False
-            z = start
-        iterations += 1.0
-        f, short = right_hand_side(y, z, excess, reach * reach, four, h, p)
-        r = subtract(f, z)
-        before = off
-        off = abs(r[0]) + abs(r[1]) + abs(r[2]) + abs(r[3]) + abs(r[4]) + abs(r[5])
-        # near a degenerate torus the iteration stalls at the magnified rounding errors of D^T f; it is projected below
-        if off <= tolerance or (0.25 * before < off <= FLOOR * tolerance and i > 0):
-            z = f
-            status = 0.0
-            break
-        b = implicit_change(a, e, matrix, d, c, r)
-        # written out: with a call of add the step takes a tenth longer
-        z = (z[0] + b[0], z[1] + b[1], z[2] + b[2], z[3] + b[3], z[4] + b[4], z[5] + b[5])
+    size = tolerance, reach * reach, 1.0
+    status, more, off, short = math.nan, 0.0, math.inf, 0.0
+    f: Floats = z
+    if four:
+        f, status, iterations, off, short = iterated(y, z, excess, size, True, (a, e, matrix), h, p)
+    if status != 0.0:
+        four = False
+        f, status, more, off, short = iterated(y, z, excess, size, False, (a, e, matrix), h, p)
+        iterations += more
+    z = f
     new: Floats = add(y, z)
     if not four or off > tolerance:
         midpoint_steps += 0.0 if four else 1.0
@@ -357,10 +402,16 @@ def midpoint4_step(s: Floats, h: float, p: Floats) -> Floats:
         e, status, rounds = solve_with_k(y, b, start, newton, t[3], reach, h, c)
     plain, unmet = 0.0, 0.0
     if status != 0.0:
-        v1, v2, v3, v4, v5, v6, status, more = midpoint(y, h, (2.0, 2.0, 1.0, c, 0.0, 0.0))
-        v = (v1, v2, v3, v4, v5, v6)
-        w, unmet = project_unless_worse(v, reach * reach, c, t)
-        e = subtract(w, y)
+        d = 0.5 * h
+        m1, m2, m3, n1, n2, n3 = axpy(y, 0.5, hk)
+        a, g = (d * m1, d * m2, d * m3), (n1, n2, n3)
+        system = a, (d * n1, d * n2, d * n3), omega_matrix(a, g, d, c)
+        w = abs(y[0]) + abs(y[1]) + abs(y[2]) + abs(d * c)
+        size = SETTLED * w, 0.0, w  # gamma is of length one
+        v, status, more, _, _ = iterated(y, hk, (0.0, 0.0, 0.0, 0.0), size, False, system, h, p)
+        v = add(y, v)
+        new, unmet = project_unless_worse(v, reach * reach, c, t)
+        e = subtract(new, y)
         rounds += more
         plain = 1.0
     difference = subtract(e, hk)
