@@ -175,8 +175,8 @@ def iterated(
     """Change of a step by a simplified Newton iteration from ``z``; see ``right_hand_side``.
 
     Its status, the number of iterations, the last residual, and the number of integrals that are not fully corrected
-    follow. ``size`` are the tolerance, the reach of corrections, and the weight of gamma's residual; ``system`` are the arguments
-    of ``implicit_change``.
+    follow. ``size`` are the tolerance, the reach of corrections, and the weight of gamma's residual; ``system`` are the
+    arguments of ``implicit_change``.
     """
     tolerance, reach, weight = size
     a, e, matrix = system
