@@ -91,7 +91,7 @@ def explicit_limits(top: Top) -> Mapping[str, str]:
 def rk2_limits(top: Top) -> Mapping[str, str]:
     """Limits of the explicit midpoint rule."""
     limits = dict(explicit_limits(top))
-    if top.form.startswith("lagrange"):
+    if top.kind == "lagrange":
         limits["drift"] = (
             "The energy grows steadily, by h³ per unit time: with h = 0.1 the run ends as `blew_up` after about 1e4 "
             "steps, and the linear integral is lost as well."
