@@ -19,6 +19,7 @@ HOMES = {
     "Trajectory": "topcli.analysis.trajectory",
     "analyse": "topcli.show.report",
     "case": "topcli.studies.stress.cases",
+    "check": "topcli.show.report",
     "claims": "topcli.show.report",
     "compare": "topcli.show.report",
     "figure": "topcli.figures.catalogue",

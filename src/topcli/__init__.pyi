@@ -8,6 +8,7 @@ from topcli.runs.simulate import simulate_ensemble as simulate_ensemble
 from topcli.schemes.own_tops import top as top
 from topcli.schemes.registry import scheme as scheme
 from topcli.show.report import analyse as analyse
+from topcli.show.report import check as check
 from topcli.show.report import claims as claims
 from topcli.show.report import compare as compare
 from topcli.show.report import lax as lax

@@ -57,6 +57,7 @@ REPORTS: dict[str, Callable[[Path], Report]] = {
     "sweep": lambda out: topcli.sweep(STUDY, out),
     "order": lambda out: topcli.order("hk", "rk4", config="euler_hk", duration=2.0, sizes=[0.1, 0.05, 0.025]),
     "stress": lambda out: topcli.stress("hk", "dg4", cases=["delone", "pole", "racket-1e-3"]),
+    "check": lambda out: topcli.check(schemes=["rk4"], top="clebsch"),
     "claims": lambda out: topcli.claims(["matrix-m", "hk-heavy-small", "hk-heavy-equation", "hybrid-reversible"]),
     "motion": lambda out: topcli.motion("kowalevski_generic_hk"),
     "motion of euler": lambda out: topcli.motion("euler_hk"),
@@ -129,7 +130,7 @@ def test_every_report_has_table_plain_data_plot_and_html(
         assert report.plot(axes) is axes
         assert axes.has_data()
     else:
-        with pytest.raises(UsageError, match="lax has no picture; see its table"):
+        with pytest.raises(UsageError, match=f"{name} has no picture; see its table"):
             report.plot(axes)
     html = report._repr_html_()
     assert "<svg" not in html, "nothing is drawn for it"

@@ -1,7 +1,6 @@
-"""What every scheme is held to, whoever wrote it: measures of its declared traits, and of its machine code.
+"""What every scheme is held to, beside ``topcli.analysis.conformance``: its choices, compositions and observed order.
 
-A measure takes a top and a method, so that a scheme of a plugin is measured like a built-in one; see
-``test_conformance`` for the bounds and for the methods without the traits, which the same measures condemn.
+See ``test_conformance`` for the bounds and for the methods without the traits, which the same measures condemn.
 """
 
 from __future__ import annotations
@@ -16,11 +15,9 @@ import numpy as np
 
 from conftest import GEN
 from steppers import physical
-from stepping import states_of
-from topcli.analysis.order import observed_order, one_step_back_and_forth
+from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
-from topcli.engine.loop import loop_of, plain_loop
 from topcli.engine.precise import Rebuilder, precise_top
 from topcli.engine.precise_numbers import Arithmetic, Rationals
 from topcli.engine.run import Run
@@ -120,40 +117,9 @@ def ladder(subject: Subject) -> dict[str, Any]:
     return {"duration": duration * longer, "counts": [longer * N * (3 if finer else 2) // 2 for N in counts]}
 
 
-def reversal_defect(top: Top, method: Method, h: float, count: int = 12) -> float:
-    """Largest component missed by one step there and one back."""
-    return max(one_step_back_and_forth(top, method, y, h) for y in states_of(top, count, seed=3))
-
-
 def named(top: Top, *names: str) -> list[Invariant]:
     """Invariants of the top with these names."""
     return [invariant for invariant in top.invariants() if invariant.name in names]
-
-
-def exactness(
-    top: Top, method: Method, y0: Any, h: float, invariants: Sequence[Invariant], N: int = 20_000, stages: int = 1
-) -> float:
-    """Largest deviation of the invariants over N steps, in units of 50 ulp of their terms times sqrt(N)."""
-    states = Run(top, method, y0, h, N, 10).collect().states
-    unit = 50.0 * np.finfo(float).eps * np.sqrt(N * stages)
-    deviations = [
-        np.abs(one.value(states) - one.value(states[:1])).max() / (unit * one.scale(states).max() or 1.0)
-        for one in invariants
-    ]
-    return float(max(deviations, default=0.0))
-
-
-def working_states(top: Top, method: Stepper, h: float, N: int) -> tuple[list[float], list[float], np.ndarray]:
-    """Working state after N steps of the interpreter and of machine code; the recorded states of the interpreter."""
-    y0, p = np.array(GEN[: len(top.components)]), np.array(top.constants())
-    enter, drive = plain_loop(method, len(y0), len(p))
-    compiled = loop_of(method, len(y0), len(p))
-    work, other, out = np.zeros(method.width), np.zeros(method.width), np.empty(N * len(y0))
-    enter(y0, work, p, h)
-    assert drive(work, out, p, h, N, 1, 1) == N
-    compiled.enter(y0, other, p, h)
-    assert compiled.drive(other, other[:0], p, h, N, N + 1, N + 1) == N
-    return work.tolist(), other.tolist(), out.reshape(N, -1)
 
 
 def plain_step(subject: Subject, y: np.ndarray, h: float) -> np.ndarray:

@@ -170,6 +170,7 @@ class _Topcli(LazyGroup):
         "lax": STUDY,
         "roundoff": STUDY,
         "stress": STUDY,
+        "check": STUDY,
         "claims": STUDY,
         "show": "inspect.show",
         "init": "inspect.init",

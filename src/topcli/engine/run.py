@@ -6,6 +6,7 @@ trajectories are arrays of a few bytes each; an ``Ending`` is made on access.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -258,7 +259,10 @@ class Run:
 
     def _end(self, outcome: Outcome, step: int, work: Array) -> None:
         names = self._loop.counters
-        counts = {name: int(value) for name, value in zip(names, work[len(work) - len(names) :], strict=True)}
+        slots = dict(zip(names, work[len(work) - len(names) :], strict=True))
+        if wrong := [name for name, value in slots.items() if not math.isfinite(value)]:
+            raise SchemeCodeError(f"the counter {wrong[0]!r} is {slots[wrong[0]]} at step {step}; counters are finite")
+        counts = {name: int(value) for name, value in slots.items()}
         advise = self._loop.advice if outcome is Outcome.NO_CONVERGENCE else None
         advice = advise(work.tolist(), self.h) if advise else ""
         self.ending = Ending(outcome, step, step * self.h, counts, advice=advice)

@@ -45,6 +45,7 @@ STUDIES = {
     ),
     "analyse": StudyPlace("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
     "lax": StudyPlace("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
+    "check": StudyPlace("topcli.studies.check:CHECK", "Check what schemes and tops declare, with controls."),
     "roundoff": StudyPlace(
         "topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."
     ),

@@ -58,8 +58,9 @@ def measure(
     """Measure errors over h, observed orders and round-off.
 
     Errors are the largest over the run against a reference in double-double arithmetic. The order is fitted at the
-    smallest steps above the plateau of round-off. Exits with status 4 if it is below the declared order, and with 3 if
-    the code of some of the schemes fails.
+    smallest steps above the plateau of round-off. Exits with status 4 if it is below the declared order, or if an
+    invariant that a scheme declares to conserve is off by more than round-off, and with 3 if the code of some of the
+    schemes fails.
 
     Parameters
     ----------
@@ -205,6 +206,7 @@ def faults(data: Data) -> Faults:
     rows = data["schemes"]
     broken = [f"{row['scheme']}: {row['broken']}" for row in rows if row["broken"]]
     false = [f"{row['scheme']}: {row['why']}" for row in rows if not row["broken"] and row["verdict"] in FALSE]
+    false += [f"{row['scheme']}: {row['false_claim']}" for row in rows if row.get("false_claim")]
     if broken:
         code = ExitCode.PARTLY_FAILED if len(broken) < len(rows) else ExitCode.WRONG_USAGE
     elif not all(row["points"] for row in rows):

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from topcli.analysis.conformance import completed, deviation
 from topcli.analysis.order import convergence, is_consistent, judge_order
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
@@ -38,6 +39,8 @@ INTERVALS = 20
 """Number of intervals between the evenly spaced times at which errors are measured."""
 SECONDS = 5.0
 """CPU seconds that one run may take."""
+CLAIM_STEPS = 2000
+"""Largest number of steps of the run that shows whether declared invariants are conserved."""
 SCHEMA_VERSION = 2
 
 
@@ -52,6 +55,20 @@ class _Ladder(SchemeCompetitor):
         """True if single steps from the problem's initial state are consistent with the equations of motion."""
         method = self._scheme.build(self._problem.top, self._defaults())
         return is_consistent(self._problem.top, method, self._y0)
+
+    def false_claim(self, sizes: Sequence[float]) -> str | None:
+        """Reason why an invariant that the scheme declares to conserve is not, at one of the coarser steps."""
+        claimed = [one for one in self._problem.top.invariants() if one.name in self._scheme.conserves]
+        if not claimed or not sizes:
+            return None
+        h, method = sizes[len(sizes) // 4], self._scheme.build(self._problem.top, self._defaults())
+        steps = min(CLAIM_STEPS, max(1, round(self._problem.duration / h)))
+        states = completed(self._problem.top, method, self._problem.experiment.y0, h, steps)
+        off = {one.name: deviation(states, [one], steps) for one in claimed} if states is not None else {}
+        worst = max(off, key=lambda name: off[name], default="")
+        if not off or off[worst] <= 1.0:
+            return None
+        return f"does not conserve {worst}, as it declares: off by {off[worst]:.2g} times what round-off explains"
 
     def rungs(self) -> Iterator[Rung]:
         """Yield the rungs, coarse to fine."""
@@ -188,6 +205,7 @@ def _row(ladder: _Ladder, measured: Measurements, size: float) -> dict[str, Any]
         "onset": observed.onset,
         "ended": measured.ended,
         "broken": measured.broken or None,
+        "false_claim": None if measured.broken else ladder.false_claim([each.rung.value for each in measured.rungs]),
         "failed": [{"h": value, "reason": reason} for value, reason in measured.failed],
         "points": [{"h": rung.rung.value, "error": rung.error, "end_error": rung.end_error} for rung in measured.rungs],
     }
@@ -226,9 +244,8 @@ def order_source(what: Ladders) -> str:
     """Digest of everything that the results of a study depend on."""
     experiment: Experiment = what.problem.experiment
     codes = [scheme_code(scheme, what.problem.top) for scheme in what.schemes]
-    code = fingerprint(
-        order_study, _row, convergence, judge_order, is_consistent, explore, reference_states, compiled=False
-    )
+    judging = (convergence, judge_order, is_consistent, completed, deviation)
+    code = fingerprint(order_study, _row, *judging, explore, reference_states, compiled=False)
     settings = [what.problem.duration, what.problem.intervals, what.sizes, what.steps, SECONDS]
     text = json.dumps([experiment.digest, [scheme.name for scheme in what.schemes], codes, code, settings])
     return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,117 @@
+"""What a scheme or a top declares, measured: for the study ``check`` and for the tests of all schemes.
+
+The measures take a top and a method, whoever wrote them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.order import one_step_back_and_forth
+from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
+from topcli.engine.ensemble import EnsembleRun
+from topcli.engine.loop import loop_of, plain_loop
+from topcli.engine.run import Run
+
+ULPS = 50.0
+"""Deviation of an exact invariant that round-off may cause, in ulp of its terms times the square root of the steps."""
+
+
+def states_near(y0: Sequence[float], count: int) -> Array:
+    """States (count, d) of the size of ``y0``, the first of which is ``y0``; components of zero are moved too."""
+    y, number = np.array(y0, dtype=float), np.arange(count)[:, None]
+    size = max(float(np.abs(y).max()), 1e-3)
+    return y + 0.3 * size * (number > 0) * np.cos(1.0 + 2.0 * number + 3.0 * np.arange(len(y)))
+
+
+def reversal_defect(top: Top, method: Method, h: float, states: Array) -> float:
+    """Largest component missed by one step there and one back, over the ``states`` (n, d)."""
+    return max(one_step_back_and_forth(top, method, y, h) for y in states)
+
+
+def deviation(states: Array, invariants: Sequence[Invariant], steps: int) -> float:
+    """Largest deviation of the invariants from their first values, in units of what round-off explains.
+
+    The unit is ``ULPS`` ulp of the terms of an invariant times the square root of the number of ``steps`` taken.
+    """
+    unit = ULPS * np.finfo(float).eps * math.sqrt(steps)
+    deviations = [
+        np.abs(one.value(states) - one.value(states[:1])).max() / (unit * one.scale(states).max() or 1.0)
+        for one in invariants
+    ]
+    return float(max(deviations, default=0.0))
+
+
+def exactness(
+    top: Top, method: Method, y0: Any, h: float, invariants: Sequence[Invariant], N: int = 20_000, stages: int = 1
+) -> float:
+    """``deviation`` over N steps of a method whose steps consist of as many ``stages``."""
+    return deviation(Run(top, method, y0, h, N, 10).collect().states, invariants, N * stages)
+
+
+def working_states(
+    top: Top, method: Stepper, y0: Sequence[float], h: float, N: int
+) -> tuple[list[float], list[float], Array]:
+    """Working state after N steps of the interpreter and of machine code; the recorded states of the interpreter.
+
+    Of a step that fails, the states up to it.
+    """
+    start, p = np.array(y0, dtype=float), np.array(top.constants())
+    enter, drive = plain_loop(method, len(start), len(p))
+    compiled = loop_of(method, len(start), len(p))
+    work, other, out = np.zeros(method.width), np.zeros(method.width), np.empty(N * len(start))
+    enter(start, work, p, h)
+    taken = drive(work, out, p, h, N, 1, 1)
+    compiled.enter(start, other, p, h)
+    compiled.drive(other, other[:0], p, h, N, N + 1, N + 1)
+    return work.tolist(), other.tolist(), out[: max(taken, 0) * len(start)].reshape(-1, len(start))
+
+
+def differing_lanes(top: Top, method: Method, alone: Array, together: Array, h: float, N: int) -> int:
+    """Number of states (n, d) whose trajectory ``alone`` ends on other bits than that ``together`` with the others."""
+    ensemble = EnsembleRun(top, method, together, h, N, N, on_piece=lambda piece: None)
+    for _ in ensemble:
+        pass
+    ends = [Run(top, method, y, h, N, N).collect().states[-1] for y in alone]
+    return sum(end.tobytes() != last.tobytes() for end, last in zip(ends, ensemble.last, strict=True))
+
+
+def completed(top: Top, method: Method, y0: Sequence[float], h: float, N: int, every: int = 10) -> Array | None:
+    """States recorded in a run; None if it does not complete."""
+    _, states, ending = Run(top, method, y0, h, N, every).collect()
+    return states if ending.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION) else None
+
+
+def rate_along(top: Top, value: Callable[[Array], Array], states: Array) -> float:
+    """Largest rate of change of a function of the state along the field, by differences.
+
+    It is relative to the length of the gradient times that of the field: the cosine of the angle between them.
+    Differences of order four with steps of 1e-3 have errors of about 1e-11; a function that is no integral has rates
+    of size one at most of the ``states`` (n, d).
+    """
+    p, found = top.constants(), []
+    for y in states:
+        rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
+        step = 1e-3 * max(1.0, float(np.abs(y).max()))
+        moved = [value(y + k * step * np.eye(len(y))) for k in (-2, -1, 1, 2)]
+        gradient = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * step)
+        found.append(abs(gradient @ rates) / (np.linalg.norm(gradient) * np.linalg.norm(rates) or 1.0))
+    return float(max(found))
+
+
+def is_vector_of(rates: Any, top: Top) -> bool:
+    """True if ``rates`` are as many finite floats as the top has components."""
+    return (
+        isinstance(rates, tuple)
+        and len(rates) == len(top.components)
+        and all(isinstance(x, int | float) and math.isfinite(x) for x in rates)
+    )
+
+
+def moving(top: Top, state: Floats) -> int:
+    """Index of the component with the largest rate."""
+    return int(np.argmax(np.abs(np.array(top.field(state, top.constants()), dtype=float))))
