@@ -32,7 +32,7 @@ from topcli.field.polynomial import field_of
 from topcli.figures.picture import component_symbol
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
-from topcli.schemes.registry import names_for
+from topcli.schemes.registry import all_schemes, names_for, schemes_of
 from topcli.store.series import read_series
 from topcli.sweeps.row_results import Work
 from topcli.tops import TOPS, top_names
@@ -104,6 +104,8 @@ def test_declared_tops_are_not_listed() -> None:
     assert form in TOPS
     assert top_names()[-1] == "custom"
     assert {"hk", "midpoint", "rk2", "rk4", "dop853"} <= set(names_for(form))
+    assert [scheme.name for scheme in schemes_of(form)] == names_for(form)
+    assert form not in {scheme.top for scheme in all_schemes()}
 
 
 def test_without_energy_no_motion_is_left() -> None:

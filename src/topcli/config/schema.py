@@ -23,7 +23,7 @@ from topcli.errors import UsageError
 from topcli.field.expression import NAME
 from topcli.schemes.compose import COMPOSITIONS, obstacle
 from topcli.schemes.plugins import without_users_errors
-from topcli.schemes.registry import all_schemes, find_scheme, names_for
+from topcli.schemes.registry import find_scheme, names_for, schemes_of
 from topcli.tops import CUSTOM, TOPS, forms, top_class, top_names
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -102,8 +102,7 @@ def _for_custom() -> Schema:
         "properties": properties,
         "additionalProperties": {"type": "number", "description": "a parameter, in the place of its value above"},
     }
-    form = example_class().form  # first: its schemes are registered when they are listed
-    schemes = [scheme for scheme in all_schemes() if scheme.top == form]
+    schemes = schemes_of(example_class().form)
     return {
         "if": _is_top({"const": CUSTOM}),
         "then": {
@@ -120,7 +119,7 @@ def _for_custom() -> Schema:
 def _for_top(cls: type[Top]) -> Schema:
     """Schema of the sections for a top of class ``cls``."""
     kind: Schema = {"const": cls.kind}
-    schemes = [scheme for scheme in all_schemes() if scheme.top == cls.form]
+    schemes = schemes_of(cls.form)
     top = cls.new()
     integrals = [*top.invariants()]
     for scheme in schemes:

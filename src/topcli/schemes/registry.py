@@ -317,14 +317,17 @@ def unload_scheme_files() -> None:
 
 
 def all_schemes() -> tuple[Scheme, ...]:
-    """Return all registered schemes, sorted by top and name."""
+    """Return all registered schemes, sorted by top and name, but for those of tops that configs declare."""
     plugin_failures()
-    for form in TOPS.declared:
-        registry.complete(form)
     schemes = registry.schemes
     for key in sorted(schemes, key=lambda key: (key[1], key[0])):
         schemes[key] = schemes.pop(key)  # digests of code that uses the table must not depend on the order of imports
-    return tuple(schemes.values())
+    return tuple(scheme for scheme in schemes.values() if scheme.top not in TOPS.declared)
+
+
+def schemes_of(form: str) -> tuple[Scheme, ...]:
+    """Return the schemes of one form of a top, also of one that a config declares, sorted by name."""
+    return tuple(registry.schemes[name, form] for name in names_for(form))
 
 
 def find_scheme(name: str, top: str) -> Scheme:
@@ -419,7 +422,7 @@ def composed(base: Scheme, name: str) -> Scheme:
 
 def composable_names(form: str) -> list[str]:
     """Return the names of the schemes for the given form of a top that can be composed."""
-    return [scheme.name for scheme in all_schemes() if scheme.top == form and not obstacle(scheme)]
+    return [scheme.name for scheme in schemes_of(form) if not obstacle(scheme)]
 
 
 def names_for(top: str) -> list[str]:

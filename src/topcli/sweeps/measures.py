@@ -19,7 +19,7 @@ from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.references import obstacle
 from topcli.schemes.plugins import origin_of, plugin_table, without_users_errors
-from topcli.schemes.registry import all_schemes, plugin_failures
+from topcli.schemes.registry import plugin_failures, schemes_of
 from topcli.tops import TOPS
 
 FAMILY = ".NAME"
@@ -215,7 +215,7 @@ def measures_of_form(form: str) -> list[Measure]:
     """Measures that fit the top of this form under any of its schemes, those of families included, sorted by name."""
     top = TOPS[form].new()
     named: dict[str, Measure] = {}
-    for scheme in (each for each in all_schemes() if each.top == form):
+    for scheme in schemes_of(form):
         with without_users_errors():
             named |= {each.name: each for each in _fitting(top, scheme)}
     return [named[name] for name in sorted(named)]

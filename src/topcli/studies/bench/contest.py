@@ -15,7 +15,7 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.registry import SchemeMisfitError, all_schemes, composable_names
+from topcli.schemes.registry import SchemeMisfitError, composable_names, schemes_of
 from topcli.studies.entries import scheme_with
 
 BENCH_INTERVALS = 100
@@ -226,7 +226,7 @@ def order_settings(scheme: Scheme) -> Iterator[str]:
 
 def default_names(form: str) -> list[str]:
     """Names of every scheme of a form of a top, of its other orders, and of the compositions of ``COMPOSED``."""
-    schemes = [scheme for scheme in all_schemes() if scheme.top == form]
+    schemes = schemes_of(form)
     composable = composable_names(form)
     return [
         *(scheme.name for scheme in schemes),

@@ -24,7 +24,7 @@ from topcli.errors import (
 )
 from topcli.runs.identity import scheme_code
 from topcli.schemes.plugins import reason_of, users_error
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import all_schemes, find_scheme, names_for, schemes_of
 from topcli.store.provenance import environment
 from topcli.studies.stress.cases import CASES, cases_named, cases_of
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, Finding, Trial, false_order
@@ -138,7 +138,7 @@ def chosen(schemes: Sequence[str], cases: Sequence[str], top: str | None) -> tup
     if schemes:
         used = [scheme for name in dict.fromkeys(map(str.lower, schemes)) for scheme in _forms_of(name, fits)]
     else:
-        used = [scheme for scheme in all_schemes() if scheme.top in fits]
+        used = [scheme for form in sorted(fits) for scheme in schemes_of(form)]
     asked = list(dict.fromkeys(scheme.top for scheme in used))
     if top is None:  # the cases of tops without their own are tried if they are the only ones
         own = {case.form for case in CASES}
@@ -170,8 +170,7 @@ def _names_for(fits: Collection[str]) -> list[str]:
 def _forms_of(name: str, fits: Sequence[str]) -> list[Scheme]:
     """Return the schemes called ``name``, one for each form that it steps. Raises UnknownNameError or UsageError."""
     base = name.partition("+")[0]
-    steps = {scheme.top for scheme in all_schemes() if scheme.name == base}
-    schemes = [find_scheme(name, form) for form in fits if form in steps]
+    schemes = [find_scheme(name, form) for form in fits if base in names_for(form)]
     # the error of a name that is unknown, or of a scheme for another top
     return schemes or [find_scheme(name, fits[0])]
 
