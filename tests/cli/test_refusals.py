@@ -226,7 +226,7 @@ claims qqq
 claims --json --markdown
     exclude each other
 order heun --top gyrostat --plugin gyrostat.py
-    --top: no scene for the top 'gyrostat'; known: clebsch, euler
+    --top: no scene for the top 'gyrostat'
 order hk --h 0.1,0.05
     --h '0.1,0.05': must be one number; repeat the option for several: --h 0.1 --h 0.05
 order hk --h 0.1 --h "1e-2, 2e-2"
@@ -240,7 +240,7 @@ stress hk+suzuki5
 stress --case dleone
     did you mean 'delone'?
 stress --top kovalevski
-    did you mean 'kowalevski'?
+    did you mean 'kowalevski'
 stress bs --case delone
     none of the schemes bs has one of the cases
 stress hk-exact --top kowalevski

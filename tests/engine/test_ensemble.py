@@ -16,6 +16,7 @@ from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import ensemble
 from topcli.engine.ensemble import TILE, EnsembleRun, Execution, Piece
 from topcli.engine.run import Run
+from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
@@ -74,7 +75,7 @@ def assert_same(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}/{s.top}")
+@pytest.mark.parametrize("scheme", [*SCHEMES, find_scheme("hk", "coupled-euler")], ids=lambda s: f"{s.name}/{s.top}")
 def test_a_trajectory_has_the_bits_of_a_single_run(scheme, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ensemble, "PIECE_ROWS", 37)
     monkeypatch.setattr(ensemble, "PIECE_STEPS", 61)

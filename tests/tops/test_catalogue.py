@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from conformance import working_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Stepper, Top
 from topcli.engine.run import Run
@@ -300,6 +301,18 @@ def test_scenes_run(form: str, case: str) -> None:
     scene = load_experiment(f"{form.replace('-', '_')}_{case}", ["N=1000"])
     assert scene.top.form == form
     assert simulate(scene.resolved()).ending.outcome is Outcome.COMPLETED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("form", "name"), [("suslov", "hk"), ("weierstrass", "midpoint"), ("coupled-euler", "hk"), ("coupled-euler", "rk4")]
+)
+def test_machine_code_is_the_step_in_other_dimensions(form: str, name: str) -> None:
+    """Bit for bit, of two and of five components."""
+    top, scheme = TOPS[form].new(), find_scheme(name, form)
+    plain, compiled, states = working_states(top, scheme.build(top, scheme.options()), 0.02, 60)
+    assert compiled == plain
+    assert np.isfinite(states).all()
 
 
 # integrals of motions on a level

@@ -22,7 +22,7 @@ from typing import Any
 
 from topcli.contracts import Scheme, Top
 from topcli.errors import SchemeCodeError, TopcliError, UsageError
-from topcli.tops import CATALOGUE, TOPS
+from topcli.tops import TOPS
 
 GROUPS = ("topcli.tops", "topcli.schemes", "topcli.figures")
 """Groups of entry points in which installed packages declare plugins; each may bring anything."""
@@ -151,11 +151,9 @@ def built_in_modules() -> tuple[str, ...]:
 
 @cache
 def import_built_in() -> None:
-    """Import all modules that register schemes of topcli, and give the tops of the catalogue their schemes."""
+    """Import all modules that register schemes of topcli."""
     for module in built_in_modules():
         import_module(module)
-    for form in CATALOGUE:
-        registry.complete(form)
 
 
 def plugin_table(table: Table) -> None:

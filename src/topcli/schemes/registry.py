@@ -319,6 +319,8 @@ def unload_scheme_files() -> None:
 def all_schemes() -> tuple[Scheme, ...]:
     """Return all registered schemes, sorted by top and name, but for those of tops that configs declare."""
     plugin_failures()
+    for form in CATALOGUE:
+        registry.complete(form)
     schemes = registry.schemes
     for key in sorted(schemes, key=lambda key: (key[1], key[0])):
         schemes[key] = schemes.pop(key)  # digests of code that uses the table must not depend on the order of imports
@@ -374,7 +376,7 @@ def find_scheme(name: str, top: str) -> Scheme:
     plugin_failures()
     if key in registry.schemes:
         return registry.schemes[key]
-    fits = sorted(kind for known, kind in registry.schemes if known == name.lower())
+    fits = sorted(scheme.top for scheme in all_schemes() if scheme.name == name.lower())
     if fits:
         reason = _misfit(name.lower(), top) or f"it fits {', '.join(fits)}"
         raise SchemeMisfitError(
@@ -428,7 +430,7 @@ def composable_names(form: str) -> list[str]:
 def names_for(top: str) -> list[str]:
     """Return the names of the schemes for the form ``top`` of a top."""
     plugin_failures()
-    if top in TOPS.declared:
+    if top in _declared():
         registry.complete(top)
     return sorted(name for name, kind in registry.schemes if kind == top)
 
