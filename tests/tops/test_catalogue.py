@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from conformance import working_states
+from topcli.analysis.conformance import working_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Stepper, Top
 from topcli.engine.run import Run
@@ -310,7 +310,7 @@ def test_scenes_run(form: str, case: str) -> None:
 def test_machine_code_is_the_step_in_other_dimensions(form: str, name: str) -> None:
     """Bit for bit, of two and of five components."""
     top, scheme = TOPS[form].new(), find_scheme(name, form)
-    plain, compiled, states = working_states(top, scheme.build(top, scheme.options()), 0.02, 60)
+    plain, compiled, states = working_states(top, scheme.build(top, scheme.options()), start(top), 0.02, 60)
     assert compiled == plain
     assert np.isfinite(states).all()
 
