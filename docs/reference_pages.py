@@ -45,9 +45,9 @@ def config_page() -> Page:
     """Keys of a config, from the models that read it."""
     from topcli.config.draws import Random
     from topcli.config.ensemble import Section
+    from topcli.config.formulas import CustomSection
     from topcli.config.models import Config, Output
     from topcli.config.ranges import Range
-    from topcli.config.sections import CustomSection
 
     header = ("key", "type", "default", "meaning")
     lines = [

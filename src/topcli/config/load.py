@@ -21,7 +21,7 @@ from topcli.config.files import (
 )
 from topcli.config.models import Config, Experiment, changed_name, name_fault
 from topcli.config.ranges import duration_fault, steps_of
-from topcli.config.sections import read_columns, read_initial, read_quantities, read_scheme, read_top
+from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
 from topcli.config.written import read_written, with_written_numbers
 from topcli.contracts import Top, checked_equations
 from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
@@ -158,7 +158,10 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         if top and scheme:
             integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
             columns = read_columns(config.output, top.components, integrals, problems)
-            quantities = read_quantities(config.output, type(top), integrals, problems)
+            if config.output.quantities:
+                from topcli.config.formulas import read_quantities
+
+                quantities = read_quantities(config.output, type(top), integrals, problems)
         _check(config, top, "ensemble" in data, problems)
         if config.precision != DOUBLE and top and state and not problems.messages:
             written = read_written(data, top, state, config.precision, problems)

@@ -26,7 +26,7 @@ from topcli.config.draws import ABSOLUTE, first_drawn, random_model
 from topcli.config.files import BARE
 from topcli.config.models import Count, Output, StepSize, canonical
 from topcli.config.ranges import duration_fault, steps_of
-from topcli.config.sections import read_initial, read_quantities, read_scheme, read_top, vectors_of
+from topcli.config.sections import read_initial, read_scheme, read_top, vectors_of
 from topcli.config.sweep import MISSING, Assignment, Sweep
 from topcli.contracts import Top
 from topcli.tops import TOPS
@@ -333,6 +333,8 @@ class RowReader:
         given = (self.sweep.base.get("output") or {}).get("quantities")
         if not given:
             return ""
+        from topcli.config.formulas import read_quantities
+
         kept = self._cache.setdefault("quantities", {})
         if cls not in kept:
             before = len(problems.messages)

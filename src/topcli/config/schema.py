@@ -15,8 +15,9 @@ from pydantic_core import to_jsonable_python
 from topcli.analysis.columns import ATTITUDES, spellings
 from topcli.config.draws import draw_examples, drawable
 from topcli.config.ensemble import section_model
+from topcli.config.formulas import CustomSection, Relation, example_class
 from topcli.config.models import Config, Output
-from topcli.config.sections import CustomSection, Relation, example_class, initial_model
+from topcli.config.sections import initial_model
 from topcli.config.text import flow
 from topcli.contracts import Scheme, Top
 from topcli.errors import UsageError

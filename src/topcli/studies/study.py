@@ -249,7 +249,7 @@ def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def parts_of(config: Mapping[str, Any], schemes: Iterable[str]) -> list[tuple[str, str]]:
     """Form of the top of a resolved config, and each of the ``schemes``."""
-    from topcli.config.sections import declared_class
+    from topcli.config.formulas import declared_class
     from topcli.tops import top_class
 
     form = (declared_class(config["top"]) or top_class(config["top"]["kind"], config.get("initial") or ())).form
@@ -258,7 +258,7 @@ def parts_of(config: Mapping[str, Any], schemes: Iterable[str]) -> list[tuple[st
 
 def top_title(config: Mapping[str, Any]) -> str:
     """Title of the top of a resolved config, or its name if there is no such top."""
-    from topcli.config.sections import declared_class
+    from topcli.config.formulas import declared_class
     from topcli.tops import TOPS
 
     kind = config["top"]["kind"]

@@ -22,7 +22,7 @@ import numpy as np
 from topcli.config.document import Document, Problems
 from topcli.config.models import Experiment, Output
 from topcli.config.rows import Row
-from topcli.config.sections import declared_class, read_scheme
+from topcli.config.sections import read_scheme
 from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
 from topcli.errors import TopcliError
 from topcli.schemes.plugins import users_error
@@ -30,7 +30,7 @@ from topcli.store.provenance import cpu_name
 from topcli.sweeps.batch import evaluate
 from topcli.sweeps.batch_run import BatchRun, Limit
 from topcli.sweeps.measures import Measure, resolve_measures
-from topcli.tops import TOPS
+from topcli.tops import CUSTOM, TOPS
 
 FAILED = "failed"
 """Outcome of a row that an error ended before it became a run."""
@@ -175,11 +175,19 @@ def _scheme(text: str, form: str) -> tuple[Scheme, Any]:
     return scheme
 
 
+def _declared(section: dict[str, Any]) -> type[Top]:
+    from topcli.config.formulas import declared_class
+
+    cls = declared_class(section)
+    assert cls is not None
+    return cls
+
+
 @lru_cache(maxsize=256)
 def _top(text: str, form: str) -> Top:
     """Top of a resolved section."""
     section = json.loads(text)
-    cls = declared_class(section) or TOPS[form]
+    cls = TOPS[form] if section["kind"] != CUSTOM else _declared(section)
     return cls.model_validate(cls.parameters_in(section))
 
 
