@@ -32,7 +32,7 @@ from topcli.cli.output import (
     print_table,
     prose_width,
 )
-from topcli.errors import UsageError
+from topcli.errors import UsageError, quoted
 
 
 def complete_config_or_scheme(incomplete: str) -> list[str]:
@@ -44,23 +44,29 @@ def show(
     config: Annotated[
         str,
         typer.Argument(
-            metavar="CONFIG|SCHEME|FOLDER",
-            help="A config file, a packaged scene, a scheme, or the folder of a run or sweep.",
+            metavar="CONFIG|SCHEME|TOP|FOLDER",
+            help="A config file, a packaged scene, a scheme, a top, or the folder of a run or sweep.",
             autocompletion=complete_config_or_scheme,
         ),
     ],
     row: Annotated[
         int | None, typer.Option("--row", metavar="NUMBER", help="Show this row of a sweep as a config.")
     ] = None,
+    top: Annotated[str | None, top_option("Show the scheme for this top only.")] = None,
+    source: Annotated[
+        bool, typer.Option("--source", help="Show the code of a scheme that is made from the field of a top.")
+    ] = False,
     motion: Annotated[
         bool, typer.Option("--motion", help="Show the class, frequencies and periods of the exact motion.")
     ] = False,
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:
-    """Show a config with defaults, a scheme, or a row of a sweep."""
+    """Show a config with defaults, a scheme, a top, or a row of a sweep."""
     from topcli.config.load import load_named
-    from topcli.studies.scheme_page import scheme_data, scheme_forms, scheme_text
+    from topcli.studies.scheme_page import generated_source, scheme_data, scheme_forms, scheme_text
+    from topcli.studies.top_page import top_data, top_text
+    from topcli.tops import forms, top_names
 
     if motion:
         return show_motion(config, row, sets or [], as_json)
@@ -71,7 +77,20 @@ def show(
         from topcli.cli.sweep import show_sweep
 
         return show_sweep(folder, row, sets or [], as_json)
-    if not sets and not folder.suffix and (schemes := scheme_forms(config)):
+    schemes = [] if sets or folder.suffix else scheme_forms(config, top)
+    if (top or source) and not schemes:
+        raise UsageError(f"--{'top' if top else 'source'}: needs the name of a scheme, not {quoted(config)}")
+    if source:
+        emit_text("\n".join(map(generated_source, schemes)))
+        return
+    if not sets and config.lower() in top_names():
+        shown = [cls.new() for cls in forms(config)]
+        if as_json:
+            print_json("show", {"tops": [top_data(one) for one in shown]})
+        else:
+            emit_text("\n\n".join(top_text(one, prose_width()) for one in shown))
+        return
+    if schemes:
         if as_json:
             print_json("show", {"schemes": [scheme_data(scheme) for scheme in schemes]})
         else:

@@ -155,7 +155,6 @@ def show_hint(name: str) -> str:
     from topcli.config.files import is_config, scene_files
     from topcli.figures.catalogue import FIGURES
     from topcli.schemes.registry import all_schemes
-    from topcli.tops import top_names
 
     if is_config(name):  # the error is about another name
         return ""
@@ -164,11 +163,6 @@ def show_hint(name: str) -> str:
         return f"{quoted(name)} is a stored run or sweep; show its config with: topcli show {folder}"
     if name.lower() in FIGURES:
         return f"{quoted(name)} is a figure; draw it with: topcli plot {name.lower()}"
-    if name.lower() in top_names():
-        top = name.lower()
-        return (
-            f"{quoted(name)} is a top; see `topcli list schemes --top {top}`, or start with `topcli init --top {top}`"
-        )
     hint = nearest(name, {*scene_files(), *(scheme.name for scheme in all_schemes())}, "topcli list")
     if not hint.startswith("did you mean"):
         hint = "see `topcli list scenes` and `topcli list schemes`"

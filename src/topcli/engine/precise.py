@@ -128,12 +128,12 @@ def precise_method(
     reason = obstacle(scheme, top, options)
     built = None if reason else scheme.build(top, options)
     if isinstance(built, Stepper):
-        built = scheme.build(exact or top if built.generated else precise, options)
+        built = scheme.build(exact or top if built.source else precise, options)
     if not isinstance(built, Stepper):
         raise refused(scheme, arithmetic, reason)
     if arithmetic.name == RATIONAL and built.iterative:
         raise refused(scheme, arithmetic, "solves its equations by iteration, and the solution is not rational")
-    if arithmetic.name == RATIONAL and built.generated and (name := irrational_name(top.field)):
+    if arithmetic.name == RATIONAL and built.source and (name := irrational_name(top.field)):
         raise refused(scheme, arithmetic, f"has constants by math.{name}, which rational numbers do not have")
     rebuilder = Rebuilder(arithmetic)
     try:

@@ -348,15 +348,15 @@ class Pattern:
         """Pattern of a field with ``factors`` taken out of its components, which get a prime of their own."""
         rows = list(zip(field, factors, strict=True))
         known = {*factors, *(abs(c) / factor for rate, factor in rows for c in rate.terms.values())}
-        sizes = sorted(size for size in known if not is_power_of_two(size))
-        octaves = [size.numerator.bit_length() - size.denominator.bit_length() for size in sizes]
+        sizes = sorted(c for c in known if not is_power_of_two(c))
+        octaves = [c.numerator.bit_length() - c.denominator.bit_length() for c in sizes]
         typical, ratios = {}, {}
         for octave, group in itertools.groupby(zip(octaves, sizes, strict=True), key=lambda pair: pair[0]):
-            members = [size for _, size in group]
+            members = [c for _, c in group]
             primes = sorted(islice(_primes(), len(typical), len(typical) + len(members)), key=_mantissa)
-            for size, prime in zip(members, primes, strict=True):
-                typical[size] = _mantissa(prime) * Fraction(2) ** octave
-                ratios[prime] = size / typical[size]
+            for c, prime in zip(members, primes, strict=True):
+                typical[c] = _mantissa(prime) * Fraction(2) ** octave
+                ratios[prime] = c / typical[c]
 
         def size(c: Fraction) -> Fraction:
             return typical.get(abs(c), abs(c)) * (1 if c > 0 else -1)
@@ -404,6 +404,12 @@ class Generated(Generic[Kind]):
 
     code: Kind
     constants: tuple[Fraction, ...]
+
+    def source(self, name: str) -> str:
+        """Source of the code, with the values of its constants."""
+        graph = self.code.graph
+        values = (f"# p[{graph.first + i}] = {c}\n" for i, c in enumerate(self.constants))
+        return "".join(values) + graph.source(name, self.code.outputs)
 
 
 @lru_cache(maxsize=256)

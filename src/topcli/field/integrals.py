@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from fractions import Fraction
+from itertools import chain, combinations, combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -140,3 +142,97 @@ def broken_integral(top: Top) -> str:
             term = "*".join([f"{c:.4g}", *(top.components[i] for i in monomial)])
             return f"{invariant.name!r} is no integral of the field: its rate of change contains {term}"
     return ""
+
+
+MOST_MONOMIALS = 500
+"""Monomials among which integrals are looked for."""
+
+
+class _Span:
+    """Linear span of polynomials, each with what it is an image of; the leading monomials are different."""
+
+    def __init__(self) -> None:
+        self._basis: dict[Monomial, tuple[Polynomial, Polynomial]] = {}
+
+    def rest(self, image: Polynomial, of: Polynomial) -> tuple[Polynomial, Polynomial]:
+        """What the span leaves of a polynomial, and the combination of originals that this is the image of."""
+        rest = Polynomial({})
+        while image.terms:
+            lead = max(image.terms, key=lambda m: (len(m), m))
+            if lead in self._basis:
+                known, original = self._basis[lead]
+                c = image.terms[lead] / known.terms[lead]
+                image, of = image - known * c, of - original * c
+            else:
+                term = Polynomial({lead: image.terms[lead]})
+                image, rest = image - term, rest + term
+        return rest, of
+
+    def add(self, image: Polynomial, of: Polynomial) -> None:
+        """Extend the span by a rest."""
+        self._basis[max(image.terms, key=lambda m: (len(m), m))] = image, of
+
+
+def polynomial_integrals(field: Field, degree: int) -> list[Polynomial]:
+    """Basis of the polynomials of at most this ``degree`` that the field conserves, without constants."""
+    d = len(field)
+    span, found = _Span(), []
+    for k in range(1, degree + 1):
+        for monomial in combinations_with_replacement(range(d), k):
+            single = Polynomial({monomial: Fraction(1)})
+            rate = sum((single.derivative(i) * field[i] for i in set(monomial)), start=Polynomial({}))
+            image, of = span.rest(rate, single)
+            if image.terms:
+                span.add(image, of)
+            else:
+                found.append(of)
+    return found
+
+
+def further_integrals(field: Field, declared: Sequence[Polynomial], degree: int = 4) -> tuple[int, list[Polynomial]]:
+    """Polynomial integrals of a field that are no polynomials of the ``declared`` ones.
+
+    Returns the degree up to which they were looked for, at most ``degree`` and less for many components, and a basis.
+    """
+    while degree > 2 and math.comb(len(field) + degree, degree) > MOST_MONOMIALS:
+        degree -= 1
+    span = _Span()
+    products = [Polynomial.of(1)]
+    known: list[Polynomial] = [integral for integral in declared if 0 < integral.degree <= degree]
+    for integral in known:
+        powers = [integral**k for k in range(degree // integral.degree + 1)]
+        products = [p * q for p in products for q in powers if p.degree + q.degree <= degree]
+    further = []
+    for is_new, candidates in ((False, products), (True, polynomial_integrals(field, degree))):
+        for candidate in candidates:
+            rest, _ = span.rest(candidate, candidate)
+            if not rest.terms:
+                continue
+            if is_new:
+                further.append(rest)
+                others = [rest * product for product in products if rest.degree + product.degree <= degree]
+            else:
+                others = [rest]
+            for other in others:
+                left, _ = span.rest(other, other)
+                if left.terms:
+                    span.add(left, left)
+    return degree, further
+
+
+def reversal(field: Field) -> tuple[int, ...] | None:
+    """Signs (d,) of components under which time runs backwards, as few minus signs as possible; None if there are none.
+
+    f(R y) = -R f(y) for the diagonal matrix R of the signs.
+    """
+    d = len(field)
+    for minus in chain.from_iterable(combinations(range(d), k) for k in range(1, d + 1)):
+        signs = tuple(-1 if i in minus else 1 for i in range(d))
+        if all(signs[i] * math.prod(signs[j] for j in m) == -1 for i, rate in enumerate(field) for m in rate.terms):
+            return signs
+    return None
+
+
+def divergence(field: Field) -> Polynomial:
+    """Divergence of a field; zero if its flow preserves volume."""
+    return sum((rate.derivative(i) for i, rate in enumerate(field)), start=Polynomial({}))

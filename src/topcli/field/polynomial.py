@@ -9,6 +9,7 @@ fail for the binary fractions next to them.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import cache
@@ -178,6 +179,17 @@ class Polynomial:
     def magnitudes(self) -> Polynomial:
         """The polynomial with the magnitudes of its coefficients."""
         return Polynomial({monomial: abs(c) for monomial, c in self.terms.items()})
+
+    def text(self, names: Sequence[str]) -> str:
+        """The polynomial as a formula of the variables' ``names``, the terms of the highest degree first."""
+        text = ""
+        for monomial in sorted(self.terms, key=lambda m: (-len(m), m)):
+            c, counts = self.terms[monomial], Counter(monomial)
+            powers = [names[i] if n == 1 else f"{names[i]}**{n}" for i, n in counts.items()]
+            size = f"{float(abs(c)):g}"
+            number = [size if Fraction(size) == abs(c) else f"({abs(c)})"] if abs(c) != 1 or not powers else []
+            text += (" - " if c < 0 else " + ") + "*".join(number + powers)
+        return text[3:] if text.startswith(" + ") else f"-{text[3:]}" if text else "0"
 
     def value(self, y: Sequence[Any]) -> Any:
         """Value at ``y``, in the arithmetic of its numbers."""

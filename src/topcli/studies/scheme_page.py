@@ -8,6 +8,7 @@ makes of the operations, in particular how many it does at once.
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -15,11 +16,12 @@ from dataclasses import dataclass, fields
 from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar
 
-from topcli.contracts import Scheme, Stepper
+from topcli.contracts import Block, Scheme, Stepper
 from topcli.engine.precise import Rebuilder, obstacle
 from topcli.engine.precise_numbers import FUNCTIONS
+from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.tops import TOPS
+from topcli.tops import TOPS, forms
 
 HEAD = """# Schemes
 
@@ -31,10 +33,28 @@ a failure.
 """
 
 
-def scheme_forms(name: str) -> list[Scheme]:
-    """Schemes called ``name``, one for each form of a top; empty if there is none."""
+def scheme_forms(name: str, top: str | None = None) -> list[Scheme]:
+    """Schemes called ``name``, one for each form of a top, or of ``top`` alone; empty if there is none.
+
+    Raises UnknownNameError for an unknown top, SchemeMisfitError for a scheme that does not fit it.
+    """
     base = name.lower().partition("+")[0]
-    return [find_scheme(name, scheme.top) for scheme in all_schemes() if scheme.name == base]
+    found = [scheme for scheme in all_schemes() if scheme.name == base]
+    tops = [scheme.top for scheme in found] if top is None or not found else [form.form for form in forms(top)]
+    return [find_scheme(name, form) for form in tops]
+
+
+def generated_source(scheme: Scheme) -> str:
+    """Code that a scheme is made of for the default parameters of its top, under a line with the name.
+
+    Raises UsageError for a scheme that is written out.
+    """
+    method = scheme.build(TOPS[scheme.top].new(), scheme.options())
+    source = method.text() if isinstance(method, Block) else method.source if isinstance(method, Stepper) else ""
+    if not source:
+        file = inspect.getsourcefile(inspect.unwrap(scheme.build))
+        raise UsageError(f"scheme {scheme.name!r} of the top {scheme.top!r} is not made from the field; see {file}")
+    return f"# {scheme.name} ({scheme.top})\n{source}"
 
 
 def scheme_data(scheme: Scheme) -> dict[str, Any]:

@@ -1,0 +1,59 @@
+"""``topcli show`` of tops, and the code of generated schemes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from conftest import Said
+from topcli.tops import BUILT_IN, TOPS
+
+
+def test_a_top_is_described_by_what_it_declares_and_what_its_field_says(cli: Callable[..., Said]) -> None:
+    said = cli("show", "weierstrass").out
+    for line in (
+        "  v' = 6*x**2 - 1.5",
+        "degree: 2",
+        "divergence: 0 (preserves volume)",
+        "reversed in time by: the signs of v",
+    ):
+        assert line in said.splitlines()
+    shown = cli("show", "Euler", "--json").json()["tops"]
+    assert [top["form"] for top in shown] == [form for form in BUILT_IN if TOPS.kind(form) == "euler"]
+    for top in shown:
+        assert top["parameters"]["A"]["value"] == 3.0
+        assert (top["further_integrals"], top["integrals_sought"]) == ([], 4)
+        assert {"hk", "midpoint"} <= set(top["schemes"])
+
+
+def test_integrals_that_hold_on_a_level_are_listed_with_it(cli: Callable[..., Said]) -> None:
+    assert "; where m_gamma = 0" in " ".join(cli("show", "goryachev-chaplygin").out.split())
+
+
+def test_generated_code_can_be_read_and_run(cli: Callable[..., Said]) -> None:
+    """The code of Kahan's step of v' = 6 x^2 - g2/2, x' = v, against its defining equations."""
+    said = cli("show", "hk", "--top", "weierstrass", "--source").out
+    scope: dict = {"fma": lambda a, b, c: a * b + c}
+    exec(said, scope)
+    h, x, v = 0.1, 0.3, -0.2
+    p = [3.0, *(eval(line.partition(" = ")[2]) for line in said.splitlines() if line.startswith("# p["))]
+    new_x, new_v = scope["step"]((x, v), h, p)
+    assert (new_x - x) / h == pytest.approx((v + new_v) / 2, rel=1e-14)
+    assert (new_v - v) / h == pytest.approx(6 * x * new_x - 1.5, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("hybrid", "--source"), "'hybrid' of the top 'kowalevski' is not made from the field; see "),
+        (("hk", "--top", "eule"), "unknown top 'eule'; did you mean 'euler'"),
+        (("dmv", "--top", "clebsch"), "scheme 'dmv' does not fit top 'clebsch'"),
+        (("kowalevski_hk", "--source"), "--source: needs the name of a scheme, not 'kowalevski_hk'"),
+        (("clebsch", "--top", "euler"), "--top: needs the name of a scheme, not 'clebsch'"),
+    ],
+)
+def test_what_has_no_code_is_refused(cli: Callable[..., Said], arguments: tuple[str, ...], words: str) -> None:
+    said = cli("show", *arguments)
+    assert said.code == 2
+    assert words in said.err
