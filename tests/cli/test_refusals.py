@@ -181,8 +181,6 @@ show swept
     show its config with: topcli show results/swept
 show FIG1
     is a figure; draw it with: topcli plot fig1
-show kowalevski
-    is a top; see `topcli list schemes --top kowalevski`
 run lagrange_hk --set scheme=bs
     scheme 'bs' does not fit top 'lagrange'
     lagrange/inertial

@@ -174,3 +174,16 @@ def test_unequal_moments_are_refused_and_heavy_is_offered() -> None:
         simulate(top={"kind": "lagrange", "C": -1.0}, **base)
     assert "triangle" in Lagrange(C=2.5).warnings()[0]
     assert Lagrange(C=2.0).warnings() == ()
+
+
+@pytest.mark.slow
+def test_threads_may_look_for_schemes_at_once() -> None:
+    """Rows of a sweep over tops and schemes begin so: the first of them registers what the others find."""
+    code = (
+        "import sys; sys.setswitchinterval(1e-6)\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from topcli.schemes.registry import all_schemes, find_scheme, names_for\n"
+        "asks = [all_schemes, lambda: names_for('so4'), lambda: find_scheme('rk4', 'so4')] * 4\n"
+        "with ThreadPoolExecutor(12) as pool: print(len([task.result() for task in [pool.submit(a) for a in asks]]))"
+    )
+    assert python_process(code, cwd=ROOT).stdout.split() == ["12"]

@@ -9,16 +9,17 @@ import pkgutil
 import re
 import sys
 import sysconfig
+import threading
 import traceback
 import types
 from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from topcli.contracts import Scheme, Top
 from topcli.errors import SchemeCodeError, TopcliError, UsageError
@@ -77,6 +78,8 @@ class SchemeFile:
     """Names of the modules, which only the process that loaded them knows."""
 
 
+P = ParamSpec("P")
+T = TypeVar("T")
 Table = MutableMapping[Any, Any]
 Snapshot = dict[int, dict[Any, Any]]
 """Content of each table of a registry by its ``id``."""
@@ -135,6 +138,23 @@ class Registry:
 
 
 registry = Registry()
+
+
+@cache
+def _lock() -> Any:
+    """Lock of the registry; a value of the module would be part of the identity of code that looks up schemes."""
+    return threading.RLock()
+
+
+def one_at_a_time(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, entered by one thread at a time: it looks at the registry, and may extend it."""
+
+    @wraps(function)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
+        with _lock():
+            return function(*args, **kwargs)
+
+    return alone
 
 
 @cache

@@ -31,6 +31,7 @@ from topcli.schemes.plugins import (
     is_built_in,
     known_failures,
     modules_beside,
+    one_at_a_time,
     origin_of,
     plugin_failures,
     registry,
@@ -316,6 +317,7 @@ def unload_scheme_files() -> None:
     load_scheme_file.cache_clear()
 
 
+@one_at_a_time
 def all_schemes() -> tuple[Scheme, ...]:
     """Return all registered schemes, sorted by top and name, but for those of tops that configs declare."""
     plugin_failures()
@@ -332,6 +334,7 @@ def schemes_of(form: str) -> tuple[Scheme, ...]:
     return tuple(registry.schemes[name, form] for name in names_for(form))
 
 
+@one_at_a_time
 def find_scheme(name: str, top: str) -> Scheme:
     """Return the scheme called ``name`` for one form of a top.
 
@@ -427,6 +430,7 @@ def composable_names(form: str) -> list[str]:
     return [scheme.name for scheme in schemes_of(form) if not obstacle(scheme)]
 
 
+@one_at_a_time
 def names_for(top: str) -> list[str]:
     """Return the names of the schemes for the form ``top`` of a top."""
     plugin_failures()
