@@ -9,7 +9,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from fields import random_field, random_state
+from fields import random_field, random_state, top_of
+from topcli.analysis.reference import reference_states
 from topcli.field.implicit import KahanStep, NewtonStep, Pattern, generated
 from topcli.field.integrals import broken_integral, polynomial_value, rate_of_change
 from topcli.field.polynomial import (
@@ -83,6 +84,22 @@ def test_the_steps_of_tops_are_kahans(form: str) -> None:
     wrong = [*field]
     wrong[first] = Polynomial({m: c * Fraction(1_000_001, 1_000_000) for m, c in field[first].terms.items()})
     assert kahans_residual(tuple(wrong), y, step(y, 0.05), 0.05) > 1e5
+
+
+@pytest.mark.parametrize("d", range(3, 13))
+def test_kahans_step_has_order_two(d: int) -> None:
+    """The error over a short time, with 8 and with 16 steps."""
+    field, y = random_field(d, 2, d, min(0.5, 2.5 / d)), random_state(d, d)
+    step, duration = step_of(field), 0.5 * length(field, y)
+    exact = reference_states(top_of(field), y, np.array([duration]))[0]
+
+    def error(steps: int) -> float:
+        state = y
+        for _ in range(steps):
+            state = step(state, duration / steps)
+        return float(np.abs(np.array(state) - exact).max())
+
+    assert math.log2(error(8) / error(16)) == pytest.approx(2.0, abs=0.1)
 
 
 @pytest.mark.parametrize("d", [3, 6])
