@@ -436,9 +436,9 @@ class Stepper:
     constants : tuple of Fraction, optional
         Constants of the step, exactly. They follow those of the top in its ``p``; ``enter`` and ``leave`` do not need
         them.
-    source : str, optional
-        Source of the code that is made from the top's field; empty for a step that is written out. A step that is made
-        is made again, from fractions, in other arithmetics.
+    source : callable, optional
+        ``source()`` returns the source of code that is made from the top's field; None for a step that is written out.
+        A step that is made is made again, from fractions, in other arithmetics.
     composable : Stepper, optional
         The same method on a working state that does not depend on h, for compositions and substeps. None if this
         working state does not depend on h either, or if there is no such form.
@@ -455,7 +455,7 @@ class Stepper:
     advice: Callable[[Sequence[float], float], str] | None = None
     stages: tuple[StepFunction, tuple[float, ...]] | None = None
     constants: tuple[Fraction, ...] = ()
-    source: str = ""
+    source: Callable[[], str] | None = None
     composable: Stepper | None = None
 
     def parameters(self, top: Top) -> Floats:

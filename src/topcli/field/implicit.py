@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -289,7 +289,7 @@ class NewtonStep(KahanStep):
 
     The size of a component is the sum of the magnitudes of the terms of d f. Round-off in its u is relative to it.
 
-    The right-hand sides are sums with whole coefficients, such as B - C, divided by a whole number, such as A: rounding
+    The right-hand sides are sums with short coefficients, such as B - C, divided by a short number, such as A: rounding
     errors of quotients (B - C)/A would be a torque, and the integrals would drift.
     """
 
@@ -302,8 +302,17 @@ class NewtonStep(KahanStep):
 
     @staticmethod
     def factors_of(field: Field) -> tuple[Fraction, ...]:
-        """For each component, one over the common denominator of its coefficients."""
-        return tuple(Fraction(1, math.lcm(*(c.denominator for c in rate.terms.values()))) for rate in field)
+        """For each component, one over the common denominator of its coefficients, times a power of two.
+
+        With it the largest coefficient is between one and two: the fewer sizes there are, the more tops share a step.
+        """
+
+        def factor(coefficients: Iterable[Fraction]) -> Fraction:
+            common = math.lcm(*(c.denominator for c in coefficients))
+            largest = max((int(abs(c) * common) for c in coefficients), default=1)
+            return Fraction(1 << (largest.bit_length() - 1), common)
+
+        return tuple(factor(rate.terms.values()) for rate in field)
 
     def _inputs(self) -> tuple[list[int], list[int]]:
         graph, d = self.graph, len(self.field)

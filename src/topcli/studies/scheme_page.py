@@ -50,11 +50,11 @@ def generated_source(scheme: Scheme) -> str:
     Raises UsageError for a scheme that is written out.
     """
     method = scheme.build(TOPS[scheme.top].new(), scheme.options())
-    source = method.text() if isinstance(method, Block) else method.source if isinstance(method, Stepper) else ""
-    if not source:
+    source = method.text if isinstance(method, Block) else getattr(method, "source", None)
+    if source is None:
         file = inspect.getsourcefile(inspect.unwrap(scheme.build))
         raise UsageError(f"scheme {scheme.name!r} of the top {scheme.top!r} is not made from the field; see {file}")
-    return f"# {scheme.name} ({scheme.top})\n{source}"
+    return f"# {scheme.name} ({scheme.top})\n{source()}"
 
 
 def scheme_data(scheme: Scheme) -> dict[str, Any]:

@@ -60,13 +60,14 @@ def kahan_stepper(top: Top, options: object) -> Stepper:
     """Kahan's step of the field of ``top``, compensated if ``options`` say so; it counts near-singular solves."""
     field = required_field(top, "scheme 'hk'", 2)
     made, d = generated(KahanStep, field, len(top.constants())), len(field)
-    source = made.source("step")
     functions = kahan(made.code)
     stepper = Stepper(functions.step, d)
     if is_compensated(options):
         stepper = summing_stepper(functions.change, d, lost=(i for i in range(d) if field[i].terms), checked=d)
     return with_counter(
-        replace(stepper, constants=made.constants, source=source), NEAR_SINGULAR, functions.near_singular
+        replace(stepper, constants=made.constants, source=partial(made.source, "step")),
+        NEAR_SINGULAR,
+        functions.near_singular,
     )
 
 

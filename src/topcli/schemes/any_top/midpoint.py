@@ -130,4 +130,4 @@ def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
     newton = generated(NewtonStep, field, len(top.constants()))
     lost = range(len(field) * is_compensated(options))
     found = stepper(_generated_change(newton.code), len(field), lost=lost, counters=("iterations",), iterative=True)
-    return replace(found, constants=newton.constants, source=newton.source("newton"))
+    return replace(found, constants=newton.constants, source=partial(newton.source, "newton"))
