@@ -67,7 +67,7 @@ class _Request:
 
 def _print_result(result: RunResult, labelled: bool) -> None:
     """Print the message and the table of a run."""
-    report, warning, notes = result.report, "", []
+    report, warning, notes, observed = result.report, "", [], None
     if report.get("kind") == "ensemble":
         from topcli.runs.report import ensemble_table
 
@@ -78,6 +78,7 @@ def _print_result(result: RunResult, labelled: bool) -> None:
         warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
         cells = INVARIANTS.cells(report)
         header, lines = cells.header, cells.lines
+        observed = QUANTITIES.cells(report) if report.get("quantities") else None
     if result.set_aside:
         print_message(result.set_aside_message)
     status = result.status
@@ -89,8 +90,7 @@ def _print_result(result: RunResult, labelled: bool) -> None:
     if warning:
         print_message(f"warning: {report['name']}: {warning}")
     print_table(header, lines, report["name"] if labelled else "")
-    if report.get("quantities"):
-        observed = QUANTITIES.cells(report)
+    if observed:
         print_table(observed.header, observed.lines)
 
 
