@@ -44,7 +44,7 @@ def test_config_round_trips(path: Path, tmp_path: Path) -> None:
 
 
 def test_the_paper_scene() -> None:
-    paths = set(CONFIGS.glob("kowalevski_*.yaml")) - set(ENSEMBLES)
+    paths = {path for path in CONFIGS.glob("kowalevski_*.yaml") if "gyrostat" not in path.stem} - set(ENSEMBLES)
     schemes = {path.stem.removeprefix("kowalevski_"): load_experiment(path) for path in paths}
     assert {"hk", "bohlin_a", "bohlin_b", "bohlin_c", "hybrid", "exact"} < set(schemes)
     for stem, experiment in schemes.items():
