@@ -21,6 +21,7 @@ from matplotlib.mathtext import MathTextParser
 import topcli
 from custom_tops import SECTION, VOLTERRA, Y0, Volterra, config, section
 from json_schema import fits
+from topcli.analysis.reference import reference_states
 from topcli.config.load import load, load_experiment
 from topcli.config.rows import RowReader
 from topcli.config.schema import config_schema
@@ -403,3 +404,22 @@ def test_roots_of_parameters_in_other_precisions(tmp_path, scheme: str) -> None:
         assert abs(mpmath.mpf(str(series["x_decimal"][1])) - expected) < mpmath.mpf(10) ** -36
     with pytest.raises(TopcliError, match=r"math.sqrt, which rational numbers do not have"):
         topcli.simulate({**whole, "precision": "rational"})
+
+
+def test_the_reference_agrees_with_an_independent_integration() -> None:
+    """Volterra's gyrostat by mpmath's Taylor series of equations written here."""
+    top = load_experiment(config()).top
+    with mpmath.workdps(30):
+        third = mpmath.mpf(1) / 3
+
+        def rates(_, w):
+            k = mpmath.mpf("0.3")
+            return [(w[1] * w[2] - k * w[1]) * third, (-2 * w[2] * w[0] + k * w[0]) / 2, w[0] * w[1]]
+
+        exact = mpmath.odefun(rates, 0, [mpmath.mpf(repr(value)) for value in Y0])(2)
+        found = reference_states(top, Y0, np.array([2.0]))[0]
+        assert [abs(float(mpmath.mpf(a) - b)) for a, b in zip(found.tolist(), exact, strict=True)] == pytest.approx(
+            [0.0] * 3, abs=4e-16
+        )
+    taylor = topcli.simulate(config(scheme="taylor", h=0.1, N=20))
+    assert taylor.states[-1] == pytest.approx(found, abs=2e-15)

@@ -158,7 +158,8 @@ def _kept(subject: Subject, invariants: Sequence[Invariant]) -> Found:
     states = completed(subject.top, subject.method(), subject.experiment.y0, LONG, N)
     if states is None:
         return Found(None, None, why=f"its run of {N} steps of {LONG:g} does not complete")
-    drifting = states * (1.0 + DRIFT * np.linspace(0.0, 1.0, len(states)))[:, None]
+    rates = DRIFT * np.cos(1.0 + np.arange(states.shape[1]))  # unequal, else a hyperplane through 0 would be kept
+    drifting = states * (1.0 + np.linspace(0.0, 1.0, len(states))[:, None] * rates)
     return Found(deviation(states, invariants, N), 1.0, deviation(drifting, invariants, N))
 
 
