@@ -112,7 +112,7 @@ def build(name: str, top: Top) -> object:
 
 USERS = {
     "scheme 'dmv'": lambda top: build("dmv", top),
-    "scheme 'midpoint'": lambda top: build("midpoint", top),
+    "scheme 'splitting'": lambda top: build("splitting", top),
 }
 
 

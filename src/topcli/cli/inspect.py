@@ -62,7 +62,7 @@ def show(
     sets: Sets = None,
     as_json: Json = False,
 ) -> None:
-    """Show a config with defaults, a scheme, a top, or a row of a sweep."""
+    """Show a config, a scheme, a top, or a row of a sweep."""
     from topcli.config.load import load_named
     from topcli.studies.scheme_page import generated_source, scheme_data, scheme_forms, scheme_text
     from topcli.studies.top_page import top_data, top_text
@@ -77,13 +77,14 @@ def show(
         from topcli.cli.sweep import show_sweep
 
         return show_sweep(folder, row, sets or [], as_json)
-    schemes = [] if sets or folder.suffix else scheme_forms(config, top)
+    is_name = not sets and not folder.suffix
+    schemes = scheme_forms(config, top) if is_name else []
     if (top or source) and not schemes:
         raise UsageError(f"--{'top' if top else 'source'}: needs the name of a scheme, not {quoted(config)}")
     if source:
         emit_text("\n".join(map(generated_source, schemes)))
         return
-    if not sets and config.lower() in top_names():
+    if is_name and config.lower() in top_names():
         shown = [cls.new() for cls in forms(config)]
         if as_json:
             print_json("show", {"tops": [top_data(one) for one in shown]})
