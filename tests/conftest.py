@@ -125,8 +125,10 @@ class Said:
 
 
 @pytest.fixture
-def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path) -> Callable[..., Said]:
-    """Call ``main`` like the installed command, in an empty working folder."""
+def cli(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path
+) -> Generator[Callable[..., Said]]:
+    """Call ``main`` like the installed command, in an empty working folder; plugins are forgotten at the end."""
     from topcli.__main__ import main
 
     def call(*arguments: str) -> Said:
@@ -139,7 +141,9 @@ def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_
         code = leaving.value.code
         return Said(0 if code is None else int(code), out, err)
 
-    return call
+    yield call
+    if "topcli.schemes.registry" in sys.modules:
+        sys.modules["topcli.schemes.registry"].unload_scheme_files()
 
 
 @pytest.fixture
