@@ -135,6 +135,18 @@ def test_newtons_steps_solve_the_midpoint_rule(d: int, degree: int) -> None:
     assert u == pytest.approx([0.5 * h * float(rate.value(mean)) for rate in field], abs=20.0 * EPS)
 
 
+def test_newtons_step_converges_quadratically_where_one_component_enters_another_linearly_and_cubed() -> None:
+    """x' = y + y^3, y' = x y - x: the number of digits doubles, so the last of five steps changes nothing."""
+    one = Fraction(1)
+    field = (Polynomial({(1,): one, (1, 1, 1): one}), Polynomial({(0, 1): one, (0,): -one}))
+    newton, state, u, changes = step_of(field, NewtonStep), (0.4, 0.9), (0.0, 0.0), []
+    for _ in range(5):
+        old, u = u, newton((*state, *u), 0.3)[:2]
+        changes.append(max(abs(a - b) for a, b in zip(old, u, strict=True)))
+    assert changes[-1] < 4.0 * EPS
+    assert changes[0] > 0.1
+
+
 def test_a_field_is_traced_exactly() -> None:
     """Constants are the decimals that are written: 0.1 + 0.2 = 0.3 holds."""
 

@@ -93,7 +93,7 @@ class KahanStep(Code):
         self.mean = dict(enumerate(self.y))
         """The mean of a solved component, and the component itself before."""
 
-        links, square = [rate.variables() for rate in field], [rate.variables(2) for rate in field]
+        links, square = [rate.variables() for rate in field], [rate.nonlinear() for rate in field]
         for block in strongly_connected(links, every):
             lead = tuple(sorted(itertools.chain(*strongly_connected(square, block)[:-1])))
             rest = tuple(i for i in block if i not in lead)

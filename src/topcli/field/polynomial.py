@@ -159,9 +159,9 @@ class Polynomial:
         """Largest number of factors of a term; 0 for a constant."""
         return max(map(len, self.terms), default=0)
 
-    def variables(self, degree: int | None = None) -> set[int]:
-        """Indices of the variables in the terms, or in those of one ``degree``."""
-        return {i for monomial in self.terms if degree in (None, len(monomial)) for i in monomial}
+    def variables(self) -> set[int]:
+        """Indices of the variables in the terms."""
+        return {i for monomial in self.terms for i in monomial}
 
     def nonlinear(self) -> set[int]:
         """Indices of the variables in products of two factors and more."""
