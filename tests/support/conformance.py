@@ -1,4 +1,4 @@
-"""What every scheme is held to, beside ``topcli.analysis.conformance``: its choices, compositions and observed order.
+"""Requirements of every scheme beside ``topcli.analysis.conformance``: its choices, compositions and observed order.
 
 See ``test_conformance`` for the bounds and for the methods without the traits, which the same measures condemn.
 """

@@ -1,4 +1,4 @@
-"""What a scheme or a top declares, measured: for the study ``check`` and for the tests of all schemes.
+"""Declarations of a scheme or a top, measured: for the study ``check`` and for the tests of all schemes.
 
 The measures take a top and a method, whoever wrote them.
 """

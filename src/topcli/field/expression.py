@@ -202,7 +202,7 @@ class _Reader:
         return made, self.degree(node, math.ceil(value * abs(exponent)))
 
     def reason(self, node: ast.expr) -> str:
-        """What is wrong with a node that is no part of a formula."""
+        """Message about a node that is no part of a formula."""
         match node:
             case ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
                 return f"{name} takes one argument"

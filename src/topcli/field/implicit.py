@@ -56,31 +56,17 @@ class Solution:
     divisor: Term
 
 
-class Code:
-    """Code made from a ``field``: nodes ``outputs`` of its ``graph``.
+class KahanStep:
+    """Kahan's step of a quadratic field, the new state: nodes ``outputs`` of the ``graph`` of its operations.
 
-    It reads its constants from the parameters that begin at ``p[first]``.
+    It reads its constants from the parameters that begin at ``p[first]``. ``factors`` are those of ``factors_of``.
     """
-
-    outputs: list[int]
-
-    def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
-        self.field, self.graph, self.factors = field, Graph(first), factors
-
-    @staticmethod
-    def factors_of(field: Field) -> tuple[Fraction, ...]:
-        """Factors that the code takes out of the components of a field."""
-        return (Fraction(1),) * len(field)
-
-
-class KahanStep(Code):
-    """Kahan's step of a quadratic field: the new state."""
 
     factor = 2
     """The output is the input plus this multiple of the solution."""
 
     def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
-        super().__init__(field, first, factors)
+        self.field, self.graph, self.factors = field, Graph(first), factors
         graph, every = self.graph, range(len(field))
         self.half: dict[int, Sum] = {}
         """Half of the change of the components that are solved."""
@@ -103,6 +89,11 @@ class KahanStep(Code):
             else:
                 self._finish(self._solved(block))
         self.outputs = [self._plus(self.start[i], self.change[i]) for i in every]
+
+    @staticmethod
+    def factors_of(field: Field) -> tuple[Fraction, ...]:
+        """Factors that the code takes out of the components of a field."""
+        return (Fraction(1),) * len(field)
 
     def _inputs(self) -> tuple[list[int], list[int]]:
         """Nodes of what the solution is added to, and of the state at which the Jacobian is taken."""
@@ -404,7 +395,7 @@ def _multiplicity(prime: int, n: int) -> int:
     return count
 
 
-Kind = TypeVar("Kind", bound=Code)
+Kind = TypeVar("Kind", bound=KahanStep)
 
 
 @dataclass(frozen=True)
@@ -422,7 +413,7 @@ class Generated(Generic[Kind]):
 
 
 @lru_cache(maxsize=256)
-def _typical(kind: type[Code], field: Field, first: int, factors: tuple[Fraction, ...]) -> Any:
+def _typical(kind: type[KahanStep], field: Field, first: int, factors: tuple[Fraction, ...]) -> Any:
     return kind(field, first, factors)
 
 

@@ -30,7 +30,7 @@ def polynomial_value(value: Callable[[Array], Array], d: int) -> Polynomial:
 
 
 def remainder(dividend: Polynomial, divisors: Sequence[Polynomial]) -> Polynomial:
-    """What the ``divisors`` leave of a polynomial; if zero, it vanishes wherever they do."""
+    """Remainder of a polynomial by several ``divisors``; if zero, it vanishes wherever they do."""
 
     def rank(monomial: Monomial) -> tuple[int, Monomial]:
         return len(monomial), tuple(-i for i in monomial)
@@ -50,17 +50,18 @@ def remainder(dividend: Polynomial, divisors: Sequence[Polynomial]) -> Polynomia
     return rest
 
 
+def derivative_along(field: Field, function: Polynomial) -> Polynomial:
+    """Derivative of a function of the state along the motion."""
+    return sum((function.derivative(i) * rate for i, rate in enumerate(field)), start=Polynomial({}))
+
+
 def rate_of_change(field: Field, integral: Polynomial, zeros: Sequence[Polynomial] = ()) -> dict[Monomial, float]:
     """Coefficients of the derivative of ``integral`` along the motion where ``zeros`` vanish.
 
     Those that are only rounding are left out.
     """
-
-    def along(change: Callable[[Polynomial], Polynomial]) -> Polynomial:
-        terms = (change(integral.derivative(i)) * change(rate) for i, rate in enumerate(field))
-        return sum(terms, start=Polynomial({}))
-
-    exact, sizes = along(lambda one: one), along(Polynomial.magnitudes)
+    exact = derivative_along(field, integral)
+    sizes = derivative_along(tuple(map(Polynomial.magnitudes, field)), integral.magnitudes())
     rates = Polynomial({m: c for m, c in exact.terms.items() if abs(c) > ROUNDING * sizes.terms[m]})
     if zeros:
         largest = max(map(abs, rates.terms.values()), default=Fraction(0))
@@ -69,11 +70,14 @@ def rate_of_change(field: Field, integral: Polynomial, zeros: Sequence[Polynomia
     return {m: float(c) for m, c in rates.terms.items()}
 
 
-def _measured(top: Top, invariant: Invariant) -> str:
-    try:
-        return measured_change(top, invariant)
-    except Exception:  # of a user's code, as above
-        return ""
+def exact_rate(field: Field, invariants: Sequence[Invariant], invariant: Invariant) -> dict[Monomial, float]:
+    """``rate_of_change`` of one of the ``invariants`` of a top, where those that it names have their values.
+
+    Raises NotPolynomialError.
+    """
+    d, values = len(field), {one.name: one.value for one in invariants}
+    zeros = [polynomial_value(values[name], d) - Polynomial.of(level) for name, level in invariant.on.items()]
+    return rate_of_change(field, polynomial_value(invariant.value, d), zeros)
 
 
 STATES = 12
@@ -85,7 +89,7 @@ CONSERVED = 1e-8
 
 
 def measured_change(top: Top, invariant: Invariant) -> str:
-    """Where and how fast an invariant changes along the field, by differences at random states; empty if it does not.
+    """Rate at which an invariant changes along the field, by differences, and a random state; empty if it does not.
 
     States at which the field or the invariant has no value are left out.
     """
@@ -116,7 +120,6 @@ def broken_integral(top: Top) -> str:
     Polynomials are judged exactly, others at random states, unless they hold on a level. Code that raises is not
     judged.
     """
-    d = len(top.components)
     field: Field | None = None
     try:
         invariants = top.invariants()
@@ -124,17 +127,20 @@ def broken_integral(top: Top) -> str:
             field = field_of(top)
     except Exception:  # a user's code may raise anything; it is reported where it is run with numbers
         return ""
-    values = {invariant.name: invariant.value for invariant in invariants}
+    names = {invariant.name for invariant in invariants}
     for invariant in invariants:
-        if unknown := invariant.on.keys() - values.keys():
+        if unknown := invariant.on.keys() - names:
             return f"{invariant.name!r} holds on {min(unknown)!r}, which is no integral of the top"
         try:
             if field is None:
                 raise NotPolynomialError
-            zeros = [polynomial_value(values[name], d) - Polynomial.of(level) for name, level in invariant.on.items()]
-            rates = rate_of_change(field, polynomial_value(invariant.value, d), zeros)
+            rates = exact_rate(field, invariants, invariant)
         except NotPolynomialError:
-            if not invariant.on and (change := _measured(top, invariant)):
+            change = ""
+            if not invariant.on:
+                with suppress(Exception):  # of a user's code, as above
+                    change = measured_change(top, invariant)
+            if change:
                 return f"{invariant.name!r} is no integral of the field: {change}"
             continue
         if rates:
@@ -148,17 +154,21 @@ MOST_MONOMIALS = 500
 """Monomials among which integrals are looked for."""
 
 
+def _lead(polynomial: Polynomial) -> Monomial:
+    return max(polynomial.terms, key=lambda m: (len(m), m))
+
+
 class _Span:
-    """Linear span of polynomials, each with what it is an image of; the leading monomials are different."""
+    """Linear span of polynomials with different leading monomials, each the image of another one."""
 
     def __init__(self) -> None:
         self._basis: dict[Monomial, tuple[Polynomial, Polynomial]] = {}
 
     def rest(self, image: Polynomial, of: Polynomial) -> tuple[Polynomial, Polynomial]:
-        """What the span leaves of a polynomial, and the combination of originals that this is the image of."""
+        """Difference of an image and an element of the span, without leading monomials of it, and its original."""
         rest = Polynomial({})
         while image.terms:
-            lead = max(image.terms, key=lambda m: (len(m), m))
+            lead = _lead(image)
             if lead in self._basis:
                 known, original = self._basis[lead]
                 c = image.terms[lead] / known.terms[lead]
@@ -168,24 +178,23 @@ class _Span:
                 image, rest = image - term, rest + term
         return rest, of
 
-    def add(self, image: Polynomial, of: Polynomial) -> None:
-        """Extend the span by a rest."""
-        self._basis[max(image.terms, key=lambda m: (len(m), m))] = image, of
+    def extend(self, image: Polynomial, of: Polynomial) -> tuple[Polynomial, Polynomial]:
+        """Add an image to the span; its ``rest``, which is zero if it is in the span already."""
+        rest, original = self.rest(image, of)
+        if rest.terms:
+            self._basis[_lead(rest)] = rest, original
+        return rest, original
 
 
 def polynomial_integrals(field: Field, degree: int) -> list[Polynomial]:
     """Basis of the polynomials of at most this ``degree`` that the field conserves, without constants."""
-    d = len(field)
     span, found = _Span(), []
     for k in range(1, degree + 1):
-        for monomial in combinations_with_replacement(range(d), k):
+        for monomial in combinations_with_replacement(range(len(field)), k):
             single = Polynomial({monomial: Fraction(1)})
-            rate = sum((single.derivative(i) * field[i] for i in set(monomial)), start=Polynomial({}))
-            image, of = span.rest(rate, single)
-            if image.terms:
-                span.add(image, of)
-            else:
-                found.append(of)
+            rest, combination = span.extend(derivative_along(field, single), single)
+            if not rest.terms:
+                found.append(combination)
     return found
 
 
@@ -196,27 +205,21 @@ def further_integrals(field: Field, declared: Sequence[Polynomial], degree: int 
     """
     while degree > 2 and math.comb(len(field) + degree, degree) > MOST_MONOMIALS:
         degree -= 1
-    span = _Span()
     products = [Polynomial.of(1)]
-    known: list[Polynomial] = [integral for integral in declared if 0 < integral.degree <= degree]
-    for integral in known:
-        powers = [integral**k for k in range(degree // integral.degree + 1)]
-        products = [p * q for p in products for q in powers if p.degree + q.degree <= degree]
-    further = []
-    for is_new, candidates in ((False, products), (True, polynomial_integrals(field, degree))):
-        for candidate in candidates:
-            rest, _ = span.rest(candidate, candidate)
-            if not rest.terms:
-                continue
-            if is_new:
-                further.append(rest)
-                others = [rest * product for product in products if rest.degree + product.degree <= degree]
-            else:
-                others = [rest]
-            for other in others:
-                left, _ = span.rest(other, other)
-                if left.terms:
-                    span.add(left, left)
+    for integral in declared:
+        if 0 < integral.degree <= degree:
+            powers = [integral**k for k in range(degree // integral.degree + 1)]
+            products = [p * q for p in products for q in powers if p.degree + q.degree <= degree]
+    span, further = _Span(), []
+    for product in products:
+        span.extend(product, product)
+    for candidate in polynomial_integrals(field, degree):
+        rest, _ = span.rest(candidate, candidate)
+        if rest.terms:
+            further.append(rest)
+            for product in products:
+                if rest.degree + product.degree <= degree:
+                    span.extend(rest * product, rest)
     return degree, further
 
 

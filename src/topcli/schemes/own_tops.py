@@ -67,10 +67,9 @@ def top(declared: type[Top]) -> type[Top]:
     caller = sys._getframe(1)
     where = f"{caller.f_code.co_filename}:{caller.f_lineno}"
     import_built_in()
-    with_field = _require_names(declared, where)
+    _require_names(declared, where)
     _require_parameters(declared, where)
-    if with_field:
-        _require_field(declared)
+    _require_field(declared)
     _require_integrals(declared, where)
     form = declared.form
     TOPS[form] = declared
@@ -79,8 +78,8 @@ def top(declared: type[Top]) -> type[Top]:
     return declared
 
 
-def _require_names(declared: type[Top], where: str) -> bool:
-    """Raise UsageError unless kind, form and components are unused names; True if the class has a field of its own."""
+def _require_names(declared: type[Top], where: str) -> None:
+    """Raise UsageError unless kind, form and components are unused names, and the class has a field."""
     if not (isinstance(declared, type) and issubclass(declared, Top)):
         name = getattr(declared, "__name__", type(declared).__name__)
         raise UsageError(f"{where}: {name!r} is no topcli.Top; declare it as class {name}(topcli.Top)")
@@ -110,7 +109,6 @@ def _require_names(declared: type[Top], where: str) -> bool:
     for key in (*declared.symbols, *declared.holds_on):
         if key not in declared.integrals and declared.invariants is Top.invariants:
             raise UsageError(f"{where}: top {kind!r} has no integral {key!r}; {nearest(key, declared.integrals)}")
-    return True
 
 
 def _require_parameters(declared: type[Top], where: str) -> None:

@@ -25,8 +25,8 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant, Method, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UsageError
-from topcli.field.integrals import polynomial_value, rate_of_change
-from topcli.field.polynomial import NotPolynomialError, Polynomial, field_of
+from topcli.field import integrals as field_integrals
+from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.runs.report import finite
 from topcli.schemes.plugins import top_origin, users_error
 from topcli.schemes.registry import all_schemes, find_scheme, load_scheme_file
@@ -243,13 +243,11 @@ def _with_square(invariant: Invariant, k: int) -> Callable[[Array], Array]:
 
 def exact_rate(top: Top, invariant: Invariant, k: int) -> Found:
     """Terms of the exact rate of change of an integral along the field."""
-    d = len(top.components)
     try:
-        field, values = field_of(top), {one.name: one.value for one in top.invariants()}
-        zeros = [polynomial_value(values[name], d) - Polynomial.of(level) for name, level in invariant.on.items()]
+        field, invariants = field_of(top), top.invariants()
         terms = [
-            len(rate_of_change(field, polynomial_value(value, d), zeros))
-            for value in (invariant.value, _with_square(invariant, k))
+            len(field_integrals.exact_rate(field, invariants, one))
+            for one in (invariant, replace(invariant, value=_with_square(invariant, k)))
         ]
     except NotPolynomialError as error:
         return Found(None, None, why=f"no polynomial: {error}")

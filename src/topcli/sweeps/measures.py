@@ -98,7 +98,7 @@ class Measure:
 
 
 def _need(need: str, name: str) -> str:
-    """What a member of a family needs, from what the family needs."""
+    """Needs of a member of a family, from those of the family."""
     return name if need == COLUMN else f"{need}.{name}" if need in (DEVIATION, DRIFT) else need
 
 

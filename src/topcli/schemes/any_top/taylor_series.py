@@ -42,7 +42,7 @@ Factors = tuple[int, ...]
 
 @dataclass
 class Stage:
-    """What is added up for the lanes of a stage; numbers of ``tables`` are those of their coefficients."""
+    """Sums for the lanes of a stage; numbers of ``tables`` are those of their coefficients."""
 
     sums: list[tuple[int, Lanes, int]] = field(default_factory=list)
     """Products of two series: the vector that they are in, the lanes, the table."""
