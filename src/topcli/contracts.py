@@ -187,13 +187,20 @@ class Top(BaseModel):
     """Symbols of ``integrals`` for terminals and in LaTeX, for example ``{"energy": ("E", "E")}``."""
     holds_on: ClassVar[Mapping[str, Mapping[str, float]]] = {}
     """For ``integrals`` that only some motions conserve, ``Invariant.on``."""
+    angular_velocity: ClassVar[Callable[[Floats, Floats], Floats] | None] = None
+    """Angular velocity in the body's frame, ``angular_velocity(state, constants)``, three numbers, on flat tuples; for
+    the attitude of a top that turns like a body. Must be compilable."""
+    vertical: ClassVar[Callable[[Floats, Floats], Floats] | None] = None
+    """Vector in the body's frame, as ``angular_velocity``, whose direction is fixed in space and is shown upright;
+    None for a top without one."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **options: Any) -> None:
         """Set what a top does not declare."""
         own = vars(cls)
-        if inspect.isfunction(own.get("field")):
-            cls.field = staticmethod(own["field"])
+        for name in ("field", "angular_velocity", "vertical"):
+            if inspect.isfunction(own.get(name)):
+                setattr(cls, name, staticmethod(own[name]))
         if "kind" in own and "form" not in own:
             cls.form = cls.kind
         if not hasattr(cls, "title"):
@@ -314,6 +321,56 @@ AGREEMENT = 1e-12
 PROBES = 4
 SIZES = ((1.0, 1.0), (0.0, 1.0), (1.0, 0.0), (1e-6, 1.0), (1e6, 1.0))
 """Sizes of omega and gamma at which they are compared, so that no term hides behind a larger one."""
+
+
+MOVED = 1e-6
+"""Relative change of a vertical that finite differences may leave."""
+
+
+def checked_rotation(top: Top, needed_by: str) -> None:
+    """Check that ``top`` gives its angular velocity, and that its ``vertical`` is fixed in space.
+
+    The rate of change of the vertical in the body's frame is vertical x angular velocity; it is compared at several
+    states. ``needed_by`` is that of ``checked_equations``.
+
+    Raises
+    ------
+    UsageError
+        If the top gives no angular velocity, or if its vertical moves.
+    """
+    velocity, vertical = type(top).angular_velocity, type(top).vertical
+    if velocity is None:
+        raise UsageError(
+            f"top {top.kind!r}: {needed_by} needs its angular velocity, which it does not declare; if it turns like a "
+            "body, define angular_velocity, three numbers in the body's frame"
+        )
+    p, d = top.constants(), len(top.components)
+    for probe in range(PROBES):
+        y = np.cos(np.arange(1.0, d + 1.0) + d * probe)  # in general position
+        try:
+            omega = velocity(tuple(y.tolist()), p)
+            rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
+            s = 1e-3 / max(1.0, float(np.abs(rates).max()))
+            if not s > 0.0:  # beyond the range of a double there is nothing to compare
+                continue
+            near = [tuple((y + k * s * rates).tolist()) for k in (0, -2, -1, 1, 2)]
+            along = [vertical(state, p) for state in near] if vertical else []
+        except (ArithmeticError, ValueError):  # outside the domain of a root or a logarithm, perhaps
+            continue
+        for name, value in (("angular_velocity", omega), ("vertical", along[0] if along else omega)):
+            if not isinstance(value, tuple) or len(value) != 3:
+                raise UsageError(f"top {top.kind!r}: {name} must return a tuple of three numbers, not {value!r}")
+        with np.errstate(all="ignore"):
+            v = np.array(along or [omega] * 5, dtype=float)
+            rate, turn = (v[1] - v[4] + 8.0 * (v[3] - v[2])) / (12.0 * s), np.cross(v[0], omega)
+            rounding = np.abs(v).max() * (MOVED * (1.0 + np.abs(omega).max()) + AGREEMENT / s)
+            moves = vertical is not None and np.abs(rate - turn).max() > rounding + MOVED * np.abs(rate).max()
+        if moves:
+            shown = [", ".join(f"{value:.6g}" for value in vector) for vector in (rate, turn, y)]
+            raise UsageError(
+                f"top {top.kind!r}: its vertical is not fixed in space: it changes by ({shown[0]}), and "
+                f"vertical x angular_velocity is ({shown[1]}), at ({shown[2]})"
+            )
 
 
 def checked_equations(top: Top, needed_by: str) -> EulerPoisson:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import mpmath
@@ -17,7 +16,16 @@ from declared import BODIES
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Stepper, StopAsked, check_stop, stop_asked
-from topcli.engine.attitude import HEAD, carry, constants_of, start_attitude, with_attitude
+from topcli.engine.attitude import (
+    CARRY,
+    TO_ROUND_OFF,
+    TURNS,
+    Turning,
+    carry,
+    start_attitude,
+    turns_of,
+    with_attitude,
+)
 from topcli.engine.loop import loop_of
 from topcli.engine.native import native
 from topcli.engine.run import Run
@@ -29,11 +37,18 @@ from topcli.tops.kowalevski import Kowalevski
 INITIAL = {
     form: {name: list(GEN[start:stop]) for name, (start, stop) in cls.vectors.items()} for form, cls in TOPS.items()
 }
-TURNS = {"attitude": "quaternion"}
+OUTPUT = {"attitude": "quaternion"}
+OMEGA = {
+    "volterra": lambda m: np.array([1.0, 1.5, 2.5]) * m + [0.4, 0.0, 0.0],
+    "clebsch": lambda y: y[:3],
+    "kirchhoff": lambda y: np.array([1.0, 1.0, 1.6]) * y[:3],
+    "suslov": lambda w: np.array([w[0], w[1], 0.0]),
+}
+"""Angular velocities of tops, with their default parameters, that are not the first three components."""
 
 
 def experiment(top: str, scheme: str, h: float, N: int, **output: Any) -> Experiment:
-    made = {"top": top, "initial": INITIAL[top], "scheme": scheme, "h": h, "N": N, "output": {**TURNS, **output}}
+    made = {"top": top, "initial": INITIAL[top], "scheme": scheme, "h": h, "N": N, "output": {**OUTPUT, **output}}
     return load_experiment({"name": "attitude", **made})
 
 
@@ -47,10 +62,10 @@ def rows(one: Experiment) -> tuple[np.ndarray, np.ndarray]:
 def reference(one: Experiment, start: np.ndarray) -> np.ndarray:
     """Rotation at the end of the motion, from the nine equations R' = R [omega] or, in space, R' = [m] R."""
     d, p, field = len(one.y0), one.top.constants(), type(one.top).field
-    in_space = one.top.form == "lagrange/inertial"
+    in_space, omega = one.top.form == "lagrange/inertial", OMEGA.get(one.top.kind, lambda y: y[:3])
 
     def rates(t: float, values: np.ndarray) -> np.ndarray:
-        w, R = values[:3], values[d:].reshape(3, 3)
+        w, R = omega(values[:d]), values[d:].reshape(3, 3)
         cross = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
         return np.concatenate([field(tuple(values[:d]), p), (cross @ R if in_space else R @ cross).ravel()])
 
@@ -81,6 +96,12 @@ euler              hk            2
 euler              rk4           4
 euler+gamma        hk            2
 euler              hk-exact      2
+volterra           rk4           4
+lagrange-gyrostat  hk            2
+hess-appelrot      hk            2
+clebsch            hk            2
+kirchhoff          rk4           4
+suslov             rk4           4
 """),
 )
 def test_order_is_that_of_the_scheme(top: str, scheme: str, order: int) -> None:
@@ -89,10 +110,37 @@ def test_order_is_that_of_the_scheme(top: str, scheme: str, order: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("top", BODIES)
+@pytest.mark.parametrize("top", [*BODIES, "volterra", "kowalevski-gyrostat"])
 @pytest.mark.parametrize("h", [0.1, 1.0])
 def test_taylor_turns_to_round_off(top: str, h: float) -> None:
     assert error(top, "taylor", h) < 2e-12  # of the reference
+
+
+def test_a_top_of_formulas_turns_by_its_angular_velocity() -> None:
+    """One that is no polynomial, without a vertical: to the order of the scheme from the identity on."""
+    field = {"u": "sin(2*v)", "v": "-u*cos(u)"}
+    top = {"kind": "custom", "components": ["u", "v"], "field": field, "angular_velocity": ["u*v", "exp(-v)", "k"]}
+    made = {"name": "t", "top": top | {"parameters": {"k": 0.7}}, "initial": {"u": 0.8, "v": -0.3}, "output": OUTPUT}
+
+    def turned(scheme: str, h: float) -> np.ndarray:
+        one = load_experiment(made | {"scheme": scheme, "h": h, "N": round(2.0 / h)})
+        assert rows(one)[1][0].tolist() == np.eye(3).tolist()
+        return rows(one)[1][-1]
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        u, v, *q = y
+        turn = Rotation.from_quat([u * v, np.exp(-v), 0.7, 0.0])  # as a quaternion, not as a rotation: scaled below
+        size = np.sqrt((u * v) ** 2 + np.exp(-2.0 * v) + 0.49)
+        rate = (Rotation.from_quat(q) * turn).as_quat(canonical=False) * size * np.linalg.norm(q) / 2.0
+        return np.array([np.sin(2.0 * v), -u * np.cos(u), *rate])
+
+    begin = [0.8, -0.3, 0.0, 0.0, 0.0, 1.0]
+    found = solve_ivp(rates, (0.0, 2.0), begin, method="DOP853", rtol=1e-12, atol=1e-13)
+    expected = Rotation.from_quat(found.y[2:, -1]).as_matrix()
+    for scheme, order in (("rk2", 2), ("rk4", 4)):
+        coarse, fine = (np.abs(turned(scheme, h) - expected).max() for h in (0.05, 0.025))
+        assert np.log2(coarse / fine) == pytest.approx(order, abs=0.2)
+    assert np.abs(turned("dop853", 0.5) - expected).max() < 1e-10
 
 
 @pytest.mark.slow
@@ -179,7 +227,7 @@ def test_an_interrupted_call_counts_no_step() -> None:
         return (s[0] + h, s[1], s[2])
 
     top = Euler()
-    loop = with_attitude(loop_of(Stepper(step, 3, plain=True), 3, 6), 3, constants_of(top, 2))
+    loop = with_attitude(loop_of(Stepper(step, 3, plain=True), 3, 6), top, 2)
     work, out = np.zeros(loop.width), np.empty(70000)
     loop.enter(np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), work, np.array(top.constants()), 2.0**-10)
     begun = work.copy()
@@ -194,21 +242,19 @@ def test_an_interrupted_call_counts_no_step() -> None:
 
 def test_machine_code_is_stored() -> None:
     """A second process must not compile it for seconds: its code needs no symbol of numba's."""
-    native(carry, "ppppdqqq")
-    assert native(carry, "ppppdqqq").cached
+    for code, signature in ((carry, CARRY), (turns_of(Kowalevski, 1), TURNS)):
+        native(code, signature)
+        assert native(code, signature).cached
 
 
 @pytest.mark.parametrize("order", [2, 4, 0])
 def test_compiled_and_plain_code_agree(order: int) -> None:
     top, h, steps = Kowalevski(), 0.3, 20
     states = Run(top, load_experiment("kowalevski_hk").method(), GEN, h, steps).collect().states
-    constants = constants_of(top, order)
-    found = []
-    calls: list[Callable[..., int]] = [native(carry, "ppppdqqq"), carry]
-    for call in calls:
-        work, out = np.zeros(HEAD), np.zeros(10 * steps)
-        work[:6], work[6:10] = GEN, start_attitude(top, GEN)
-        assert call(work, states[1:].ravel().copy(), out, constants, h, steps, 1, 1) == steps
+    turning, found = Turning(top, order), []
+    for codes in (turning.codes, [carry, turns_of(Kowalevski, 1)]):
+        turning.codes, out = codes, np.zeros(10 * steps)
+        assert turning.along(turning.upto(start_attitude(top, GEN)), states, out, h, 1, 1) == steps
         found.append(out.reshape(steps, 10))
     assert np.abs(found[0] - found[1]).max() < 1e-15
 
@@ -249,9 +295,8 @@ def test_the_attitude_at_the_start_is_the_shortest_rotation() -> None:
 
 def test_a_turn_too_large_to_resolve_is_no_number() -> None:
     """The run goes on; its attitude is nan, and neither hangs nor is silently wrong."""
-    top, y = Kowalevski(), np.array([1e9, 0.0, 0.0, 1.0, 0.0, 0.0])
-    work, out = np.zeros(HEAD), np.zeros(10)
-    work[:6], work[6:10] = y, start_attitude(top, tuple(y))
-    assert native(carry, "ppppdqqq")(work, y, out, constants_of(top, 0), 1.0, 1, 1, 1) == 1
-    assert out[:6].tolist() == y.tolist()
+    top, y, out = Kowalevski(), np.array([[1e9, 0.0, 0.0, 1.0, 0.0, 0.0]] * 2), np.zeros(10)
+    turning = Turning(top, TO_ROUND_OFF)
+    assert turning.along(turning.upto(start_attitude(top, tuple(y[0]))), y, out, 1.0, 1, 1) == 1
+    assert out[:6].tolist() == y[0].tolist()
     assert np.isnan(out[6:]).all()

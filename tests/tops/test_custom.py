@@ -40,6 +40,7 @@ from topcli.tops import TOPS, top_names
 from topcli.tops.custom import EXAMPLE
 
 schema_of_configs = cache(config_schema)
+OMEGA = "angular_velocity: [w1, w2, w3]\n"
 
 
 def test_the_section_comes_back_as_it_was_written() -> None:
@@ -227,6 +228,26 @@ def test_an_invariant_may_hold_on_a_level(tmp_path) -> None:
         ("(A*w1)**2", "{value: w9} # ", "11: top.invariants.momentum.value: column 1: unknown name 'w9'"),
         ("scheme: hk", "scheme: {name: hk, compensatd: true}", "13: scheme.compensatd: unknown key"),
         ("h: 0.01", "h: 0.01\noutput: {attitude: quaternion}", "15: output.attitude: top 'custom'"),
+        (
+            "  invariants:",
+            f"  {OMEGA}  vertical: [A*w1, B*w2, C*w3]\n  invariants:",
+            "10: top.vertical: top 'custom': its",
+        ),
+        (
+            "  invariants:",
+            "  vertical: [w1, w2, w3]\n  invariants:",
+            "9: top.vertical: top 'custom': the vertical needs",
+        ),
+        (
+            "  invariants:",
+            "  angular_velocity: [w1, w2]\n  invariants:",
+            "9: top.angular_velocity: must be a list of three",
+        ),
+        (
+            "  invariants:",
+            "  angular_velocity: [w1, w2, w]\n  invariants:",
+            "9: top.angular_velocity[2]: column 1: unknown",
+        ),
     ],
 )
 def test_what_is_refused_names_its_line(tmp_path, old: str, new: str, message: str) -> None:

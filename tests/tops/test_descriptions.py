@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import pytest
 from conftest import random_states
 from declared import BODIES
 from topcli.analysis.reference import reference_states
-from topcli.contracts import EulerPoisson, Top, checked_equations
+from topcli.contracts import EulerPoisson, Top, checked_equations, checked_rotation
 from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
@@ -21,6 +21,8 @@ from topcli.tops.heavy import field as heavy_field
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 
+TURNING = ("volterra", "lagrange-gyrostat", "kowalevski-gyrostat", "hess-appelrot", "clebsch", "kirchhoff", "suslov")
+"""Tops of the catalogue that turn like bodies; the Goryachev-Chaplygin top is one of ``BODIES``."""
 TRUE = [
     *(TOPS[form].new() for form in BODIES),
     Kowalevski(c0=-3e5, A=0.7),
@@ -34,6 +36,37 @@ TRUE = [
 @pytest.mark.parametrize("top", TRUE, ids=repr)
 def test_descriptions_of_the_tops_are_their_fields(top: Top) -> None:
     assert checked_equations(top, "a test") == top.euler_poisson()
+
+
+@pytest.mark.parametrize("top", [*TRUE, *(TOPS[form].new() for form in TURNING)], ids=repr)
+def test_verticals_are_fixed_in_space(top: Top) -> None:
+    checked_rotation(top, "a test")
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1.0 - 1e-4, 1.0 + 1e-4])
+@pytest.mark.parametrize("form", ["kowalevski", "volterra", "clebsch"])
+def test_a_vertical_that_moves_is_noticed(form: str, factor: float) -> None:
+    base = TOPS[form]
+    velocity: Any = base.angular_velocity
+
+    class Turned(base):
+        angular_velocity: ClassVar = staticmethod(lambda y, p: tuple(factor * w for w in velocity(y, p)))
+
+    with pytest.raises(UsageError, match="its vertical is not fixed in space: it changes by "):
+        checked_rotation(Turned(), "a test")
+
+
+def test_a_top_without_an_angular_velocity_is_refused() -> None:
+    with pytest.raises(UsageError, match="top 'so4': a test needs its angular velocity, which it does not declare"):
+        checked_rotation(TOPS["so4"].new(), "a test")
+
+
+def test_an_angular_velocity_has_three_numbers() -> None:
+    class Flat(Kowalevski):
+        angular_velocity: ClassVar = staticmethod(lambda y, p: (y[0], y[1]))
+
+    with pytest.raises(UsageError, match="angular_velocity must return a tuple of three numbers, not"):
+        checked_rotation(Flat(), "a test")
 
 
 def gyrostat_field(y, p):

@@ -13,12 +13,12 @@ from topcli.analysis.columns import ATTITUDES
 from topcli.analysis.quantities import usable_names
 from topcli.config.document import STRICT, KeyPath, Problems, WrittenFloat, describe, validate
 from topcli.config.models import Output
-from topcli.contracts import Invariant, Top
+from topcli.contracts import Invariant, Top, checked_rotation
 from topcli.errors import nearest
 from topcli.field.expression import parse
 from topcli.field.integrals import broken_integral
 from topcli.tops import CUSTOM, TOPS
-from topcli.tops.custom import EXAMPLE, custom_class, name_fault
+from topcli.tops.custom import EXAMPLE, VECTORS, custom_class, name_fault
 
 
 class CustomSection(BaseModel):
@@ -32,6 +32,14 @@ class CustomSection(BaseModel):
     invariants: dict[str, Any] = Field(
         default={},
         description="formulas of what is conserved; only on a level of others: {value: ..., on: {...}}",
+    )
+    angular_velocity: list[Any] | None = Field(
+        default=None,
+        description="three formulas, in the body's frame: the top turns like a body, and its attitude can be recorded",
+    )
+    vertical: list[Any] | None = Field(
+        default=None,
+        description="three formulas: a vector in the body's frame that is fixed in space and shown upright",
     )
 
 
@@ -61,9 +69,15 @@ def read_custom(raw: dict[str, Any], problems: Problems) -> tuple[type[Top] | No
     named = _check_names(section, problems)
     if len(problems.messages) > before:
         return None, None
+    for key in VECTORS:
+        if len(getattr(section, key) or range(3)) != 3:
+            problems.add(("top", key), f"must be a list of three formulas, not of {len(getattr(section, key))}")
+            return None, None
+    parts: list[tuple[str, dict[Any, Any]]] = [("field", section.field), ("invariants", section.invariants)]
+    parts += [(key, dict(enumerate(getattr(section, key) or ()))) for key in VECTORS]
     formulas = {
         (key, name): _formula(value, ("top", key, name), named, problems)
-        for key, part in (("field", section.field), ("invariants", section.invariants))
+        for key, part in parts
         for name, value in part.items()
     }
     if len(problems.messages) > before:
@@ -162,6 +176,9 @@ def _check_numbers(top: Top, problems: Problems) -> None:
         name = next(name for name in top.integrals if fault.startswith(repr(name)))
         problems.add(("top", "invariants", name), fault)
         return
+    if top.vertical:
+        with problems.at("top", "vertical"):
+            checked_rotation(top, "the vertical")
     known.add(top)
 
 

@@ -23,7 +23,7 @@ from topcli.config.models import Config, Experiment, changed_name, name_fault
 from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
 from topcli.config.written import read_written, with_written_numbers
-from topcli.contracts import Top, checked_equations
+from topcli.contracts import Top, checked_rotation
 from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError, UsageError, quoted
 from topcli.tops import TOPS, forms
@@ -259,7 +259,7 @@ def _check(config: Config, top: Top | None, is_ensemble: bool, problems: Problem
             problems.add(path, text)
     if names and top is not None and not (is_ensemble or other):
         with problems.at(*attitude):
-            checked_equations(top, "the attitude")
+            checked_rotation(top, "the attitude")
         if taken := [name for name in names if name in top.components]:
             problems.add(attitude, f"the top has a component {quoted(taken[0])} of its own; use another form")
 

@@ -26,6 +26,7 @@ from topcli.schemes.compose import COMPOSITIONS, obstacle
 from topcli.schemes.plugins import without_users_errors
 from topcli.schemes.registry import find_scheme, names_for, schemes_of
 from topcli.tops import CUSTOM, TOPS, forms, top_class, top_names
+from topcli.tops.custom import VECTORS
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -97,6 +98,8 @@ def _for_custom() -> Schema:
     properties["components"]["items"] |= {"pattern": f"^{NAME.pattern}$"}
     properties["field"] |= {"type": "object", "additionalProperties": _FORMULA}
     properties["invariants"] |= {"type": "object", "additionalProperties": {"anyOf": [_FORMULA, relation]}}
+    for key in VECTORS:
+        properties[key]["anyOf"][0] |= {"items": _FORMULA, "minItems": 3, "maxItems": 3}
     section = {
         "type": "object",
         "required": ["kind", *top["required"]],

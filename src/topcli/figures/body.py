@@ -34,6 +34,7 @@ PALE, BLUE, MARK = (0.93, 0.90, 0.83), (0.20, 0.47, 0.69), (0.87, 0.42, 0.10)
 """Colours of the sectors; one of them is marked, so that the spin is seen."""
 LARGEST = 0.66
 """Largest distance of a point of the body from the fixed point; the traces lie on the sphere of radius one."""
+UNKNOWN_MOMENTS = (3.0, 2.5, 1.5)
 THINNEST = 0.12
 """Smallest semi-axis relative to the largest one."""
 TRACE, TRACE_FAR, OLD, OLD_FAR = "#0072B2", "#A6CDE6", "#7FB8D8", "#D3E5F0"
@@ -64,8 +65,16 @@ def body_of(top: Top, state: Sequence[float] | None) -> Body:
 
     The axis passes through the centre of gravity, or without gravity it is the principal axis that is nearest to the
     angular momentum at the start. A top with a symmetry axis through its centre of gravity looks like a spinning top;
-    any other is the homogeneous ellipsoid of its moments.
+    any other is the homogeneous ellipsoid of its moments. A top that declares no moments is shown with
+    ``UNKNOWN_MOMENTS`` and its third axis.
     """
+    try:
+        top.euler_poisson()
+    except NotImplementedError:
+        axis, three = np.array([0.0, 0.0, 1.0]), len(top.components) == 3
+        vertical = r"\boldsymbol{e}_z" if type(top).vertical is None else rf"\boldsymbol{{{'m' if three else 'p'}}}"
+        shape = _coloured(_ellipsoid(_semi_axes(np.array(UNKNOWN_MOMENTS)), axis), axis)
+        return Body(*shape, axis, _axis_name(axis), f"${vertical}$")
     equations = checked_equations(top, "the body")
     moments, gravity = np.array(equations.moments), np.array(equations.gravity)
     free = not gravity.any()
@@ -345,9 +354,9 @@ def _reconstructed(experiment: Experiment, states: Array | None, folder: Path) -
         raise UsageError(
             f"{folder}: records neither the attitude nor all of {', '.join(top.components)}", f"run it with {ASK}"
         )
-    from topcli.engine.attitude import attitude_of_rows
+    from topcli.engine.attitude import attitude_of_rows, velocities
 
-    turn = float(np.nanmax(np.linalg.norm(states[:, :3], axis=1))) * abs(experiment.h) * every
+    turn = float(np.nanmax(np.linalg.norm(velocities(top, states), axis=1))) * abs(experiment.h) * every
     if not turn <= LARGEST_TURN:
         raise UsageError(
             f"{folder}: the body turns by up to {turn:.2g} radians from row to row, and no attitude is recorded",

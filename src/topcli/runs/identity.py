@@ -67,7 +67,9 @@ class Identity:
         if isinstance(experiment, Experiment) and experiment.output.attitude:
             from topcli.engine.attitude import attitude_code
 
-            codes = [f"{code},{attitude_code(method)}" for code, method in zip(codes, methods, strict=True)]
+            codes = [
+                f"{code},{attitude_code(experiment.top, method)}" for code, method in zip(codes, methods, strict=True)
+            ]
             return cls(config, digest, hashlib.sha256(codes[0].encode()).hexdigest())
         code = codes[0] if len(codes) == 1 else hashlib.sha256(",".join(codes).encode()).hexdigest()
         return cls(config, digest, code)

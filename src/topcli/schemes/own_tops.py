@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.contracts import Floats, Top
+from topcli.contracts import Floats, Top, checked_rotation
 from topcli.errors import UsageError, nearest
 from topcli.schemes.plugins import import_built_in, line_of, origin_of, registry
 from topcli.tops import CUSTOM, TOPS
@@ -71,6 +71,8 @@ def top(declared: type[Top]) -> type[Top]:
     _require_parameters(declared, where)
     _require_field(declared)
     _require_integrals(declared, where)
+    if declared.angular_velocity or declared.vertical:
+        checked_rotation(declared.new(), "its vertical")
     form = declared.form
     TOPS[form] = declared
     registry.top_origins[form] = origin_of(declared)

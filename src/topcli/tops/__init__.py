@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from topcli.contracts import Array, Invariant, Top
+from topcli.contracts import Array, Floats, Invariant, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 
 CATALOGUE = {
@@ -133,8 +133,21 @@ def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
 Value = Callable[[Array], Array]
 
 
+def omega_of(y: Floats, p: Floats) -> Floats:
+    """First three components of the state."""
+    return (y[0], y[1], y[2])
+
+
+def gamma_of(y: Floats, p: Floats) -> Floats:
+    """Components of the state from the fourth to the sixth."""
+    return (y[3], y[4], y[5])
+
+
 class BodyTop(Top):
     """Top with the state (omega, gamma): angular velocity and vertical, both in the body's frame."""
+
+    angular_velocity = staticmethod(omega_of)
+    vertical = staticmethod(gamma_of)
 
     components: ClassVar[tuple[str, ...]] = ("omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3), "gamma": (3, 6)}

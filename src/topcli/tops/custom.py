@@ -16,7 +16,9 @@ from topcli.contracts import Integral, Top
 from topcli.field.expression import FUNCTIONS, NAME, Expression, function_of, parse, value_of
 from topcli.tops import CUSTOM
 
-KEYS = ("components", "parameters", "field", "invariants")
+VECTORS = ("angular_velocity", "vertical")
+"""Keys of vectors of the body, each a list of three formulas."""
+KEYS = ("components", "parameters", "field", "invariants", *VECTORS)
 """Keys of the section beside its kind."""
 TAKEN = frozenset(("n", "t", "h", "trajectory", "normalize", "kind", *KEYS, *FUNCTIONS))
 """Names that mean something else in a config, a formula or a table."""
@@ -43,7 +45,7 @@ class Custom(Top):
     kind = CUSTOM
     form = CUSTOM
     declaration: ClassVar[Mapping[str, Any]]
-    """``components``, ``field`` and ``invariants`` of the section."""
+    """The section without its kind and parameters."""
 
     def section(self, parameters: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the section ``top`` of a config as plain data, with these ``parameters`` in place of the top's own."""
@@ -92,6 +94,7 @@ def custom_class(section: Mapping[str, Any]) -> type[Custom]:
         "components": list(section["components"]),
         "field": {name: section["field"][name] for name in section["components"]},
         "invariants": dict(section.get("invariants") or {}),
+        **{key: list(section[key]) for key in VECTORS if section.get(key)},
     }
     return _made(json.dumps(declaration), tuple((section.get("parameters") or {}).items()))
 
@@ -135,5 +138,8 @@ def _new(declaration: dict[str, Any], parameters: dict[str, float], digest: str)
         "symbols": symbols,
         "holds_on": holds_on,
     }
+    for key in VECTORS:
+        if key in declaration:
+            namespace[key] = function_of(key, [read(text) for text in declaration[key]], components, names)
     metaclass: Any = type(Custom)
     return metaclass("Custom", (Custom,), namespace)

@@ -8,7 +8,7 @@ from typing import ClassVar
 from pydantic import Field
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
-from topcli.tops import VERTICAL, BodyTop, length_sq, sum_of_products
+from topcli.tops import VERTICAL, BodyTop, length_sq, omega_of, sum_of_products
 
 
 def field(y: Floats, p: Floats) -> Floats:
@@ -28,6 +28,11 @@ def field_with_gamma(y: Floats, p: Floats) -> Floats:
         g3 * w1 - g1 * w3,
         g1 * w2 - g2 * w1,
     )
+
+
+def momentum(y: Floats, p: Floats) -> Floats:
+    """Angular momentum (A omega1, B omega2, C omega3)."""
+    return (p[0] * y[0], p[1] * y[1], p[2] * y[2])
 
 
 class Euler(Top):
@@ -59,6 +64,8 @@ C\dot\omega_3 = (A - B)\,\omega_1\omega_2
         "alpha3 = (A - B)/C",
     )
     field = staticmethod(field)
+    angular_velocity = staticmethod(omega_of)
+    vertical = staticmethod(momentum)
 
     A: float = Field(default=3.0, gt=0.0, description="first moment of inertia; positive")
     B: float = Field(default=2.0, gt=0.0, description="second moment of inertia; positive")
@@ -103,6 +110,7 @@ class EulerGamma(Euler):
     )
     components = BodyTop.components
     vectors = BodyTop.vectors
+    vertical = BodyTop.vertical
     unit_vectors = BodyTop.unit_vectors
     field = staticmethod(field_with_gamma)
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 from pydantic import Field
 
 from topcli.contracts import Floats, Integral, Top
+from topcli.tops import gamma_of, omega_of
 
 
 def clebsch(y: Floats, p: Floats) -> Floats:
@@ -36,6 +37,11 @@ def kirchhoff(y: Floats, p: Floats) -> Floats:
         a1 * (p3 * m1) - a3 * (p1 * m3),
         a1 * (p1 * m2 - p2 * m1),
     )
+
+
+def kirchhoff_omega(y: Floats, p: Floats) -> Floats:
+    """Return the angular velocity a m."""
+    return (p[0] * y[0], p[0] * y[1], p[1] * y[2])
 
 
 def p_sq(y: Floats, p: Floats) -> Any:
@@ -75,6 +81,7 @@ class InFluid(Top):
 
     components = ("m1", "m2", "m3", "p1", "p2", "p3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"m": (0, 3), "p": (3, 6)}
+    vertical = staticmethod(gamma_of)
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
         "p_sq": ("p²", r"\boldsymbol{p}^2"),
         "m_p": ("m·p", r"\boldsymbol{m}\cdot\boldsymbol{p}"),
@@ -97,6 +104,7 @@ class Clebsch(InFluid):
 """
     swing = "p1"
     field = staticmethod(clebsch)
+    angular_velocity = staticmethod(omega_of)
     integrals: ClassVar[Mapping[str, Integral]] = {"p_sq": p_sq, "m_p": m_p, "energy": clebsch_energy, "second": second}
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
         **InFluid.symbols,
@@ -137,6 +145,7 @@ a = \mathrm{diag}(a_1, a_1, a_3), \quad b = \mathrm{diag}(b_1, b_1, b_3)
 """
     swing = "p3"
     field = staticmethod(kirchhoff)
+    angular_velocity = staticmethod(kirchhoff_omega)
     integrals: ClassVar[Mapping[str, Integral]] = {
         "p_sq": p_sq,
         "m_p": m_p,

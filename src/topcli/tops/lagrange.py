@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from pydantic import Field, ValidationInfo, field_validator
 
 from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
-from topcli.tops import VERTICAL, BodyTop, energy, length_sq, sum_of_products
+from topcli.tops import VERTICAL, BodyTop, energy, gamma_of, length_sq, sum_of_products
 
 
 def field(y: Floats, p: Floats) -> Floats:
@@ -34,6 +34,11 @@ def inertial_field(y: Floats, p: Floats) -> Floats:
     """Right-hand side of m' = p x a, a' = m x a with p = e_z, the limit of Sogo's (L1), (L2)."""
     m1, m2, m3, a1, a2, a3 = y
     return (-a2, a1, 0.0, m2 * a3 - m3 * a2, m3 * a1 - m1 * a3, m1 * a2 - m2 * a1)
+
+
+def spherical_omega(y: Floats, p: Floats) -> Floats:
+    """Angular velocity -m of the spherical top that has the axis a as its vertical."""
+    return (-y[0], -y[1], -y[2])
 
 
 def hk_corrections(A: Any, nu: Any, k: Any, h: Any, y: Any) -> tuple[Any, Any, Any]:
@@ -168,6 +173,8 @@ class LagrangeInertial(Top):
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"m": (0, 3), "a": (3, 6)}
     unit_vectors = ("a",)
     in_space = True
+    angular_velocity = staticmethod(spherical_omega)
+    vertical = staticmethod(gamma_of)
     swing = "a3"
     step_constants = ("1",)
     field = staticmethod(inertial_field)

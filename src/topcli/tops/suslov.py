@@ -18,6 +18,11 @@ def field(y: Floats, p: Floats) -> Floats:
     return (-torque * w2 / I1, torque * w1 / I2)
 
 
+def omega(y: Floats, p: Floats) -> Floats:
+    """Return the angular velocity (omega1, omega2, 0)."""
+    return (y[0], y[1], 0.0)
+
+
 def energy(y: Floats, p: Floats) -> Any:
     """Energy."""
     return (p[0] * y[0] ** 2 + p[1] * y[1] ** 2) / 2
@@ -40,6 +45,7 @@ I_1\dot\omega_1 = -\ell\,\omega_2, \qquad I_2\dot\omega_2 = \ell\,\omega_1, \qqu
 """
     components = ("omega1", "omega2")
     field = staticmethod(field)
+    angular_velocity = staticmethod(omega)
     integrals: ClassVar[Mapping[str, Integral]] = {"energy": energy}
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
         "energy": ("E", "E"),

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 from pydantic import Field
 
 from topcli.contracts import Floats, Integral, Top
+from topcli.tops import omega_of
 
 PAIRS = ("hk_23", "hk_31", "hk_12")
 """Names of the integrals of the HK map, by the component that they leave out."""
@@ -22,6 +23,11 @@ def field(y: Floats, p: Floats) -> Floats:
         (a1 - a3) * m3 * m1 + b1 * m3 - b3 * m1,
         (a2 - a1) * m1 * m2 + b2 * m1 - b1 * m2,
     )
+
+
+def omega(y: Floats, p: Floats) -> Floats:
+    """Return the angular velocity a m + b."""
+    return (p[0] * y[0] + p[3], p[1] * y[1] + p[4], p[2] * y[2] + p[5])
 
 
 def m_sq(y: Floats, p: Floats) -> Any:
@@ -71,6 +77,8 @@ class Volterra(Top):
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"m": (0, 3)}
     swing = "m2"
     field = staticmethod(field)
+    angular_velocity = staticmethod(omega)
+    vertical = staticmethod(omega_of)
     integrals: ClassVar[Mapping[str, Integral]] = {"m_sq": m_sq, "energy": energy}
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
         "m_sq": ("m²", r"\boldsymbol{m}^2"),
