@@ -40,7 +40,7 @@ def top_data(top: Top) -> dict[str, Any]:
 
 
 def _of_field(top: Top, field: Field) -> dict[str, Any]:
-    """Lines that follow from a polynomial field."""
+    """Entries that follow from a polynomial field."""
     declared: list[Polynomial] = []
     for invariant in top.invariants():
         try:
