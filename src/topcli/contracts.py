@@ -454,6 +454,11 @@ class NoOptions(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+def same_state(state: Any, h: float, p: Any) -> Any:
+    """``enter`` or ``leave`` of a scheme that works on the physical state itself."""
+    return state
+
+
 @dataclass(frozen=True)
 class Stepper:
     """Step of a scheme, built for one top; the engine compiles and iterates it.
@@ -499,6 +504,9 @@ class Stepper:
     composable : Stepper, optional
         The same method on a working state that does not depend on h, for compositions and substeps. None if this
         working state does not depend on h either, or if there is no such form.
+    tangent : callable, optional
+        ``tangent()`` returns the Stepper of the state and a tangent vector, in this order the first 2 d slots of its
+        working state. None if the tangent map is the step, differentiated by the compiler.
     """
 
     step: StepFunction
@@ -514,6 +522,7 @@ class Stepper:
     constants: tuple[Fraction, ...] = ()
     source: Callable[[], str] | None = None
     composable: Stepper | None = None
+    tangent: Callable[[], Stepper] | None = None
 
     def parameters(self, top: Top) -> Floats:
         """``p`` of the step for ``top``: its constants, then those of the step."""

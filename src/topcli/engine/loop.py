@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from topcli.arithmetic.fused import unlikely
-from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper
+from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, same_state
 from topcli.engine.native import CompileError, native, native_text
 from topcli.engine.setups import SetupTime, prepare
 from topcli.engine.source import place_of, plain_function
@@ -54,11 +54,6 @@ def make(step, enter, leave):
 
     return enter_state, drive
 """
-
-
-def same_state(state: Any, h: float, p: Any) -> Any:
-    """``enter`` or ``leave`` of a scheme that works on the physical state itself."""
-    return state
 
 
 _STAGES = """for stage in range(int(params[{constants}])):

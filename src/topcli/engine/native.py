@@ -29,6 +29,7 @@ import numpy as np
 from topcli import __version__
 from topcli.arithmetic.fused import fma, unlikely
 from topcli.engine.code_cache import ObjectCode, store_code, stored_code
+from topcli.engine.duals import dual_numbers, rules_digest
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.source import compilable_copy, require_no_raise
 from topcli.errors import RunError, TopcliError
@@ -201,7 +202,7 @@ def _expectation() -> Any:
     return expected_false
 
 
-def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
+def _compile(function: Callable[..., Any], signature: str, inline: bool, duals: bool) -> Any:
     """Compile with numba and return the cfunc."""
     from numba import cfunc, njit, types
 
@@ -216,7 +217,11 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool) -> Any:
         return jit(kernel)
 
     return cfunc(signature_type, error_model="numpy", forceinline=True)(
-        compilable_copy(function, compiler, {id(fma): _fma_instruction(), id(unlikely): _expectation()})
+        compilable_copy(
+            function,
+            compiler,
+            {id(fma): _fma_instruction(), id(unlikely): _expectation(), **(dual_numbers() if duals else {})},
+        )
     )
 
 
@@ -263,16 +268,17 @@ def native_text(ir: str, symbol: str, signature: str) -> Native:
     return Native(call, signature, time.perf_counter() - start, False, keep)
 
 
-def native(function: Callable[..., Any], signature: str, *, inline: bool = True) -> Native:
+def native(function: Callable[..., Any], signature: str, *, inline: bool = True, duals: bool = False) -> Native:
     """Machine code of ``function``, from the cache if its content is known there.
 
     ``signature`` has one letter per argument: ``p`` pointer to float64, ``d`` float64, ``q`` int64. ``inline`` forces
-    every kernel into its caller, which is right for a step of a hundred operations and wrong for loops. Raises
-    CompileError if the compiler refuses the function.
+    every kernel into its caller, which is right for a step of a hundred operations and wrong for loops. ``duals`` are
+    needed by a function that makes dual numbers (``engine.duals``). Raises CompileError if the compiler refuses the
+    function.
     """
     llvm, machine = _machine()  # before the clock starts: the back end's own start-up is not counted
     start = time.perf_counter()
-    identity = f"{fingerprint(function)}|{signature}|{inline}|{machine}"
+    identity = f"{fingerprint(function)}|{signature}|{inline}|{machine}" + (rules_digest() if duals else "")
     known = _known(identity, signature, start)
     if known is not None:
         return known
@@ -284,7 +290,7 @@ def native(function: Callable[..., Any], signature: str, *, inline: bool = True)
         if known is not None:
             return known
         try:
-            compiled = _compile(function, signature, inline)
+            compiled = _compile(function, signature, inline, duals)
         except (TopcliError, MemoryError):
             raise
         except Exception as error:  # numba raises its own kinds and plain ones

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.fused import fma, is_cap, power_of
 from topcli.arithmetic.vectors import SMALL_ANGLE_SQ
-from topcli.contracts import Outcome, Scheme, StepFunction, Stepper, Top
-from topcli.engine.loop import Loop, same_state
+from topcli.contracts import Outcome, Scheme, StepFunction, Stepper, Top, same_state
+from topcli.engine.loop import Loop
 from topcli.engine.precise_numbers import (
     IRRATIONAL,
     MAX_DIGITS,

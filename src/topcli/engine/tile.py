@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.vectors import VECTOR_VARIANTS
-from topcli.contracts import Array, Outcome, Stepper
-from topcli.engine.loop import Loop, same_state
+from topcli.contracts import Array, Outcome, Stepper, same_state
+from topcli.engine.loop import Loop
 from topcli.engine.native import Native
 from topcli.engine.run import Endings, in_calls, recorded_rows
 from topcli.engine.source import compilable_copy

@@ -80,7 +80,7 @@ class KahanStep:
         """The mean of a solved component, and the component itself before."""
 
         links, square = [rate.variables() for rate in field], [rate.nonlinear() for rate in field]
-        for block in strongly_connected(links, every):
+        for block in self._in_turn(strongly_connected(links, every)):
             lead = tuple(sorted(itertools.chain(*strongly_connected(square, block)[:-1])))
             rest = tuple(i for i in block if i not in lead)
             linear = [sum((j,) in field[i].terms for j in rest) for i in lead]
@@ -88,12 +88,16 @@ class KahanStep:
                 self._finish(self._shifted(block, lead, rest, strongly_connected(links, lead)))
             else:
                 self._finish(self._solved(block))
-        self.outputs = [self._plus(self.start[i], self.change[i]) for i in every]
+        self.outputs = [self._plus(self.start[i], self.change[i]) for i in sorted(self.change)]
 
     @staticmethod
     def factors_of(field: Field) -> tuple[Fraction, ...]:
         """Factors that the code takes out of the components of a field."""
         return (Fraction(1),) * len(field)
+
+    def _in_turn(self, blocks: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+        """The blocks to solve, in this order."""
+        return blocks
 
     def _inputs(self) -> tuple[list[int], list[int]]:
         """Nodes of what the solution is added to, and of the state at which the Jacobian is taken."""
@@ -268,11 +272,51 @@ class KahanStep:
 
     def changes(self) -> list[int]:
         """Nodes of the changes of the components."""
-        return [self.graph.node_of(self.change[i]) for i in range(len(self.field))]
+        return [self.graph.node_of(self.change[i]) for i in sorted(self.change)]
 
     def divisors(self) -> list[int]:
         """Nodes of all determinants, each followed by the sum of the magnitudes of its terms."""
         return [node for determinant in self._determinants for node in (determinant, self.graph.size(determinant))]
+
+
+def variational(field: Field) -> Field:
+    """The field (f(y), f'(y) v) of a state y and a tangent vector v, whose indices follow those of y."""
+    d = len(field)
+    tangent = (
+        sum((rate.derivative(j) * Polynomial.variable(d + j) for j in range(d)), start=Polynomial({})) for rate in field
+    )
+    return (*field, *tangent)
+
+
+class KahanTangent(KahanStep):
+    """Kahan's step and its tangent map: input (y, v), output the new y and the image of v.
+
+    This is Kahan's step of the variational field. The linear systems for y and v have the same matrix, which is
+    eliminated once; y gets the bits of ``KahanStep``.
+    """
+
+    def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
+        self._d = len(field)
+        super().__init__(variational(field), first, factors)
+
+    def _in_turn(self, blocks: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+        return sorted(blocks, key=lambda block: block[0] // self._d)
+
+
+class MidpointTangent(KahanTangent):
+    """Tangent map of the midpoint rule, for a field of any degree: input (y, u, v), output the image of v.
+
+    u is half of the change of y. With the mean m = y + u it solves (1 - d f'(m)) w = d f'(m) v; the image is v + 2 w.
+    """
+
+    def _inputs(self) -> tuple[list[int], list[int]]:
+        graph, d = self.graph, self._d
+        y, u, v = ([graph.input(f"s[{k * d + i}]") for i in range(d)] for k in range(3))
+        mean = [graph.node("+", *pair) for pair in zip(y, u, strict=True)]
+        return [*y, *v], [*mean, *v]
+
+    def _in_turn(self, blocks: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+        return [block for block in blocks if block[0] >= self._d]
 
 
 class NewtonStep(KahanStep):

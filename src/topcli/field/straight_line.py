@@ -165,6 +165,9 @@ class Graph:
         c, factors = divisor
         if not factors:
             return ((numerator / c, ()),)
+        twice = ("/", self.constant(Fraction(2 * numerator)), *factors)
+        if self.knows(*twice):  # half of it is exact
+            return ((c, (self.product(self.node(*twice), self.constant(Fraction(1, 2))),)),)
         return ((c, (self.node("/", self.constant(Fraction(numerator)), *factors),)),)
 
     def node_of(self, terms: Sum) -> int:

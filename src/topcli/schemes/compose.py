@@ -16,9 +16,9 @@ is converted once, so the cost is that of the base steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -149,7 +149,8 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         if reason or not isinstance(method, Stepper):
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
         weights = composition.weights
-        return replace(method, step=composed_step(method.step, weights), stages=(method.step, weights))
+        tangent = method.tangent and partial(_composed_tangent, method.tangent, weights)
+        return replace(method, step=composed_step(method.step, weights), stages=(method.step, weights), tangent=tangent)
 
     alone, largest = base.longest_step, max(map(abs, composition.weights))
 
@@ -169,6 +170,12 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         longest_step=longest_step if alone else None,
         doc=f"{stages} ({composition.citation}).\n\n{CONSERVED}\n\n{base.name}: {base.doc}",
     )
+
+
+def _composed_tangent(tangent: Callable[[], Stepper], weights: tuple[float, ...]) -> Stepper:
+    """The tangent map of a composition: the composition of that of its base scheme."""
+    base = tangent()
+    return replace(base, step=composed_step(base.step, weights))
 
 
 CONSERVED = (

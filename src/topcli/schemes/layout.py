@@ -33,7 +33,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.arithmetic.fused import compensated_sum, unlikely
-from topcli.contracts import Floats, Invariant, StepFunction, Stepper, Top
+from topcli.contracts import Floats, Invariant, StepFunction, Stepper, Top, same_state
 from topcli.tops import BUILT_IN, CATALOGUE
 
 SINGULAR = (
@@ -253,16 +253,16 @@ def stepper(
     """
     errors = tuple(lost)
     tail = (0.0,) * (len(errors) + iterative + len(counters))
-    begin = enter
+    begin = enter or same_state
 
     def enter_slots(y: Floats, h: float, p: Floats) -> Floats:
-        return (*(begin(y, h, p) if begin else y), *tail)
+        return (*begin(y, h, p), *tail)
 
     width = moved + kept + len(tail)
     return Stepper(
         _writer(moved, kept, errors, iterative, len(counters), adds)(change),
         width,
-        enter_slots if begin or tail else None,
+        enter_slots if enter or tail else None,
         leave or (first(min(moved, 6) if kept else moved) if width > 6 or tail else None),
         counters,
         iterative=iterative,
@@ -283,7 +283,7 @@ def with_counter(stepper: Stepper, name: str, event: Event, branch: bool = False
     With ``branch`` the machine code branches to the addition instead of selecting its result. This saves operations but
     splits the step into two parts that the compiler schedules separately; which is faster has to be measured.
     """
-    step, inner_enter, inner_leave = stepper.step, stepper.enter, stepper.leave
+    step, inner_enter, inner_leave = stepper.step, stepper.enter or same_state, stepper.leave or same_state
 
     def counted(s: Floats, h: float, p: Floats) -> Floats:
         old = s[:-1]
@@ -302,16 +302,10 @@ def with_counter(stepper: Stepper, name: str, event: Event, branch: bool = False
         return (*new, count)
 
     def enter(y: Floats, h: float, p: Floats) -> Floats:
-        return (*(inner_enter(y, h, p) if inner_enter else y), 0.0)
+        return (*inner_enter(y, h, p), 0.0)
 
-    if inner_leave is None:
-
-        def leave(s: Floats, h: float, p: Floats) -> Floats:
-            return s[:-1]
-    else:
-
-        def leave(s: Floats, h: float, p: Floats) -> Floats:
-            return inner_leave(s[:-1], h, p)
+    def leave(s: Floats, h: float, p: Floats) -> Floats:
+        return inner_leave(s[:-1], h, p)
 
     return replace(
         stepper,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.field.implicit import KahanStep, generated
+from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import required_field
 from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
@@ -56,6 +56,18 @@ def any_small(divisors: StepFunction, count: int) -> Event:
     return event
 
 
+@lru_cache(maxsize=256)
+def _tangent_step(made: KahanTangent) -> StepFunction:
+    return function_of(made.graph, "tangent", made.outputs)
+
+
+def kahan_tangent(top: Top) -> Stepper:
+    """Kahan's step of the field of ``top`` with its tangent map."""
+    field = required_field(top, "scheme 'hk'", 2)
+    made = generated(KahanTangent, field, len(top.constants()))
+    return Stepper(_tangent_step(made.code), 2 * len(field), constants=made.constants)
+
+
 def kahan_stepper(top: Top, options: object) -> Stepper:
     """Kahan's step of the field of ``top``, compensated if ``options`` say so; it counts near-singular solves."""
     field = required_field(top, "scheme 'hk'", 2)
@@ -65,7 +77,12 @@ def kahan_stepper(top: Top, options: object) -> Stepper:
     if is_compensated(options):
         stepper = summing_stepper(functions.change, d, lost=(i for i in range(d) if field[i].terms), checked=d)
     return with_counter(
-        replace(stepper, constants=made.constants, source=partial(made.source, "step")),
+        replace(
+            stepper,
+            constants=made.constants,
+            source=partial(made.source, "step"),
+            tangent=partial(kahan_tangent, top),
+        ),
         NEAR_SINGULAR,
         functions.near_singular,
     )

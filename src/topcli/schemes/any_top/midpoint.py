@@ -14,9 +14,9 @@ from functools import lru_cache, partial
 from typing import Any
 
 from topcli.arithmetic.fused import follow_precision
-from topcli.contracts import Stepper, Top
-from topcli.field.implicit import NewtonStep, generated
-from topcli.field.polynomial import required_field, strongly_connected
+from topcli.contracts import StepFunction, Stepper, Top
+from topcli.field.implicit import Generated, MidpointTangent, NewtonStep, generated
+from topcli.field.polynomial import Field, required_field, strongly_connected
 from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
     LONG_NEWTON,
@@ -104,6 +104,59 @@ def _generated_change(newton: NewtonStep) -> Change:
     return scope["change"]
 
 
+_TANGENT = """
+def step(s, h, p):
+    x = change(({state}), h, p)
+    w = tangent(({state}{half}{vector}), h, p)
+    return ({new}{image}x[{d}])
+
+def enter(y, h, p):
+    return (*y, 0.0)
+
+def leave(s, h, p):
+    return s[:-1]
+"""
+
+
+@lru_cache(maxsize=256)
+def _tangent_functions(newton: NewtonStep, made: MidpointTangent) -> dict[str, StepFunction]:
+    """Functions ``step``, ``enter`` and ``leave`` of the rule with its tangent map; the last slot is the status."""
+    d = len(newton.field)
+
+    def listed(text: str) -> str:
+        return "".join(text.format(i=i, v=d + i) + ", " for i in range(d))
+
+    text = _TANGENT.format(
+        state=listed("s[{i}]"),
+        half=listed("0.5 * x[{i}]"),
+        vector=listed("s[{v}]"),
+        new=listed("s[{i}] + x[{i}]"),
+        image=listed("w[{i}]"),
+        d=d,
+    )
+    scope: dict[str, Any] = {
+        "change": _generated_change(newton),
+        "tangent": function_of(made.graph, "tangent", made.outputs),
+        "__name__": __name__,
+    }
+    exec(compile(text, f"<tangent map of the midpoint rule {d}>", "exec"), scope)
+    return scope
+
+
+def _midpoint_tangent(field: Field, top: Top, newton: Generated[NewtonStep]) -> Stepper:
+    """The midpoint rule with its tangent map."""
+    made = generated(MidpointTangent, field, len(top.constants()) + len(newton.constants))
+    found = _tangent_functions(newton.code, made.code)
+    return Stepper(
+        found["step"],
+        2 * len(field) + 1,
+        found["enter"],
+        found["leave"],
+        iterative=True,
+        constants=(*newton.constants, *made.constants),
+    )
+
+
 @scheme(
     "midpoint",
     top=("heavy", "kowalevski", "lagrange", "lagrange/inertial"),
@@ -130,4 +183,9 @@ def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
     newton = generated(NewtonStep, field, len(top.constants()))
     lost = range(len(field) * is_compensated(options))
     found = stepper(_generated_change(newton.code), len(field), lost=lost, counters=("iterations",), iterative=True)
-    return replace(found, constants=newton.constants, source=partial(newton.source, "newton"))
+    return replace(
+        found,
+        constants=newton.constants,
+        source=partial(newton.source, "newton"),
+        tangent=partial(_midpoint_tangent, field, top, newton),
+    )

@@ -33,6 +33,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +42,7 @@ import numpy as np
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.vectors import Vector
 from topcli.contracts import UNKNOWN, Array, Floats, Integrability, Invariant, Stepper, Top
+from topcli.schemes.any_top.kahan import kahan_tangent
 from topcli.schemes.layout import (
     NEAR_SINGULAR,
     SINGULAR,
@@ -333,4 +336,5 @@ def build_hk(top: Top, options: CompensatedOption) -> Stepper:
         made = increment_stepper(omega_change(hk_change) if d == 3 else hk_gamma_change, d, options)
     else:
         made = Stepper(hk_step if d == 3 else hk_gamma_step, d)
-    return with_counter(made, NEAR_SINGULAR, small_determinant(euler_determinant), branch=True)
+    made = with_counter(made, NEAR_SINGULAR, small_determinant(euler_determinant), branch=True)
+    return replace(made, tangent=partial(kahan_tangent, top))

@@ -58,8 +58,9 @@ def frozen_constants(y: Floats, p: Floats) -> Floats:
     c = p[0]
     w1, w2, w3, g1, g2, g3 = y
     _, two_l, energy = first_three(y, c)
-    k = math.hypot(*xi_of(w1, w2, g1, g2, c))
-    weight = abs(c) * math.hypot(g1, g2, g3)
+    xi, eta = xi_of(w1, w2, g1, g2, c)
+    k = math.hypot(xi, eta)
+    weight = abs(c) * math.hypot(math.hypot(g1, g2), g3)
     size = (0.25 * (w1 * w1 + w2 * w2) + 0.125 * (w3 * w3)) + 0.25 * weight
     return (2.0 * (energy - k), 2.0 * (energy + k), weight, c * two_l, size)
 

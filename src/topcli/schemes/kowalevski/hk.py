@@ -43,8 +43,12 @@ omega; gamma² then does not drift. Doing it for omega as well would increase th
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 from topcli.arithmetic.fused import compensated_sum, fma, quick_two_sum, two_prod, two_sum
 from topcli.contracts import Floats, Stepper, Top
+from topcli.schemes.any_top.kahan import kahan_tangent
 from topcli.schemes.layout import (
     HIROTA_KIMURA,
     LONG_HK,
@@ -204,4 +208,5 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
     made = Stepper(hk_kowalevski, 6)
     if is_compensated(options):
         made = Stepper(hk_kowalevski_compensated, 12, enter_compensated, first(6), checked=6)
-    return with_counter(made, NEAR_SINGULAR, small_determinant(kowalevski_determinant))
+    made = with_counter(made, NEAR_SINGULAR, small_determinant(kowalevski_determinant))
+    return replace(made, tangent=partial(kahan_tangent, top))

@@ -1,0 +1,216 @@
+"""Steps with their tangent maps, compiled for several orbits side by side; tangent vectors are renormalised on the way.
+
+The tangent map of a step is the step compiled for dual numbers, unless the scheme gives it (``Stepper.tangent``). The
+logarithms of the factors by which a tangent vector grows add up to its growth, from which Lyapunov exponents follow.
+
+The compiled loop goes over the steps and, within each, over the orbits, as in ``engine.tile``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from topcli.contracts import Array, Method, Sampler, Scheme, Stepper, Top, same_state
+from topcli.engine.duals import dual, slope_of, value_of
+from topcli.engine.native import CompileError, Native, native
+from topcli.engine.source import place_of, plain_function
+from topcli.errors import UsageError
+
+SIGNATURE = "pppdqqqq"
+
+_TEMPLATE = """
+def make(step, enter, leave):
+    def drive(work, out, params, h, blocks, every, begin, renormalise):
+        p = ({parameters})
+        if begin:
+            for j in range({lanes}):
+                s = enter(({entered}), h, p)
+                {store}
+        {advance}
+        for j in range({lanes}):
+            s = ({load})
+            y = leave(s, h, p)
+            {leave}
+        return 0
+
+    return drive
+"""
+_BLOCKS = """for b in range(blocks):
+            {steps}
+            if renormalise:
+                {lane_loop}
+                    y = leave(s, h, p)
+                    size = math.sqrt({norm})
+                    out[{log} + j] += math.log(size) + 0.0 * ({all})
+                    factor = 1.0 / size
+                    {scale}"""
+_ALONE = """j = 0
+        s = ({load})
+        {blocks}
+        {store}"""
+
+
+@cache
+def _template(
+    width: int, d: int, constants: int, given: bool, counted: int, lanes: int
+) -> Callable[..., Callable[..., int]]:
+    """Maker of the loop for a working state of ``width`` slots, ``counted`` of which at the end are counters.
+
+    The slots are dual numbers unless the tangent map is ``given``: then they are the state and the tangent vector, of
+    ``d`` components each, and whatever follows.
+    """
+
+    def slot(array: str, i: int) -> str:
+        return f"{array}[{i * lanes} + j]"
+
+    def stored(indent: int) -> str:
+        texts = []
+        for i in range(width):
+            texts.append(f"{slot('work', i)} = " + (f"s[{i}]" if given else f"value_of(s[{i}])"))
+            if not given:
+                texts.append(f"{slot('work', width + i)} = slope_of(s[{i}])")
+        return ("\n" + " " * indent).join(texts)
+
+    if given:
+        load = "".join(f"{slot('work', i)}, " for i in range(width))
+        entered = "".join(f"{slot('out', i)}, " for i in range(2 * d))
+        left = [f"{slot('out', i)} = y[{i}]" for i in range(2 * d)]
+        norm = " + ".join(f"y[{d + i}] * y[{d + i}]" for i in range(d))
+        scaled = "".join(f"s[{i}]{' * factor' * (d <= i < 2 * d)}, " for i in range(width))
+        values = [f"s[{i}]" for i in range(width)]
+    else:
+        load = "".join(f"dual({slot('work', i)}, {slot('work', width + i)}), " for i in range(width))
+        entered = "".join(f"dual({slot('out', i)}, {slot('out', d + i)}), " for i in range(d))
+        left = [f"{slot('out', i)} = value_of(y[{i}])" for i in range(d)]
+        left += [f"{slot('out', d + i)} = slope_of(y[{i}])" for i in range(d)]
+        norm = " + ".join(f"slope_of(y[{i}]) * slope_of(y[{i}])" for i in range(d))
+        scaled = "".join(f"dual(value_of(s[{i}]), slope_of(s[{i}]) * factor), " for i in range(width))
+        values = [f"value_of(s[{i}])" for i in range(width)]
+    steps = "for i in range(every):\n                "
+    if lanes == 1:
+        steps += "s = step(s, h, p)"
+        lane_loop, scale = "if True:", f"s = ({scaled})"
+    else:
+        indent = "\n" + " " * 20
+        steps += f"for j in range({lanes}):{indent}s = step(({load}), h, p){indent}{stored(20)}"
+        lane_loop, scale = f"for j in range({lanes}):{indent}s = ({load})", f"s = ({scaled}){indent}{stored(20)}"
+    blocks = _BLOCKS.format(
+        steps=steps,
+        lane_loop=lane_loop,
+        norm=norm,
+        log=2 * d * lanes,
+        all=" + ".join(values[: width - counted]),
+        scale=scale,
+    )
+    text = _TEMPLATE.format(
+        parameters="".join(f"params[{i}], " for i in range(constants)),
+        lanes=lanes,
+        entered=entered,
+        store=stored(16),
+        advance=_ALONE.format(load=load, blocks=blocks, store=stored(8)) if lanes == 1 else blocks,
+        load=load,
+        leave=("\n" + " " * 12).join(left),
+    )
+    scope: dict[str, Any] = {"math": math, "dual": dual, "value_of": value_of, "slope_of": slope_of}
+    exec(compile(text, f"<tangent loop {width}/{d}/{constants}/{lanes}>", "exec"), scope)
+    return scope["make"]
+
+
+@dataclass(frozen=True)
+class TangentCode:
+    """Machine code of a step and its tangent map for ``lanes`` orbits of a top at once."""
+
+    stepper: Stepper
+    given: bool
+    code: Native
+    params: Array
+    d: int
+    lanes: int
+
+
+def obstacle(scheme: Scheme, method: Method) -> str:
+    """Reason why a method has no tangent map, a verb phrase; empty if it has one."""
+    if isinstance(method, Stepper) and not method.plain:
+        return ""
+    if isinstance(method, Sampler):
+        return "is a solution in closed form, which is not differentiated"
+    if isinstance(method, Stepper):
+        return "calls library functions, which are not differentiated"
+    return "chooses its steps by itself"
+
+
+def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> TangentCode:
+    """Machine code of the step of a ``method`` with its tangent map.
+
+    Raises UsageError for a method that has none.
+    """
+    reason = obstacle(scheme, method)
+    if reason or not isinstance(method, Stepper):
+        raise UsageError(f"scheme {scheme.name!r} {reason}; use a scheme with steps of its own, such as hk or rk4")
+    given = method.tangent() if method.tangent else None
+    stepper, d = given or method, len(top.components)
+    params = np.array(stepper.parameters(top))
+    make = _template(stepper.width, d, len(params), given is not None, len(stepper.counters), lanes)
+    try:
+        code = native(
+            make(stepper.step, stepper.enter or same_state, stepper.leave or same_state),
+            SIGNATURE,
+            duals=given is None,
+        )
+    except CompileError as error:
+        step = plain_function(stepper.step)
+        where = place_of(step) if step else repr(stepper.step)
+        raise UsageError(f"{where}: the step of {scheme.name!r} cannot be differentiated: {error}") from None
+    return TangentCode(stepper, given is not None, code, params, d, lanes)
+
+
+class TangentRun:
+    """Orbits of a tile with a tangent vector each, from the states ``y`` (m, d) and ``vectors`` (m, d), m <= lanes."""
+
+    def __init__(self, code: TangentCode, h: float, y: Array, vectors: Array) -> None:
+        self.code, self.h, self.count = code, h, len(y)
+        slots = code.stepper.width * (1 if code.given else 2)
+        self._work = np.zeros((slots, code.lanes))
+        self._out = np.zeros((2 * code.d + 1, code.lanes))
+        self._begin = True
+        self._place(y, vectors)
+
+    def _place(self, y: Array, vectors: Array) -> None:
+        d = self.code.d
+        for rows, values in ((self._out[:d], y), (self._out[d : 2 * d], vectors)):
+            rows[:, : self.count] = values.T
+            rows[:, self.count :] = values[:1].T  # idle lanes copy the first
+
+    def advance(self, blocks: int, every: int, renormalise: bool = True) -> None:
+        """Take ``blocks`` times ``every`` steps, after each block with vectors of length one if ``renormalise``."""
+        with np.errstate(all="ignore"):
+            code = self.code
+            flags = int(self._begin), int(renormalise)
+            code.code(self._work, self._out, code.params, self.h, blocks, every, *flags)
+        self._begin = False
+
+    def restart(self, vectors: Array) -> None:
+        """Go on from the present states with other tangent vectors."""
+        self._place(self.states, vectors)
+        self._begin = True
+
+    @property
+    def states(self) -> Array:
+        """Physical states (m, d)."""
+        return self._out[: self.code.d, : self.count].T.copy()
+
+    @property
+    def vectors(self) -> Array:
+        """Tangent vectors (m, d)."""
+        return self._out[self.code.d : 2 * self.code.d, : self.count].T.copy()
+
+    @property
+    def growth(self) -> Array:
+        """Sum of the logarithms by which the vectors have grown (m,); nan for an orbit that broke off."""
+        return self._out[-1, : self.count].copy()
