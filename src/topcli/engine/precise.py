@@ -23,7 +23,6 @@ from topcli.engine.loop import Loop
 from topcli.engine.precise_numbers import (
     IRRATIONAL,
     MAX_DIGITS,
-    RATIONAL,
     Arithmetic,
     NotRationalError,
     Rational,
@@ -94,7 +93,7 @@ class Rebuilder(Copier):
 
     def copy(self, function: types.FunctionType) -> types.FunctionType:
         """Copy of a function. Raises NotRationalError if it needs a function that rational numbers do not have."""
-        if self.arithmetic.name == RATIONAL and (name := irrational_name(function)):
+        if not self.arithmetic.bits and (name := irrational_name(function)):
             raise NotRationalError(f"uses math.{name}, which rational numbers do not have")
         return super().copy(function)
 
@@ -131,9 +130,9 @@ def precise_method(
         built = scheme.build(exact or top if built.source else precise, options)
     if not isinstance(built, Stepper):
         raise refused(scheme, arithmetic, reason)
-    if arithmetic.name == RATIONAL and built.iterative:
+    if not arithmetic.bits and built.iterative:
         raise refused(scheme, arithmetic, "solves its equations by iteration, and the solution is not rational")
-    if arithmetic.name == RATIONAL and built.source and (name := irrational_name(top.field)):
+    if not arithmetic.bits and built.source and (name := irrational_name(top.field)):
         raise refused(scheme, arithmetic, f"has constants by math.{name}, which rational numbers do not have")
     rebuilder = Rebuilder(arithmetic)
     try:
@@ -148,7 +147,9 @@ def precise_method(
 
 def refused(scheme: Scheme, arithmetic: Arithmetic, reason: str) -> UsageError:
     """Error for a scheme that has no such precision."""
-    return UsageError(f"precision: scheme {scheme.name!r} cannot compute with {arithmetic.name}: it {reason}")
+    return UsageError(
+        f"{arithmetic.purpose}: scheme {scheme.name!r} cannot compute with {arithmetic.name}: it {reason}"
+    )
 
 
 def centred(weights: tuple[float, ...], rebuilder: Rebuilder) -> tuple[Any, ...]:
