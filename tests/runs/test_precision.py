@@ -12,7 +12,7 @@ import pytest
 
 from conftest import Said
 from topcli import simulate
-from topcli.analysis.roundoff import digit_growth
+from topcli.analysis.algebraic_growth import digit_growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.engine.run import Run

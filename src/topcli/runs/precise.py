@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.analysis.algebraic_growth import DigitGrowth, digit_growth
 from topcli.analysis.columns import columns
-from topcli.analysis.roundoff import DigitGrowth, digit_growth
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment

@@ -24,7 +24,7 @@ from topcli.store.parts import release_reserve, reserve
 from topcli.store.series import SeriesMark, SeriesWriter
 
 if TYPE_CHECKING:
-    from topcli.analysis.roundoff import DigitGrowth
+    from topcli.analysis.algebraic_growth import DigitGrowth
     from topcli.engine.precise import PreciseRun
 
 EVALUATED_ROWS = 256

@@ -17,7 +17,7 @@ from topcli.engine.run import NO_FAILURE, Endings
 from topcli.table import Column, Table, markdown_table, number, ten_digits, two_digits
 
 if TYPE_CHECKING:
-    from topcli.analysis.roundoff import DigitGrowth
+    from topcli.analysis.algebraic_growth import DigitGrowth
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
     from topcli.engine.setups import SetupTime

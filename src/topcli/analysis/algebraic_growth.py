@@ -1,0 +1,243 @@
+"""Growth of the iterates of a rational map: degrees along a line, and digits of rational orbits.
+
+The degrees of the iterates grow polynomially under an integrable map, exponentially under most others; the rate of the
+exponential growth is the map's algebraic entropy (Bellon, Viallet, Comm. Math. Phys. 204 (1999) 425). The length of
+the numbers of a rational orbit grows like the degrees (Halburd, J. Phys. A 38 (2005) L263).
+
+The degree of an iterate is that of a random quotient of two affine functions of the state, along a random line of
+initial states, modulo a prime. It is exact unless the random numbers are in special position.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.engine.precise import ROOM, longest
+from topcli.engine.precise_numbers import Rationals, at_most
+from topcli.engine.residues import PRIME, Jet, RationalMap, Residues, folded
+
+FEW_POINTS, MOST_POINTS, LAST_POINTS = 64, 2**14, 2**16
+"""Points on the line, of which a rational function of degree D needs 2 D + 2; the last if one more term decides."""
+MOST_TERMS = 20
+SURPLUS = 2
+"""Terms of a sequence beyond those that fix its recurrence, at least; twice as many while they are cheap."""
+SHORT = 500
+"""Degree up to which an iterate is cheap."""
+SALEM = 1.1
+"""Roots of an integer polynomial of low degree that lie within this radius are roots of unity or zero."""
+POLYNOMIAL, EXPONENTIAL = "polynomial", "exponential"
+
+
+def degree_of(numerator: Residues, denominator: Residues, t: Residues) -> int | None:
+    """Degree of the rational function that has the values numerator/denominator at the points t, modulo the prime.
+
+    Its continued fraction (Thiele 1909) is developed without divisions until it ends; None if it does not end.
+    """
+    u, v = numerator, denominator
+    for level in range(len(t)):
+        if v[0] % PRIME == 0:
+            zero = v % PRIME == 0
+            if zero.all():
+                return level // 2
+            order = np.argsort(zero, kind="stable")
+            u, v, t = u[order], v[order], t[order]
+        a = int(u[0]) * pow(int(v[0]), -1, PRIME) % PRIME
+        u, v, t = (t[1:] - t[0]) * v[1:], folded(u[1:] + (PRIME - a) * v[1:]), t[1:]
+    return None
+
+
+class Line:
+    """Random line of initial states, and a random quotient of affine functions of the state; repeated by ``seed``."""
+
+    def __init__(self, step: RationalMap, seed: int) -> None:
+        random = np.random.default_rng(seed)
+        self.step = step
+        self.base, self.direction = random.integers(1, PRIME, (2, step.d, 1))
+        self.over, self.under = random.integers(1, PRIME, (2, step.d + 1)).tolist()
+
+    def states(self, t: Residues, steps: int) -> Any:
+        """State of the scheme after some steps from the points t of the line."""
+        y = (self.base + self.direction * t) % PRIME
+        state = self.step.enter([Jet(x[None, :]) for x in y])
+        for _ in range(steps):
+            state = self.step.step(state)
+        return state
+
+    def degree(self, state: Any, t: Residues) -> int | None:
+        """Degree of the state as a function of t; None for too few points."""
+        values: list[Residues] = []
+        for first, *others in (self.over, self.under):
+            total = Jet(np.full((1, len(t)), first))
+            for x, c in zip(self.step.leave(state), others, strict=True):
+                total = total + x * c
+            values.append(total.a[0])
+        return degree_of(values[0], values[1], t)
+
+
+@dataclass(frozen=True)
+class DegreeGrowth:
+    """Growth of a sequence of degrees by its shortest linear recurrence.
+
+    ``law`` is "polynomial", with its ``power``, or "exponential", with the ``factor`` per step; None if no recurrence
+    is known. ``characteristic`` are the coefficients of the recurrence's polynomial, highest first, none if the law is
+    only fitted. It holds after the first ``omitted`` terms of 1, d1, d2, ..., and ``surplus`` terms confirm it.
+    """
+
+    law: str | None = None
+    power: int | None = None
+    factor: float | None = None
+    characteristic: tuple[int, ...] = ()
+    omitted: int = 0
+    surplus: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data, ready for JSON, with the algebraic entropy, the logarithm of the factor."""
+        entropy = {POLYNOMIAL: 0.0, EXPONENTIAL: math.log(self.factor or 1.0)}.get(self.law or "")
+        return asdict(self) | {"characteristic": list(self.characteristic), "entropy": entropy}
+
+
+def _solution(rows: Sequence[Sequence[int]]) -> list[Fraction] | None:
+    """Solution of square linear equations, each row with its right-hand side; None if there is no single one."""
+    left = [[Fraction(x) for x in row] for row in rows]
+    for i in range(len(left)):
+        pivot = next((k for k in range(i, len(left)) if left[k][i]), None)
+        if pivot is None:
+            return None
+        left[i], left[pivot] = left[pivot], left[i]
+        left[i] = [x / left[i][i] for x in left[i]]
+        for k in range(len(left)):
+            if k != i:
+                left[k] = [a - left[k][i] * b for a, b in zip(left[k], left[i], strict=True)]
+    return [row[-1] for row in left]
+
+
+def degree_growth(degrees: Sequence[int], surplus: int = SURPLUS) -> DegreeGrowth:
+    """Return the law of the shortest recurrence with whole coefficients that at least ``surplus`` terms confirm."""
+    for omitted in range(3):
+        e = [1, *degrees][omitted:]
+        for order in range(1, (len(e) - surplus) // 2 + 1):
+            c = _solution([e[i : i + order + 1] for i in range(order)])
+            if c is None or any(x.denominator > 1 for x in c):
+                continue
+            if all(sum(x * y for x, y in zip(c, e[i:], strict=False)) == e[i + order] for i in range(len(e) - order)):
+                characteristic = (1, *(-int(x) for x in reversed(c)))
+                return _law(characteristic, omitted, len(e) - 2 * order)
+    return DegreeGrowth()
+
+
+def _law(characteristic: tuple[int, ...], omitted: int, surplus: int) -> DegreeGrowth:
+    """Growth from the polynomial of a recurrence."""
+    factor = float(np.abs(np.roots(characteristic)).max())
+    if factor > SALEM:
+        return DegreeGrowth(EXPONENTIAL, None, factor, characteristic, omitted, surplus)
+    ones, left = 0, list(characteristic)
+    while sum(left) == 0 and len(left) > 1:  # divide by x - 1
+        left = [sum(left[: i + 1]) for i in range(len(left) - 1)]
+        ones += 1
+    return DegreeGrowth(POLYNOMIAL, max(ones - 1, 0), None, characteristic, omitted, surplus)
+
+
+def degrees(step: RationalMap, seed: int = 1, most: int = MOST_TERMS) -> list[int]:
+    """Degrees of the iterates of a map along a random line, until their growth is known or they become too large.
+
+    Raises ZeroDivisionError in special position: try another seed.
+    """
+    line, found = Line(step, seed), list[int]()
+    t = np.arange(1, FEW_POINTS + 1)
+    state = line.states(t, 0)
+    while len(found) < most:
+        state = step.step(state)
+        while (degree := line.degree(state, t)) is None:
+            if len(t) >= (LAST_POINTS if degree_growth(found, SURPLUS - 1).law else MOST_POINTS):
+                return found
+            enough = 2 * found[0] * found[-1] + 2 if found else MOST_POINTS  # degrees are submultiplicative
+            t = np.arange(1, min(2 * len(t), max(enough, FEW_POINTS)) + 1)
+            state = line.states(t, len(found) + 1)
+        found.append(degree)
+        if degree_growth(found, SURPLUS * (2 if degree < SHORT else 1)).law:
+            break
+    return found
+
+
+HEIGHT_BITS, HEIGHT_STEPS = 5_000, 40
+"""Length of numbers at which a rational orbit ends, and its largest number of steps."""
+
+
+def heights(step: RationalMap) -> list[int]:
+    """Binary digits of the longest number of the states of a rational orbit, the initial state first.
+
+    ``step`` is in rational numbers. The orbit ends before a step that fails.
+    """
+    number = Rationals().number
+    state, found = step.enter([number(Fraction(2 * i + 3, i + 5)) for i in range(step.d)]), list[int]()
+    with at_most(ROOM * HEIGHT_BITS), suppress(ArithmeticError):
+        while len(found) <= HEIGHT_STEPS and not (found and found[-1] > HEIGHT_BITS):
+            found.append(longest(step.leave(state)))
+            state = step.step(state)
+    return found
+
+
+FACTOR, AGREEMENT = 2.0, 0.1
+"""Smallest factor of a fitted exponential law, and relative difference of those of degrees and heights."""
+
+
+def fitted_growth(degrees: Sequence[int], bits: Sequence[int]) -> DegreeGrowth:
+    """Law of the recurrence of ``degrees``, or, without one, that of a fit if the ``bits`` of an orbit confirm it."""
+    exact = degree_growth(degrees)
+    if exact.law:
+        return exact
+    fits = [digit_growth(np.arange(first, first + len(row)), np.array(row)) for first, row in ((1, degrees), (0, bits))]
+    factors = [fit.factor if fit and fit.factor and fit.factor > FACTOR else None for fit in fits]
+    if factors[0] and factors[1] and abs(factors[0] / factors[1] - 1.0) < AGREEMENT:
+        return DegreeGrowth(EXPONENTIAL, factor=factors[0])
+    return exact
+
+
+FEWEST = 4
+"""Fewest rows from which a law is fitted."""
+
+
+@dataclass(frozen=True)
+class DigitGrowth:
+    """Growth of the binary digits of the longest number of a state.
+
+    ``law`` is "polynomial", with its ``power``, or "exponential", with the ``factor`` per step; None if there are too
+    few rows.
+    """
+
+    bits: int
+    step: int
+    law: str | None = None
+    power: float | None = None
+    factor: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data, ready for JSON."""
+        return asdict(self)
+
+
+def digit_growth(n: NDArray[np.int64], bits: NDArray[np.int64]) -> DigitGrowth | None:
+    """Return the law that fits ``bits`` (m,) at the steps ``n`` (m,) best, in the later half of the rows."""
+    if not len(n):
+        return None
+    last = DigitGrowth(int(bits[-1]), int(n[-1]))
+    late = (n >= n[-1] // 2) & (n > 0) & (bits > 0)
+    if late.sum() < FEWEST:
+        late = (n > 0) & (bits > 0)
+    if late.sum() < FEWEST:
+        return last
+    steps, size = n[late].astype(float), np.log(bits[late].astype(float))
+    power, factor = (np.polyfit(x, size, 1) for x in (np.log(steps), steps))
+    off_power = float(np.abs(np.polyval(power, np.log(steps)) - size).max())
+    off_factor = float(np.abs(np.polyval(factor, steps) - size).max())
+    if off_power <= off_factor:
+        return DigitGrowth(last.bits, last.step, POLYNOMIAL, power=float(power[0]))
+    return DigitGrowth(last.bits, last.step, EXPONENTIAL, factor=float(np.exp(factor[0])))
