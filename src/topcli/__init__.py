@@ -23,6 +23,7 @@ HOMES = {
     "claims": "topcli.show.report",
     "compare": "topcli.show.report",
     "figure": "topcli.figures.catalogue",
+    "integrability": "topcli.show.report",
     "lax": "topcli.show.report",
     "measure": "topcli.sweeps.measures",
     "motion": "topcli.show.report",

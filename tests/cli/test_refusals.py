@@ -349,6 +349,18 @@ cite bohlin-d
     did you mean 'bohlin-
 cite hk+kahan
     did you mean 'kahan-li
+integrability kowalevsky
+    did you mean 'kowalevski'
+integrability euler midpoint
+    error: integrability: scheme 'midpoint' cannot compute with rational functions: it solves its equations by iteration
+integrability kowalevski hybrid
+    error: integrability: scheme 'hybrid' cannot compute with rational functions: it uses math.sin
+integrability euler exact
+    cannot compute with rational functions: it is a closed form
+integrability euler --config kowalevski_hk
+    integrability: kowalevski_hk is of the top 'kowalevski', not 'euler'
+integrability custom
+    a custom top is declared in a config
 lax euler --config euler_ensemble
     ensemble: this is an ensemble of 243 trajectories
 sweep results/mine/config.yaml

@@ -46,6 +46,7 @@ STUDY = {
 
 
 REPORTS: dict[str, Callable[[Path], Report]] = {
+    "integrability": lambda out: topcli.integrability("suslov"),
     "lax": lambda out: topcli.lax("euler", "hk", overrides=["N=100"]),
     "roundoff": lambda out: topcli.roundoff("hk", "euler_hk", steps=20_000, copies=2),
     "analyse": lambda out: topcli.analyse(

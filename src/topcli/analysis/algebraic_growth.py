@@ -159,7 +159,7 @@ def degrees(step: RationalMap, seed: int = 1, most: int = MOST_TERMS) -> list[in
             if len(t) >= (LAST_POINTS if degree_growth(found, SURPLUS - 1).law else MOST_POINTS):
                 return found
             enough = 2 * found[0] * found[-1] + 2 if found else MOST_POINTS  # degrees are submultiplicative
-            t = np.arange(1, min(2 * len(t), max(enough, FEW_POINTS)) + 1)
+            t = np.arange(1, (enough if len(t) < enough < 2 * len(t) else 2 * len(t)) + 1)
             state = line.states(t, len(found) + 1)
         found.append(degree)
         if degree_growth(found, SURPLUS * (2 if degree < SHORT else 1)).law:

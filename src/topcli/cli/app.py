@@ -168,6 +168,7 @@ class _Topcli(LazyGroup):
         "report": "results.report",
         "animate": "results.animate",
         "lax": STUDY,
+        "integrability": STUDY,
         "roundoff": STUDY,
         "stress": STUDY,
         "check": STUDY,

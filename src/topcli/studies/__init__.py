@@ -46,6 +46,9 @@ STUDIES = {
     "analyse": StudyPlace("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
     "lax": StudyPlace("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
     "check": StudyPlace("topcli.studies.check:CHECK", "Check what schemes and tops declare, with controls."),
+    "integrability": StudyPlace(
+        "topcli.studies.integrability:INTEGRABILITY", "Collect evidence on the integrability of a scheme's map."
+    ),
     "roundoff": StudyPlace(
         "topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."
     ),

@@ -1,0 +1,281 @@
+"""Evidence for and against integrability: degrees, heights, HK bases, densities, and the recorded verdicts."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import topcli
+from topcli.analysis.algebraic_growth import DegreeGrowth, degree_growth, degree_of, degrees, fitted_growth, heights
+from topcli.analysis.hk_basis import density, determinants, hk_bases, null_space
+from topcli.engine.precise_numbers import NotRationalError, Rational
+from topcli.engine.residues import PRIME, Jet, RationalMap, deciding, inverse, residue
+from topcli.studies.integrability_evidence import verdict_of
+from topcli.tops import CATALOGUE
+
+ROOT = Path(__file__).parents[2]
+
+
+def plain_map(d: int, step: Callable[..., Sequence[Any]]) -> RationalMap:
+    return RationalMap(d, lambda y: y, lambda y: step(*y), lambda y: y)
+
+
+LYNESS = plain_map(2, lambda x, y: (y, (3 + y) / x))
+"""Its integral is (x + 1)(y + 1)(x + y + 3)/(xy), its invariant measure dx dy/(xy) (Lyness 1942)."""
+HENON = plain_map(2, lambda x, y: (1 + y - Fraction(7, 5) * x**2, Fraction(3, 10) * x))
+"""Polynomial of degree 2 whose iterates have the degree 2^n (Friedland, Milnor 1989)."""
+MOEBIUS = plain_map(1, lambda x: ((2 * x + 1) / (x + 3),))
+
+
+# arithmetic
+
+
+def test_residues_are_those_of_rational_numbers() -> None:
+    """With derivatives, which are compared with those of the formula."""
+    x, y = Fraction(3, 7), Fraction(-5, 11)
+    jets = [Jet(np.array([[residue(v)], [i == 0], [i == 1]], dtype=np.int64)) for i, v in enumerate((x, y))]
+
+    def formula(x: Any, y: Any) -> Any:
+        return (x**3 - 2 * y / x + Fraction(1, 3)) / (1 - x * y) + 0.5 * y + x**-2
+
+    found = formula(*jets).a[:, 0].tolist()
+    value = (x**3 - 2 * y / x + Fraction(1, 3)) / (1 - x * y) + y / 2 + x**-2
+    u, v = x**3 - 2 * y / x + Fraction(1, 3), 1 - x * y
+    slope_x = ((3 * x**2 + 2 * y / x**2) * v + u * y) / v**2 - 2 / x**3
+    slope_y = (-2 / x * v + u * x) / v**2 + Fraction(1, 2)
+    assert found == [residue(one) for one in (value, slope_x, slope_y)]
+    assert (inverse(np.array([2, PRIME - 1])) * np.array([2, PRIME - 1]) % PRIME == 1).all()
+    with pytest.raises(ZeroDivisionError):
+        inverse(np.array([1, 0]))
+
+
+def test_residues_are_equal_or_not_but_have_no_order() -> None:
+    one, two = Jet(np.array([[4, 9]])), Jet(np.array([[5, 9]]))
+    assert one == one + Rational(Fraction(0))
+    assert one != two
+    with deciding(True):
+        assert one < two
+        assert one > two
+    with deciding(False):
+        decisions = (one < two for _ in range(10**6))
+        with pytest.raises(NotRationalError, match="makes a decision that depends on the state"):
+            any(decisions)
+
+
+# degrees
+
+
+@pytest.mark.parametrize(("over", "under"), [(0, 0), (3, 3), (5, 2), (2, 5), (30, 31)])
+def test_degree_of_a_quotient_of_polynomials(over: int, under: int) -> None:
+    """From twice as many points and two, and from no fewer."""
+    random = np.random.default_rng(over)
+    t = np.arange(1, 2 * max(over, under) + 3)
+    a, b = (random.integers(1, PRIME, n + 1).tolist() for n in (over, under))
+    u, v = (np.array([sum(c * int(x) ** k for k, c in enumerate(row)) % PRIME for x in t]) for row in (a, b))
+    assert degree_of(u, v, t) == max(over, under)
+    few = 2 * max(over, under) - 2
+    assert few < 1 or degree_of(u[:few], v[:few], t[:few]) is None
+
+
+def test_degrees_of_known_maps() -> None:
+    assert degrees(HENON) == [2, 4, 8, 16, 32]
+    assert set(degrees(MOEBIUS)) == {1}
+    lyness = degree_growth(degrees(LYNESS))
+    assert (lyness.law, lyness.power) == ("polynomial", 2)
+    assert degree_growth(degrees(HENON)).factor == 2.0
+
+
+@pytest.mark.parametrize(
+    ("sequence", "law", "power", "factor", "surplus"),
+    [
+        ([3, 9, 27, 81], "exponential", None, 3.0, 3),
+        ([6, 33, 180, 981, 5346], "exponential", None, 3 + math.sqrt(6), 2),
+        ([6, 33, 180, 981], None, None, None, 0),
+        ([3, 9, 19, 33, 51, 73, 99], "polynomial", 2, None, 2),
+        ([3, 9, 19, 33, 51, 73], None, None, None, 0),
+        ([2, 4, 6, 8, 10, 12], "polynomial", 1, None, 2),
+        ([6, 36, 186, 936, 4686, 23436], "exponential", None, 5.0, 2),
+        ([n**3 + 1 for n in range(1, 10)], "polynomial", 3, None, 2),
+        ([2, 3, 5, 8, 13, 21], "exponential", None, (1 + math.sqrt(5)) / 2, 3),
+        ([2, 3, 5, 7, 11, 13, 17, 19, 23], None, None, None, 0),
+    ],
+)
+def test_growth_is_that_of_the_shortest_recurrence(
+    sequence: list[int], law: str | None, power: int | None, factor: float | None, surplus: int
+) -> None:
+    found = degree_growth(sequence)
+    assert (found.law, found.power, found.surplus) == (law, power, surplus)
+    assert found.factor == (factor and pytest.approx(factor, rel=1e-12))
+
+
+def test_a_fit_needs_the_heights() -> None:
+    """Without a recurrence, as for coupled Euler tops; within 10 % of each other."""
+    sequence = [5, 25, 109, 465, 1973]
+    assert degree_growth(sequence).law is None
+    for factor, law in [(4.0, "exponential"), (4.6, "exponential"), (3.8, None), (5.0, None)]:
+        assert fitted_growth(sequence, [round(8 * factor**n) for n in range(5)]).law == law
+
+
+def test_heights_of_known_orbits() -> None:
+    """The digits of a squared number double; those of a Moebius map grow evenly."""
+    squares = heights(plain_map(1, lambda x: (x * x,)))
+    assert squares[:8] == [(5**2**n).bit_length() for n in range(8)]  # from 3/5
+    assert max(abs(b - a) for a, b in zip(heights(MOEBIUS), heights(MOEBIUS)[1:], strict=False)) < 6
+
+
+# HK bases and densities
+
+
+def test_null_space_and_determinants() -> None:
+    random = np.random.default_rng(3)
+    a = random.integers(0, PRIME, (9, 4)).astype(object) @ random.integers(0, PRIME, (4, 7)).astype(object) % PRIME
+    basis = null_space(a.astype(np.int64))
+    assert basis.shape == (3, 7)
+    assert not (a @ basis.T.astype(object) % PRIME).any()
+    m = random.integers(0, 9, (3, 3, 4))
+    m[0, 0] = 0
+    wanted = np.round(np.linalg.det(m.transpose(2, 0, 1).astype(float))).astype(int) % PRIME
+    assert determinants(m).tolist() == wanted.tolist()
+
+
+def test_hk_bases_of_known_maps() -> None:
+    """Lyness' integral has a numerator of degree 3; Henon's map has none."""
+    assert [(basis.null, basis.integrals) for basis in hk_bases(LYNESS, (2, 3))] == [(0, 0), (1, 1)]
+    assert [basis.integrals for basis in hk_bases(HENON, (2, 3, 4))] == [0, 0, 0]
+    shift = plain_map(3, lambda x, y, z: (x, y, z + x * y + 1))
+    assert [basis.integrals for basis in hk_bases(shift, (1, 2))] == [2, 2]
+
+
+def test_densities_of_known_maps() -> None:
+    found = density(LYNESS, 4)
+    assert found is not None
+    assert [one.text("xy") for one in found.polynomials(2) or ()] == ["x*y"]
+    assert density(HENON, 5) is None  # its Jacobian is the constant -3/10
+    area = density(plain_map(2, lambda x, y: (x + y**2, y)), 2)
+    assert area is not None
+    assert area.degree == 0
+
+
+# the command
+
+
+@pytest.mark.parametrize(
+    ("law", "characteristic", "repeated", "integrals", "verdict"),
+    [
+        ("polynomial", (1, -1), True, 2, "integrable"),
+        ("polynomial", (1, -1), True, 1, "undecided"),
+        ("polynomial", (1, -1), False, 2, "undecided"),
+        ("exponential", (1, -3), True, 2, "not integrable"),
+        ("exponential", (), True, 0, "not integrable"),
+        ("exponential", (1, -3), False, 0, "undecided"),
+        (None, (), True, 2, "undecided"),
+    ],
+)
+def test_verdicts(law: str | None, characteristic: Any, repeated: bool, integrals: int, verdict: str) -> None:
+    assert verdict_of(DegreeGrowth(law, characteristic=characteristic), repeated, integrals, 3)[0] == verdict
+
+
+def test_density_of_the_weierstrass_map_is_that_of_the_formula() -> None:
+    """1 - 12 (h/2)^2 x (Petrera, Pfadler, Suris 2011)."""
+    study = topcli.integrability("weierstrass", overrides=["h=0.2"]).study
+    assert study["tests"][-1]["meaning"] == "dx/P with P = -0.12*x + 1"
+    assert study["density"] == {"degree": 1, "dimension": 1}
+
+
+LINE = re.compile(
+    r"\| `(?P<command>[^`]+)` \| (?P<degrees>[\d, ]+) \| \$(?P<law>[^$]+)\$ \| (?P<n>\d) \| (?P<P>\S+) \| "
+    r"(?P<verdict>[^|]+) \|"
+)
+RECORDED = [found for line in (ROOT / "docs/integrability.md").read_text().splitlines() if (found := LINE.match(line))]
+LAWS = {"3^n": 3.0, r"(1+\sqrt2)^n": 1 + math.sqrt(2), r"(3+\sqrt6)^n": 3 + math.sqrt(6), "4.24^n": 4.24, "16^n": 16.0}
+
+
+def recorded(found: re.Match[str]) -> Any:
+    marks = () if int(found["n"]) < 3 and "\\sqrt6" not in found["law"] else (pytest.mark.slow,)
+    return pytest.param(found.groupdict(), id=found["command"], marks=marks)
+
+
+@pytest.mark.parametrize("row", [recorded(found) for found in RECORDED])
+def test_recorded_verdicts(row: dict[str, str]) -> None:
+    words = shlex.split(row["command"])
+    sets = [word for word in words if "=" in word]
+    study = topcli.integrability(*(word for word in words if word not in [*sets, "--set"]), overrides=sets).study
+    listed = [int(text) for text in row["degrees"].split(",")]
+    assert study["degrees"][: len(listed)] == listed
+    growth = study["growth"]
+    if row["law"] in LAWS:
+        assert growth["law"] == "exponential"
+        assert growth["factor"] == pytest.approx(LAWS[row["law"]], rel=1e-9 if growth["characteristic"] else 0.02)
+        assert growth["entropy"] == pytest.approx(math.log(growth["factor"]))
+    else:
+        assert (growth["law"], growth["entropy"]) == ("polynomial", 0.0)
+        assert growth["power"] == {"n": 1, "n^2": 2}[row["law"]]
+    assert study["integrals"] == int(row["n"])
+    assert (study["density"] or {"degree": "none"})["degree"] == (row["P"] if row["P"] == "none" else int(row["P"]))
+    assert study["verdict"] == row["verdict"]
+
+
+def test_every_top_of_the_catalogue_has_a_verdict() -> None:
+    assert set(CATALOGUE) <= {found["command"].split()[0] for found in RECORDED}
+
+
+def cross(a: Sequence[str], b: Sequence[str]) -> list[str]:
+    return [f"({a[i]})*({b[j]}) - ({a[j]})*({b[i]})" for i, j in ((1, 2), (2, 0), (0, 1))]
+
+
+def custom(field: Sequence[str]) -> dict[str, Any]:
+    names = ["m1", "m2", "m3", "p1", "p2", "p3"]
+    top = {"kind": "custom", "components": names, "field": dict(zip(names, field, strict=True))}
+    return {"name": "own", "top": top, "initial": dict.fromkeys(names, 0.5), "scheme": "rk2", "h": 0.3, "N": 10}
+
+
+M, P = ("m1", "m2", "m3"), ("p1", "p2", "p3")
+
+
+@pytest.mark.slow
+def test_zero_entropy_without_enough_integrals_is_undecided() -> None:
+    """A free body with a rotor and a vector fixed in space."""
+    rate = ("2*m1 + 5", "3*m2", "7*m3")
+    study = topcli.integrability("custom", config=custom([*cross(M, rate), *cross(P, rate)])).study
+    assert study["degrees"][:6] == [6, 21, 58, 129, 246, 421]
+    assert (study["growth"]["power"], study["integrals"], study["verdict"]) == (3, 2, "undecided")
+
+
+@pytest.mark.slow
+def test_the_map_of_the_integrable_steklov_top_is_not_integrable() -> None:
+    """With a = (2, 3, 5), b_i = c a_j a_k and c_i = c^2 a_i (a_j - a_k)^2 where c = 1/10; it keeps three integrals."""
+    H_m = ("2*m1 + 1.5*p1", "3*m2 + p2", "5*m3 + 0.6*p3")
+    H_p = ("1.5*m1 + 0.08*p1", "m2 + 0.27*p2", "0.6*m3 + 0.05*p3")
+    momentum = [f"{a} + {b}" for a, b in zip(cross(M, H_m), cross(P, H_p), strict=True)]
+    # the last degree alone takes ten seconds
+    study = topcli.integrability("custom", config=custom([*momentum, *cross(P, H_m)])).study
+    assert study["degrees"] == [6, 36, 186, 936, 4686, 23436]
+    assert (study["growth"]["factor"], study["integrals"]) == (pytest.approx(5.0), 3)
+    assert study["verdict"] == "not integrable"
+
+
+def test_scheme_that_decides_is_refused(cli: Any, tmp_path: Any) -> None:
+    """By name; a scheme whose decisions only count events is not, such as hk of the Kowalevski top."""
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import topcli\n"
+        "from topcli.contracts import Stepper\n\n\n"
+        "@topcli.scheme('mine', top='euler', title='Mine', order=1, explicit=True, self_adjoint=False,\n"
+        "               citation='', equations='')\n"
+        "def mine(top, options):\n"
+        '    """One that decides."""\n'
+        "    return Stepper(lambda s, h, p: (s[0] + h * s[1] if s[1] > 0.0 else s[0], s[1], s[2]), 3)\n"
+    )
+    said = cli("integrability", "euler", "mine", "--plugin", str(file))
+    assert said.code == 2
+    assert "scheme 'mine' cannot compute with rational functions: it makes a decision that depends on the state" in (
+        said.err
+    )
