@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 from pydantic import BaseModel
@@ -97,6 +98,7 @@ def order(scheme: Scheme) -> str:
     return "by tolerance" if scheme.adaptive else "exact"
 
 
+@cache
 def cost(scheme: Scheme) -> str:
     """Operations per step; a dash for methods without steps in plain arithmetic."""
     found = operations_of(scheme)
@@ -119,14 +121,18 @@ def citations(works: Sequence[Publication], command: str) -> Page:
     return [*lines, f"`{command}` prints:", "", "```bibtex", bibtex, "```", ""]
 
 
-def scenes_of(scheme: str = "", form: str = "") -> list[tuple[str, str]]:
-    """Names and descriptions of the packaged scenes of a scheme or a top."""
+@cache
+def packaged_scenes() -> list[tuple[str, str, str, str]]:
+    """Name, scheme, top and description of each packaged scene."""
     from topcli.config.load import scenes
 
+    return [(name, first.scheme.name, first.top.form, about) for name, first, _, about in scenes()]
+
+
+def scenes_of(scheme: str = "", form: str = "") -> list[tuple[str, str]]:
+    """Names and descriptions of the packaged scenes of a scheme or a top."""
     return [
-        (name, about)
-        for name, first, _, about in scenes()
-        if (first.scheme.name == scheme if scheme else first.top.form == form)
+        (name, about) for name, its, top, about in packaged_scenes() if (its == scheme if scheme else top == form)
     ]
 
 

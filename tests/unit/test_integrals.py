@@ -52,7 +52,7 @@ def test_a_random_field_has_no_integral(seed: int) -> None:
 
 
 def test_of_many_components_fewer_degrees_are_tried() -> None:
-    twelve = random_field(12, 2, 1, 0.1)
+    twelve = random_field(12, 2, 1, 0.02)
     degree, _ = further_integrals(twelve, [])
     assert degree == 3
 
