@@ -13,9 +13,12 @@ import tomllib
 import venv
 import zipfile
 from dataclasses import replace
+from importlib.metadata import Distribution, distribution, distributions
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from conftest import ROOT
 from documentation import difference, read_page, run, sessions
@@ -124,44 +127,56 @@ def test_an_editable_install_points_to_the_checkout_alone(tmp_path: Path, monkey
 
 
 SCRIPTS = "Scripts" if os.name == "nt" else "bin"
-KEPT = ("LANG", "LC_ALL", "TMPDIR", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE", "http_proxy", "https_proxy", "no_proxy")
-"""Settings of a machine that a new user's shell has too; pip's own begin with PIP_."""
-PIP_CONFIG = Path.home() / ".config" / "pip" / "pip.conf"
-"""The index that pip uses here, which lies in another home."""
+KEPT = ("LANG", "LC_ALL", "TMPDIR")
+"""Settings of a machine that a new user's shell has too."""
+
+
+def required(by: Distribution) -> dict[str, Distribution]:
+    """The distributions here that one requires without extras, directly or not, by their names."""
+    found: dict[str, Distribution] = {}
+    left = [by]
+    while left:
+        for wanted in map(Requirement, left.pop().requires or ()):
+            if wanted.name not in found and (wanted.marker is None or wanted.marker.evaluate({"extra": ""})):
+                found[wanted.name] = distribution(wanted.name)
+                left.append(found[wanted.name])
+    return found
 
 
 @pytest.fixture(scope="module")
 def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
-    """The scripts of an empty environment into which pip installed the wheel, and the variables of a new user.
+    """The scripts of an environment of the wheel and what it requires alone, and the variables of a new user.
 
-    Skipped where the smallest dependency cannot be had from pip's index; after that nothing may fail.
+    What it requires are links to the packages here; make figures in a fresh clone has pip fetch them.
     """
     folder = tmp_path_factory.mktemp("bare")
-    home = folder / "home"
-    home.mkdir()
-    kept = {name: value for name, value in os.environ.items() if name in KEPT or name.startswith("PIP_")}
-    pip = [str(folder / "env" / SCRIPTS / "python"), "-m", "pip", "--disable-pip-version-check", "--quiet"]
-    pinned = ["--constraint", str(ROOT / "constraints.txt")]
-    venv.create(folder / "env", symlinks=True, with_pip=True)
-    environment = {**kept, "HOME": str(home), "PATH": f"{folder / 'env' / SCRIPTS}:/usr/bin:/bin"}
-    settings = {} if "PIP_CONFIG_FILE" in kept or not PIP_CONFIG.exists() else {"PIP_CONFIG_FILE": str(PIP_CONFIG)}
-    for wanted in (
-        ["download", "--no-deps", "--dest", str(folder / "probe"), "platformdirs"],
-        ["install", "--no-compile", str(wheel)],
-    ):
-        done = subprocess.run(
-            [*pip, *wanted, *pinned], cwd=home, env=environment | settings, capture_output=True, text=True
-        )
-        if done.returncode and wanted[0] == "download":
-            pytest.skip(f"pip reaches no index: {done.stderr.strip().splitlines()[-1]}")
-        assert done.returncode == 0, done.stderr
-    return folder / "env" / SCRIPTS, environment
+    (home := folder / "home").mkdir()
+    own_pip = find_spec("pip") is not None  # uv makes environments without
+    venv.create(folder / "env", symlinks=True, with_pip=not own_pip)
+    scripts = folder / "env" / SCRIPTS
+    kept = {name: value for name, value in os.environ.items() if name in KEPT}
+    environment = {**kept, "HOME": str(home), "PATH": f"{scripts}:/usr/bin:/bin"}
+    pip = ("-m", "pip", "--python", str(scripts / "python"), "--disable-pip-version-check", "--quiet")
+    install = ("install", "--no-compile", "--no-deps", "--no-index", str(wheel))
+    run_python(Path(sys.executable) if own_pip else scripts / "python", home, *pip, *install)
+    packages = Path(
+        run_python(scripts / "python", home, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip()
+    )
+    (installed,) = distributions(name="topcli", path=[str(packages)])
+    for one in required(installed).values():
+        for entry in {Path(file).parts[0] for file in one.files or ()} - {"..", "__pycache__"}:
+            if not (packages / entry).exists():
+                (packages / entry).symlink_to(one.locate_file(entry))
+    assert (packages / "numpy").is_dir()
+    assert not (packages / "pytest").exists()
+    return scripts, environment
 
 
 @pytest.mark.slow
 def test_the_tutorial_works_on_a_bare_machine(bare: tuple[Path, dict[str, str]], tmp_path: Path) -> None:
-    """Every command of it, in one folder, far from any checkout, with what pip installed."""
+    """Every command of it, in one folder, far from any checkout; the code compiled here is known there."""
     scripts, environment = bare
+    environment = {**environment, "NUMBA_CACHE_DIR": os.environ["NUMBA_CACHE_DIR"]}
     page = read_page(ROOT / "docs" / "tutorial.md")
     for name, text in page.files().items():
         (tmp_path / name).write_text(text, encoding="utf-8")
