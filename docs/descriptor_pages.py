@@ -131,9 +131,7 @@ def packaged_scenes() -> list[tuple[str, str, str, str]]:
 
 def scenes_of(scheme: str = "", form: str = "") -> list[tuple[str, str]]:
     """Names and descriptions of the packaged scenes of a scheme or a top."""
-    return [
-        (name, about) for name, its, top, about in packaged_scenes() if (its == scheme if scheme else top == form)
-    ]
+    return [(name, about) for name, its, top, about in packaged_scenes() if (its == scheme if scheme else top == form)]
 
 
 def distinct(schemes: Sequence[Scheme], text: Mapping[str, str]) -> Iterator[tuple[str, str]]:

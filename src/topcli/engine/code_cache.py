@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-CACHE_ENTRIES = 512
+CACHE_ENTRIES = 1024
 """Number of entries of each kind that the cache keeps; the oldest ones are removed."""
 CODE, SETUP = ".o", ".setup"
 """Suffixes of object code and of set-ups of closed forms."""
