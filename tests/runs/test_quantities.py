@@ -14,6 +14,7 @@ from conftest import GEN
 from custom_tops import config
 from resuming import after, content
 from sweeping import sweep, table
+from topcli.analysis.quantities import QuantityTally, quantities_of, quantity_rows
 from topcli.config.load import load, load_experiment
 from topcli.config.sweep import load_sweep
 from topcli.errors import ConfigError, TopcliError, UnknownNameError
@@ -21,6 +22,7 @@ from topcli.pages.pictures import series_pictures
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
+from topcli.tops import top_class
 
 QUANTITIES = {"spin": "sqrt(w1**2 + w2**2 + w3**2)", "phase": "w3*t + k*h - 0.1", "half": 0.5}
 FIGURES = ("first", "last", "min", "max", "mean")
@@ -110,6 +112,36 @@ def test_quantities_of_an_ensemble(tmp_path: Path) -> None:
     ensemble = topcli.simulate_ensemble(many)
     assert ensemble["phase"][3] == pytest.approx(rows["phase"], rel=1e-15)
     assert ensemble.trajectory(3)["spin"].tolist() == ensemble["spin"][3].tolist()
+
+    table, report = read_series(result.stored.folder / "trajectories.parquet"), result.report
+    for row in report["quantities"]:
+        name = row["name"]
+        values = series[name].reshape(4, -1)
+        figures = (values[:, 0], values[:, -1], values.min(axis=1), values.max(axis=1), values.mean(axis=1))
+        joined = (np.mean, np.mean, np.min, np.max, np.mean)
+        for figure, numbers, join in zip(FIGURES, figures, joined, strict=True):
+            assert table[f"{name}_{figure}"] == pytest.approx(numbers, rel=1e-14)
+            assert ensemble.table[f"{name}_{figure}"].tolist() == table[f"{name}_{figure}"].tolist()
+            assert row[figure] == pytest.approx(join(numbers), rel=1e-14)
+
+
+def test_rows_after_the_end_of_a_trajectory_do_not_count() -> None:
+    """Three trajectories in two pieces; the second ends in the first piece, the third never begins."""
+    tally = QuantityTally(quantities_of(top_class("euler"), {"x": "omega1"}), 4)
+    first = np.array([[3.0, 1.0, 2.0], [7.0, 5.0, np.nan], [np.nan, np.nan, np.nan]])
+    second = np.array([[-4.0, 8.0], [np.nan, np.nan], [np.nan, np.nan]])
+    tally.add({"x": first.ravel()}, 1, np.array([3, 2, 0]))
+    tally.add({"x": second.ravel()}, 1, np.array([2, 0, 0]))
+    columns = tally.columns()
+    assert [columns[f"x_{figure}"][1] for figure in FIGURES] == [3.0, 8.0, -4.0, 8.0, 2.0]
+    assert [columns[f"x_{figure}"][2] for figure in FIGURES] == [7.0, 5.0, 5.0, 7.0, 6.0]
+    assert all(np.isnan(columns[f"x_{figure}"][[0, 3]]).all() for figure in FIGURES)
+    (row,) = tally.rows()
+    assert [row[figure] for figure in FIGURES] == [5.0, 6.5, -4.0, 8.0, 4.0]
+    later = QuantityTally(tally.quantities, 1)
+    later.add({"x": np.array([20.0, 22.0])})
+    (row,) = quantity_rows(tally.quantities, [tally.together(), later.together()])
+    assert [row[figure] for figure in FIGURES] == [10.0, 35.0 / 3.0, -4.0, 22.0, pytest.approx(29.0 / 3.0)]
 
 
 def test_quantities_in_another_precision(tmp_path: Path) -> None:

@@ -60,51 +60,103 @@ def _quantities(cls: type[Top], formulas: tuple[tuple[str, str], ...]) -> tuple[
 
 
 FIGURES = ("first", "last", "min", "max", "mean")
+LOW, HIGH = FIGURES.index("min"), FIGURES.index("max")
 
 
 class QuantityTally:
-    """First and last value, range and mean of quantities over the rows of a run, fed in the order of time."""
+    """First and last value, range and mean of quantities over the rows of ``count`` trajectories, fed in time order.
 
-    def __init__(self, quantities: Sequence[Quantity]) -> None:
-        self._quantities = tuple(quantities)
-        self._count = 0
-        self._sums = np.full((len(self._quantities), len(FIGURES)), np.nan)
-        """A row for each quantity: the ``FIGURES``, with the sum in the place of the mean."""
+    Different trajectories may be added from different threads.
+    """
 
-    def add(self, values: Mapping[str, Array]) -> None:
-        """Add rows: values (m,) of each quantity by name; a value that is not finite makes the figures so."""
-        count = 0
+    def __init__(self, quantities: Sequence[Quantity], count: int = 1) -> None:
+        self.quantities = tuple(quantities)
+        self._rows = np.zeros(count, dtype=np.int64)
+        self._sums = np.full((len(self.quantities), len(FIGURES), count), np.nan)
+        """For each quantity the ``FIGURES``, with the sum in the place of the mean."""
+
+    def add(self, values: Mapping[str, Array], first: int = 0, kept: NDArray[np.int64] | None = None) -> None:
+        """Add rows of the trajectories from ``first`` on: values (trajectories * m,) of each quantity by name.
+
+        Only the first ``kept[i]`` rows of each count; by default there is one trajectory. A value that is not finite
+        makes the figures so.
+        """
+        if not self.quantities:
+            return
+        if kept is None:
+            kept = np.array([len(values[self.quantities[0].name])])
+        here, count = slice(first, first + len(kept)), len(kept)
+        fresh, some = self._rows[here] == 0, kept > 0
+        if not some.any():
+            return
         with np.errstate(all="ignore"):
-            for sums, quantity in zip(self._sums, self._quantities, strict=True):
-                of_rows = values[quantity.name]
-                if not (count := len(of_rows)):
-                    return
-                begun = self._count > 0
-                sums[0] = sums[0] if begun else of_rows[0]
-                sums[1] = of_rows[-1]
-                sums[2] = np.minimum(sums[2], of_rows.min()) if begun else of_rows.min()
-                sums[3] = np.maximum(sums[3], of_rows.max()) if begun else of_rows.max()
-                sums[4] = (sums[4] if begun else 0.0) + of_rows.sum()
-        self._count += count
+            for sums, quantity in zip(self._sums[:, :, here], self.quantities, strict=True):
+                rows = values[quantity.name].reshape(count, -1)
+                beyond = np.arange(rows.shape[1]) >= kept[:, None]
+                low, high = np.where(beyond, np.inf, rows).min(axis=1), np.where(beyond, -np.inf, rows).max(axis=1)
+                total = np.where(beyond, 0.0, rows).sum(axis=1)
+                new = (
+                    np.where(fresh, rows[:, 0], sums[0]),
+                    rows[np.arange(count), kept - 1],
+                    np.where(fresh, low, np.minimum(sums[2], low)),
+                    np.where(fresh, high, np.maximum(sums[3], high)),
+                    np.where(fresh, 0.0, sums[4]) + total,
+                )
+                sums[:] = np.where(some, new, sums)
+        self._rows[here] += kept
+
+    @property
+    def figures(self) -> Array:
+        """``FIGURES`` of each quantity (quantities, figures, trajectories); nan without rows."""
+        return np.concatenate([self._sums[:, :4], self._sums[:, 4:] / np.maximum(self._rows, 1)], axis=1)
+
+    def together(self) -> tuple[Array, int]:
+        """``FIGURES`` (quantities, figures) of all trajectories with rows, and how many these are.
+
+        First, last and mean are averages over the trajectories.
+        """
+        figures = self.figures[:, :, self._rows > 0]
+        count = figures.shape[2]
+        if not count:
+            return np.full(figures.shape[:2], np.nan), 0
+        joined = figures.mean(axis=2)
+        joined[:, LOW], joined[:, HIGH] = figures[:, LOW].min(axis=1), figures[:, HIGH].max(axis=1)
+        return joined, count
 
     def rows(self) -> list[dict[str, Any]]:
-        """Plain data for each quantity: name, formula and ``FIGURES``."""
-        return [
-            {
-                "name": one.name,
-                "formula": one.formula,
-                **dict(zip(FIGURES, (*sums[:4], sums[4] / (self._count or 1)), strict=True)),
-            }
-            for one, sums in zip(self._quantities, self._sums.tolist(), strict=True)
-        ]
+        """Plain data for each quantity: name, formula and ``FIGURES``, of all trajectories ``together``."""
+        return quantity_rows(self.quantities, [self.together()])
+
+    def columns(self) -> dict[str, Array]:
+        """``<quantity>_first`` and the other ``FIGURES`` (trajectories,)."""
+        return {
+            f"{quantity.name}_{figure}": values
+            for quantity, figures in zip(self.quantities, self.figures, strict=True)
+            for figure, values in zip(FIGURES, figures, strict=True)
+        }
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All sums, from which ``restore`` continues; empty without quantities."""
-        return {"quantities": np.vstack([self._sums, np.full(len(FIGURES), self._count)])} if self._quantities else {}
+        counts = np.broadcast_to(self._rows, (1, len(FIGURES), len(self._rows)))
+        return {"quantities": np.concatenate([self._sums, counts])} if self.quantities else {}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a ``state()``. Raises KeyError or ValueError if it has another form."""
-        if self._quantities:
-            *sums, count = state["quantities"]
-            self._sums[:] = sums
-            self._count = int(count[0])
+        if self.quantities:
+            self._sums[:] = state["quantities"][:-1]
+            self._rows[:] = state["quantities"][-1, 0]
+
+
+def quantity_rows(quantities: Sequence[Quantity], parts: Sequence[tuple[Array, int]]) -> list[dict[str, Any]]:
+    """Plain data for each quantity: name, formula and ``FIGURES`` of several parts (``QuantityTally.together``)."""
+    parts = [part for part in parts if part[1]] or list(parts)
+    if not quantities or not parts:
+        return []
+    figures = np.array([part for part, _ in parts])
+    with np.errstate(all="ignore"):
+        joined = np.average(figures, axis=0, weights=[max(count, 1) for _, count in parts])
+    joined[:, LOW], joined[:, HIGH] = figures[:, :, LOW].min(axis=0), figures[:, :, HIGH].max(axis=0)
+    return [
+        {"name": one.name, "formula": one.formula, **dict(zip(FIGURES, row, strict=True))}
+        for one, row in zip(quantities, joined.tolist(), strict=True)
+    ]

@@ -67,18 +67,20 @@ class _Request:
 
 def _print_result(result: RunResult, labelled: bool) -> None:
     """Print the message and the table of a run."""
-    report, warning, notes, observed = result.report, "", [], None
+    from topcli.runs.report import QUANTITIES
+
+    report, warning, notes = result.report, "", []
+    observed = QUANTITIES.cells(report) if report.get("quantities") else None
     if report.get("kind") == "ensemble":
         from topcli.runs.report import ensemble_table
 
         header, *lines = ensemble_table(report)
     else:
-        from topcli.runs.report import INVARIANTS, QUANTITIES, accuracy_note, precision_note, warning_of
+        from topcli.runs.report import INVARIANTS, accuracy_note, precision_note, warning_of
 
         warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
         cells = INVARIANTS.cells(report)
         header, lines = cells.header, cells.lines
-        observed = QUANTITIES.cells(report) if report.get("quantities") else None
     if result.set_aside:
         print_message(result.set_aside_message)
     status = result.status

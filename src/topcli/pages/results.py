@@ -134,8 +134,8 @@ def _add_content(
     elif report:
         chapter.attempt("invariants", _invariants, report)
         chapter.attempt("verdicts", _verdicts, report)
-        if report.get("quantities"):
-            chapter.attempt("quantities", QUANTITIES.cells, report)
+    if report.get("quantities"):
+        chapter.attempt("quantities", QUANTITIES.cells, report)
     if chapter.kind != "ensemble" and name:
         h = config.get("h", report.get("h", 1.0))
         chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(h), name))

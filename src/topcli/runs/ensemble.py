@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from topcli.analysis.columns import columns, invariant_values
+from topcli.analysis.quantities import QuantityTally, quantity_rows
 from topcli.analysis.tally import EnsembleSummary, InvariantTally, measure_columns
 from topcli.config.ensemble import EnsembleExperiment, Group
 from topcli.contracts import Array, Invariant
@@ -30,8 +31,9 @@ Kept = TypeVar("Kept")
 class GroupRun(Generic[Kept]):
     """One group of an ensemble, run block by block.
 
-    ``keep(group, piece, values)`` is called for every piece of rows with the values of the invariants (rows,), by name,
-    which are evaluated once for it and for ``tally``. ``run`` and ``tally`` are those of the latest block.
+    ``keep(group, piece, values)`` is called for every piece of rows with the values of the invariants and quantities
+    (rows,), by name, which are evaluated once for it and for the tallies. ``run``, ``tally`` and ``quantities`` are
+    those of the latest block.
     """
 
     def __init__(
@@ -51,11 +53,17 @@ class GroupRun(Generic[Kept]):
         self.invariants = (*group.top.invariants(), *self.modified)
         self._last = first.N // first.output.every * first.output.every
         self.tally = self._tally(0)
+        self.quantities = QuantityTally(first.quantities, 0)
         self.names = first.recorded
 
         def on_piece(piece: Piece) -> Kept:
-            values = invariant_values(self.invariants, piece.states.reshape(-1, piece.states.shape[-1]))
+            flat = piece.states.reshape(-1, piece.states.shape[-1])
+            values = invariant_values(self.invariants, flat)
             self.tally.add(piece.n, piece.states, values, piece.first, piece.kept)
+            if first.quantities:
+                n = np.tile(piece.n, len(piece.kept))
+                values |= {one.name: one.values(group.top, n, first.h, flat) for one in first.quantities}
+                self.quantities.add(values, piece.first, piece.kept)
             return keep(self, piece, values)
 
         self.run = EnsembleRun(
@@ -77,6 +85,7 @@ class GroupRun(Generic[Kept]):
         """Run the next trajectories of the group, from ``y0`` (m, d): results of ``keep`` and trajectory-steps done."""
         self.offset, self._next = self._next, self._next + len(y0)
         self.tally = self._tally(len(y0))
+        self.quantities = QuantityTally(self.quantities.quantities, len(y0))
         self.run.begin(y0)
         yield from self.run
         self.tally.finish(self.run.last)
@@ -85,7 +94,7 @@ class GroupRun(Generic[Kept]):
     def rows(self, which: np.ndarray, n: np.ndarray, states: np.ndarray, values: Values | None = None) -> Columns:
         """Columns of rows (m,): trajectories by their number in the block, step numbers (m,), states (m, d).
 
-        ``values`` (m,) are those of the invariants by name, if they have been evaluated before.
+        ``values`` (m,) are those of invariants and quantities by name, if they have been evaluated before.
         """
         table = columns(
             self.group.top,
@@ -115,7 +124,7 @@ class GroupRun(Generic[Kept]):
         table["n"] = run.endings.step
         table["left_motion"] = run.endings.left
         first = self.experiment.first
-        return table | measure_columns(self.tally, first.N, first.output.every)
+        return table | measure_columns(self.tally, first.N, first.output.every) | self.quantities.columns()
 
 
 _OUTCOME_NAMES = np.array([outcome.value for outcome in OUTCOMES], dtype=object)
@@ -159,6 +168,7 @@ class EnsembleRecording(Recording):
             options.on_message(f"{experiment.name}: {message}")
         self._varied = varied_parameters(experiment)
         self._tables: dict[str, SeriesWriter] = {}
+        self._observed: list[tuple[Array, int]] = []
         self._endings, self._initial, offset = EndingTally(N), hashlib.sha256(), 0
         seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
         keep = _all_rows if experiment.store == "trajectories" else _no_rows
@@ -179,7 +189,8 @@ class EnsembleRecording(Recording):
                 table.finish(ended)
                 self.writer.sha256[files[name]] = table.sha256
             summary = self._summary.rows()
-            report = ensemble_report(experiment, self.origin.identity.digest, self._endings, summary, seconds)
+            observed = quantity_rows(experiment.first.quantities, self._observed)
+            report = ensemble_report(experiment, self.origin.identity.digest, self._endings, summary, seconds, observed)
         manifest = {
             "kind": "ensemble",
             "series": files.get("series", files["trajectories"]),
@@ -212,6 +223,7 @@ class EnsembleRecording(Recording):
         self._initial.update(np.ascontiguousarray(y0, dtype="<f8").data)
         self._endings.add(group.run.endings)
         self._summary.add(group.tally)
+        self._observed.append(group.quantities.together())
         rows = group.trajectories(self._varied)
         self._table("trajectories", list(rows)).write(rows)
 

@@ -376,8 +376,9 @@ def ensemble_report(
     endings: EndingTally,
     invariants: Sequence[dict[str, Any]],
     seconds: dict[str, Any],
+    quantities: Sequence[dict[str, Any]] = (),
 ) -> dict[str, Any]:
-    """Content of ``report.json``; ``invariants`` are the rows of the ensemble's summary."""
+    """Content of ``report.json``; ``invariants`` and ``quantities`` are the rows of the ensemble's summaries."""
     return finite(
         {
             "schema_version": SCHEMA_VERSION,
@@ -393,6 +394,7 @@ def ensemble_report(
             "seconds": seconds,
             "round_off_ulps": ROUND_OFF_ULPS,
             "invariants": list(invariants),
+            **({"quantities": list(quantities)} if quantities else {}),
         }
     )
 
@@ -424,6 +426,7 @@ def ensemble_markdown(report: dict[str, Any]) -> str:
         "over the trajectories. *Within round-off*: trajectories whose largest deviation stays below "
         f"{ROUND_OFF_ULPS:g} ulp × √steps of the invariant's terms.",
         "",
+        *_quantities_markdown(report.get("quantities") or []),
         seconds_note(report["seconds"]),
         "",
     ]
