@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.analysis.algebraic_growth import DegreeGrowth, degree_growth, degree_of, degrees, fitted_growth, heights
+from topcli.analysis.algebraic_growth import DegreeGrowth, confirmed_growth, degree_growth, degree_of, degrees, heights
 from topcli.analysis.hk_basis import density, determinants, hk_bases, null_space
 from topcli.engine.precise_numbers import NotRationalError, Rational
 from topcli.engine.residues import PRIME, Jet, RationalMap, deciding, inverse, residue
@@ -116,12 +116,15 @@ def test_growth_is_that_of_the_shortest_recurrence(
     assert found.factor == (factor and pytest.approx(factor, rel=1e-12))
 
 
-def test_a_fit_needs_the_heights() -> None:
-    """Without a recurrence, as for coupled Euler tops; within 10 % of each other."""
-    sequence = [5, 25, 109, 465, 1973]
+@pytest.mark.parametrize("sequence", [[5, 25, 109, 465, 1973], [5, 25, 109, 465, 1973, 8361]])
+def test_a_fit_or_a_single_further_term_needs_the_heights(sequence: list[int]) -> None:
+    """The degrees of coupled Euler tops: 2 + sqrt 5, with the second sequence; within 15 %."""
     assert degree_growth(sequence).law is None
-    for factor, law in [(4.0, "exponential"), (4.6, "exponential"), (3.8, None), (5.0, None)]:
-        assert fitted_growth(sequence, [round(8 * factor**n) for n in range(5)]).law == law
+    for factor, law in [(3.7, None), (4.0, "exponential"), (4.7, "exponential"), (5.1, None)]:
+        found = confirmed_growth(sequence, [round(8 * factor**n) for n in range(5)])
+        assert found.law == law
+        if law and len(sequence) > 5:
+            assert (found.factor, found.surplus) == (pytest.approx(2 + math.sqrt(5), rel=1e-12), 1)
 
 
 def test_heights_of_known_orbits() -> None:
@@ -195,11 +198,18 @@ LINE = re.compile(
     r"(?P<verdict>[^|]+) \|"
 )
 RECORDED = [found for line in (ROOT / "docs/integrability.md").read_text().splitlines() if (found := LINE.match(line))]
-LAWS = {"3^n": 3.0, r"(1+\sqrt2)^n": 1 + math.sqrt(2), r"(3+\sqrt6)^n": 3 + math.sqrt(6), "4.24^n": 4.24, "16^n": 16.0}
+LAWS = {
+    "3^n": 3.0,
+    r"(1+\sqrt2)^n": 1 + math.sqrt(2),
+    r"(3+\sqrt6)^n": 3 + math.sqrt(6),
+    r"(2+\sqrt5)^n": 2 + math.sqrt(5),
+    "16^n": 16.0,
+}
 
 
 def recorded(found: re.Match[str]) -> Any:
-    marks = () if int(found["n"]) < 3 and "\\sqrt6" not in found["law"] else (pytest.mark.slow,)
+    quick = int(found["n"]) < 3 and not {"6", "5"} & set(found["law"])
+    marks = () if quick else (pytest.mark.slow,)
     return pytest.param(found.groupdict(), id=found["command"], marks=marks)
 
 
@@ -213,7 +223,7 @@ def test_recorded_verdicts(row: dict[str, str]) -> None:
     growth = study["growth"]
     if row["law"] in LAWS:
         assert growth["law"] == "exponential"
-        assert growth["factor"] == pytest.approx(LAWS[row["law"]], rel=1e-9 if growth["characteristic"] else 0.02)
+        assert growth["factor"] == pytest.approx(LAWS[row["law"]], rel=1e-9)
         assert growth["entropy"] == pytest.approx(math.log(growth["factor"]))
     else:
         assert (growth["law"], growth["entropy"]) == ("polynomial", 0.0)
@@ -255,9 +265,8 @@ def test_the_map_of_the_integrable_steklov_top_is_not_integrable() -> None:
     H_m = ("2*m1 + 1.5*p1", "3*m2 + p2", "5*m3 + 0.6*p3")
     H_p = ("1.5*m1 + 0.08*p1", "m2 + 0.27*p2", "0.6*m3 + 0.05*p3")
     momentum = [f"{a} + {b}" for a, b in zip(cross(M, H_m), cross(P, H_p), strict=True)]
-    # the last degree alone takes ten seconds
     study = topcli.integrability("custom", config=custom([*momentum, *cross(P, H_m)])).study
-    assert study["degrees"] == [6, 36, 186, 936, 4686, 23436]
+    assert study["degrees"] == [6, 36, 186, 936, 4686]
     assert (study["growth"]["factor"], study["integrals"]) == (pytest.approx(5.0), 3)
     assert study["verdict"] == "not integrable"
 

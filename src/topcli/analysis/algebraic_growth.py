@@ -24,8 +24,8 @@ from topcli.engine.precise import ROOM, longest
 from topcli.engine.precise_numbers import Rationals, at_most
 from topcli.engine.residues import PRIME, Jet, RationalMap, Residues, folded
 
-FEW_POINTS, MOST_POINTS, LAST_POINTS = 64, 2**14, 2**16
-"""Points on the line, of which a rational function of degree D needs 2 D + 2; the last if one more term decides."""
+FEW_POINTS, MOST_POINTS = 64, 17_000
+"""Points on the line, of which a rational function of degree D needs 2 D + 2."""
 MOST_TERMS = 20
 SURPLUS = 2
 """Terms of a sequence beyond those that fix its recurrence, at least; twice as many while they are cheap."""
@@ -156,10 +156,9 @@ def degrees(step: RationalMap, seed: int = 1, most: int = MOST_TERMS) -> list[in
     while len(found) < most:
         state = step.step(state)
         while (degree := line.degree(state, t)) is None:
-            if len(t) >= (LAST_POINTS if degree_growth(found, SURPLUS - 1).law else MOST_POINTS):
+            if len(t) >= MOST_POINTS:
                 return found
-            enough = 2 * found[0] * found[-1] + 2 if found else MOST_POINTS  # degrees are submultiplicative
-            t = np.arange(1, (enough if len(t) < enough < 2 * len(t) else 2 * len(t)) + 1)
+            t = np.arange(1, min(2 * len(t), MOST_POINTS) + 1)
             state = line.states(t, len(found) + 1)
         found.append(degree)
         if degree_growth(found, SURPLUS * (2 if degree < SHORT else 1)).law:
@@ -185,20 +184,30 @@ def heights(step: RationalMap) -> list[int]:
     return found
 
 
-FACTOR, AGREEMENT = 2.0, 0.1
-"""Smallest factor of a fitted exponential law, and relative difference of those of degrees and heights."""
+FACTOR, AGREEMENT = 2.0, 0.15
+"""Smallest factor of an exponential law that is fitted, and relative difference of those of degrees and heights."""
 
 
-def fitted_growth(degrees: Sequence[int], bits: Sequence[int]) -> DegreeGrowth:
-    """Law of the recurrence of ``degrees``, or, without one, that of a fit if the ``bits`` of an orbit confirm it."""
+def confirmed_growth(degrees: Sequence[int], bits: Sequence[int]) -> DegreeGrowth:
+    """Law of the recurrence of ``degrees``, or an exponential law that the ``bits`` of an orbit confirm.
+
+    That is the law of a recurrence that a single further term confirms, or that of a fit.
+    """
     exact = degree_growth(degrees)
     if exact.law:
         return exact
-    fits = [digit_growth(np.arange(first, first + len(row)), np.array(row)) for first, row in ((1, degrees), (0, bits))]
-    factors = [fit.factor if fit and fit.factor and fit.factor > FACTOR else None for fit in fits]
-    if factors[0] and factors[1] and abs(factors[0] / factors[1] - 1.0) < AGREEMENT:
-        return DegreeGrowth(EXPONENTIAL, factor=factors[0])
+    fit, height = (_fitted_factor(first, row) for first, row in ((1, degrees), (0, bits)))
+    short = degree_growth(degrees, SURPLUS - 1)
+    factor = short.factor if short.law else fit
+    if factor and height and abs(factor / height - 1.0) < AGREEMENT:
+        return short if short.law else DegreeGrowth(EXPONENTIAL, factor=factor)
     return exact
+
+
+def _fitted_factor(first: int, sizes: Sequence[int]) -> float | None:
+    """Factor of the exponential law that fits sizes at steps from ``first``; None for another law or a small factor."""
+    fit = digit_growth(np.arange(first, first + len(sizes)), np.array(sizes))
+    return fit.factor if fit and fit.factor and fit.factor > FACTOR else None
 
 
 FEWEST = 4

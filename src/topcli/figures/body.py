@@ -7,7 +7,6 @@ reconstructed from the rows.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +19,12 @@ from topcli.analysis.columns import invariant_values, quaternions_of
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, Top, checked_equations
-from topcli.errors import ConfigError, RunError, UsageError, nearest
+from topcli.errors import ConfigError, UsageError
 from topcli.figures.picture import halo
 from topcli.figures.scene3d import arrow, lit, parallel, projection, quads, split
-from topcli.store.manifest import DamagedRun, StoredRun, all_runs, read_run
-from topcli.store.parts import is_part, parts_of
+from topcli.store.manifest import StoredRun
 from topcli.store.series import read_series
+from topcli.store.verify import intact_run
 
 LONGITUDES, LATITUDES = 56, 28
 LIGHT = (-0.45, 0.35, 0.82)
@@ -280,7 +279,7 @@ def stored_body_motion(folder: Path) -> BodyMotion:
 
     Raises UsageError if there is no run, or if its rows do not determine the attitude, and RunError if it is damaged.
     """
-    run = _intact(folder)
+    run = intact_run(folder)
     experiment = _experiment(run)
     series = read_series(run.series)
     name, notes = experiment.name, []
@@ -305,24 +304,6 @@ def stored_body_motion(folder: Path) -> BodyMotion:
         _invariants(experiment, series, states, last),
         tuple(notes),
     )
-
-
-def _intact(folder: Path) -> StoredRun:
-    """The run in ``folder``, with all its checksums compared."""
-    run = read_run(folder)
-    if isinstance(run, DamagedRun):
-        raise RunError(f"{folder}: {run.reason}; run again with --force")
-    if run is None:
-        if is_part(folder) or parts_of(folder.parent, folder.name):
-            raise UsageError(f"{folder}: the run is unfinished; topcli run --resume continues it")
-        if not os.path.isdir(folder) and not folder.suffix and len(folder.parts) == 1:
-            hint = "give the folder of a run, such as results/NAME"
-        else:
-            hint = nearest(folder.name, [one.folder.name for one in all_runs(folder.parent)])
-        raise UsageError(f"{folder}: no run is stored here (manifest.json is missing); {hint}")
-    for name, reason in run.damage().items():
-        raise RunError(f"{folder / name}: damaged: {reason}; run again with --force")
-    return run
 
 
 def _experiment(run: StoredRun) -> Experiment:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from topcli.errors import RunError, UsageError, nearest
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.files import json_text, sha256_of
-from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run, stored_sweep
-from topcli.store.parts import is_part
+from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, all_runs, read_run, stored_sweep
+from topcli.store.parts import is_part, parts_of
 
 
 @dataclass(frozen=True)
@@ -85,3 +87,24 @@ def check_run(folder: Path) -> CheckedRun | None:
     if (sweep := stored_sweep(folder)) is not None:
         return _finished(sweep)
     return _unfinished(folder) if is_part(folder) else None
+
+
+def intact_run(folder: Path) -> StoredRun:
+    """Run in ``folder``, with all its checksums compared.
+
+    Raises UsageError if there is none, and RunError if it is damaged.
+    """
+    run = read_run(folder)
+    if isinstance(run, DamagedRun):
+        raise RunError(f"{folder}: {run.reason}; run again with --force")
+    if run is None:
+        if is_part(folder) or parts_of(folder.parent, folder.name):
+            raise UsageError(f"{folder}: the run is unfinished; topcli run --resume continues it")
+        if not os.path.isdir(folder) and not folder.suffix and len(folder.parts) == 1:
+            hint = "give the folder of a run, such as results/NAME"
+        else:
+            hint = nearest(folder.name, [one.folder.name for one in all_runs(folder.parent)])
+        raise UsageError(f"{folder}: no run is stored here (manifest.json is missing); {hint}")
+    for name, reason in run.damage().items():
+        raise RunError(f"{folder / name}: damaged: {reason}; run again with --force")
+    return run

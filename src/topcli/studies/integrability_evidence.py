@@ -16,11 +16,12 @@ from topcli.analysis.algebraic_growth import (
     EXPONENTIAL,
     MOST_POINTS,
     POLYNOMIAL,
+    SURPLUS,
     DegreeGrowth,
     DigitGrowth,
+    confirmed_growth,
     degrees,
     digit_growth,
-    fitted_growth,
     heights,
 )
 from topcli.analysis.hk_basis import Density, HKBasis, density, hk_bases
@@ -115,10 +116,11 @@ def growth_text(growth: DegreeGrowth) -> str:
         return "no recurrence found"
     if not growth.characteristic:
         return f"about {growth.factor:.3g}^n; no recurrence found"
+    by = f"{growth.surplus} terms" if growth.surplus >= SURPLUS else f"{growth.surplus} term and the heights"
     n = len(growth.characteristic) - 1
     terms = {(0,) * (n - i): Fraction(c) for i, c in enumerate(growth.characteristic)}
     law = ("n" if growth.power == 1 else f"n^{growth.power}") if growth.law == POLYNOMIAL else f"{growth.factor:.4g}^n"
-    return f"{law}; recurrence {Polynomial(terms).text('x')}, confirmed by {growth.surplus} terms"
+    return f"{law}; recurrence {Polynomial(terms).text('x')}, confirmed by {by}"
 
 
 def _bases(step: RationalMap, seed: int) -> list[HKBasis]:
@@ -162,7 +164,7 @@ def integrability_study(experiment: Experiment, on_progress: Callable[[int, int]
     bits = timed(lambda seed: heights(step(h, Rationals())))
     bases = timed(lambda seed: _bases(modular, seed))
     measure = timed(lambda seed: density(modular, most, seed))
-    growth, fit = fitted_growth(found, bits), digit_growth(np.arange(len(bits)), np.array(bits))
+    growth, fit = confirmed_growth(found, bits), digit_growth(np.arange(len(bits)), np.array(bits))
     integrals = max(basis.integrals for basis in bases)
     verdict, why = verdict_of(growth, _agree(again, found), integrals, d)
     listed = "; ".join(f"degree {basis.degree}: null space {basis.null} of {basis.monomials}" for basis in bases)

@@ -43,8 +43,8 @@ class CoupledEuler(Top):
 
     Three integrals are quadratic. A fourth one exists if α₁α₂ = α₅α₆; then all four, divided by 1 - h²/4 α₁α₂x₃², are
     integrals of the HK map, which is integrable, and its degrees grow like n². Without the condition it conserves two
-    such quotients, and its degrees grow like 4.24^n, even if 4α₁α₂ = α₅α₆, where the motion has a fourth integral of
-    degree four.
+    such quotients, and its degrees grow like (2 + √5)^n, even if 4α₁α₂ = α₅α₆, where the motion has a fourth integral
+    of degree four.
     """
 
     kind = "coupled-euler"
