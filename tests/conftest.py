@@ -96,13 +96,13 @@ def pytest_runtest_teardown(item: pytest.Item) -> Generator[None]:
 def own_registry() -> Iterator[None]:
     """Schemes, tops and measures registered by a test are gone after it."""
     from topcli.schemes.plugins import registry
-    from topcli.schemes.registry import all_schemes, load_scheme_file
+    from topcli.schemes.registry import all_schemes, load_plugin_file
 
     all_schemes()  # so that the built-in ones are among them
     before = registry.snapshot()
     yield
     registry.restore(before)
-    load_scheme_file.cache_clear()
+    load_plugin_file.cache_clear()
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def cli(
 
     yield call
     if "topcli.schemes.registry" in sys.modules:
-        sys.modules["topcli.schemes.registry"].unload_scheme_files()
+        sys.modules["topcli.schemes.registry"].unload_plugin_files()
 
 
 @pytest.fixture

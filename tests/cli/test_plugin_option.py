@@ -12,14 +12,13 @@ from conftest import ROOT, Said
 from documentation import read_page
 from topcli.cli.app import app
 from topcli.cli.listing import list_app
-from topcli.schemes.registry import unload_scheme_files
+from topcli.schemes.registry import unload_plugin_files
 
 CANNOT = {
     "verify": "compares checksums",
     "table": "reads the table of a sweep",
     "claims": "runs the experiments of the paper",
     "list compositions": "those of topcli",
-    "list scenes": "those of topcli",
     "list sweeps": "those of topcli",
     "list runs": "reads manifests",
 }
@@ -42,7 +41,7 @@ def gyrostat(cli: Callable[..., Said]) -> Iterator[Callable[..., Said]]:
     for name, text in read_page(ROOT / "docs" / "own-scheme.md").files().items():
         Path(name).write_text(text)
     yield lambda *arguments: cli(*arguments, "--plugin", "gyrostat.py")
-    unload_scheme_files()
+    unload_plugin_files()
 
 
 def test_an_own_top_is_listed_with_schemes_that_run(gyrostat: Callable[..., Said]) -> None:

@@ -171,6 +171,8 @@ def test_a_plugin_is_imported_when_a_name_needs_it(tmp_path: Path) -> None:
 
 
 BAD = "raise RuntimeError('no good')"
+ALONE = "from topcli.figures.catalogue import FIGURES\nFIGURES.clear()\n"
+"""Leaves only the figures of a plugin, so that a test draws no other."""
 SAID = "plugin 'bad' of several failed: {site}/several/bad.py:1: RuntimeError: no good"
 
 
@@ -229,3 +231,11 @@ def test_example_of_the_decorator_runs(tmp_path: Path) -> None:
     done = python_process(code, cwd=tmp_path)
     failed, attempted = map(int, done.stdout.split()[-2:])
     assert (failed, attempted) == (0, 6), done.stdout
+
+
+def test_all_figures_are_those_of_plugins_too(tmp_path: Path) -> None:
+    site = install(tmp_path, "topcli.figures", alone=ALONE + FIGURE, bad=BAD)
+    drawn = topcli_process("plot", "--all", "--jobs", "1", "--json", cwd=tmp_path, path=site)
+    assert SAID.format(site=site) in drawn.stderr
+    assert [one["name"] for one in json.loads(drawn.stdout)["figures"]] == ["parabola"]
+    assert drawn.returncode == 0

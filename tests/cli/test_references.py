@@ -17,7 +17,7 @@ from topcli import __version__
 from topcli.config.models import Config, Output
 from topcli.figures.catalogue import FIGURES
 from topcli.schemes.compose import COMPOSITIONS
-from topcli.schemes.registry import all_schemes, find_scheme, unload_scheme_files
+from topcli.schemes.registry import all_schemes, find_scheme, unload_plugin_files
 from topcli.studies.citations import bibliography, plain_text, works_in
 from topcli.tops import TOPS
 
@@ -132,7 +132,7 @@ def test_cite_as_json(cli) -> None:
 
 
 def test_a_plugin_is_cited_by_its_own_words(cli, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    request.addfinalizer(unload_scheme_files)
+    request.addfinalizer(unload_plugin_files)
     (tmp_path / "mine.py").write_text(MINE)
     printed = cli("cite", "mine", "--plugin", str(tmp_path / "mine.py")).out
     assert printed == "@misc{mine,\n  note = {Private notes 2020},\n}\n"

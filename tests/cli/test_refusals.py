@@ -74,7 +74,7 @@ def refused(cli: Cli, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
         return said.err
 
     yield call
-    registry.unload_scheme_files()
+    registry.unload_plugin_files()
 
 
 MISTAKES = """

@@ -244,7 +244,7 @@ def test_a_fault_in_a_file_is_named_by_every_command(cli: Cli, in_tmp: Path, fau
         "stress": "heun rk4 --top gyrostat --case one-step",
     }.items():
         said = cli(command, *rest.split(), "--plugin", "mine.py")
-        registry.unload_scheme_files()
+        registry.unload_plugin_files()
         if command in commands:
             assert said.code in (2, 3, 4), said
             assert f"mine.py:{line}" in said.err

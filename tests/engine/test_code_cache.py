@@ -203,7 +203,7 @@ def test_code_of_another_processor_is_not_known(monkeypatch: pytest.MonkeyPatch,
 
 # code from one process to the next
 
-SCHEME_FILE = """
+PLUGIN_FILE = """
 import topcli
 from topcli.contracts import Stepper
 
@@ -227,9 +227,9 @@ import json, sys
 from itertools import chain
 from pathlib import Path
 from topcli.engine.run import Run
-from topcli.schemes.registry import find_scheme, load_scheme_file
+from topcli.schemes.registry import find_scheme, load_plugin_file
 from topcli.tops.kowalevski import Kowalevski
-load_scheme_file(Path(sys.argv[1]))
+load_plugin_file(Path(sys.argv[1]))
 top = Kowalevski()
 run = Run(top, find_scheme("mine", "kowalevski").build(top, None), (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), 0.1, 3)
 last = [chunk.states[-1, 0] for chunk in run if len(chunk.n)][-1]
@@ -239,7 +239,7 @@ print(json.dumps({"last": last, "cached": run.cached, "numba": "numba" in sys.mo
 
 def probe(tmp_path: Path, cache: Path, factor: float) -> dict:
     file = tmp_path / "mine.py"
-    file.write_text(SCHEME_FILE.format(factor=factor))
+    file.write_text(PLUGIN_FILE.format(factor=factor))
     done = python_process(PROBE, str(file), cwd=ROOT, NUMBA_CACHE_DIR=str(cache))
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

@@ -52,7 +52,7 @@ def folder(cli: Callable[..., Said]) -> Iterator[Path]:
     for name, text in FILES.items():
         Path(name).write_text(text)
     yield Path()
-    registry.unload_scheme_files()
+    registry.unload_plugin_files()
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -118,13 +118,13 @@ def test_an_edited_file_does_not_replace_the_earlier_run(cli: Callable[..., Said
     """Under rk4 alike, although that is topcli's own scheme; with --force the earlier run is renamed, and said so."""
     command = ("run", "rotor.yaml", "--plugin", "gyrostat.py", "--set", f"scheme={name}", "--name", "rotor")
     assert cli(*command).code == 0
-    registry.unload_scheme_files()
+    registry.unload_plugin_files()
     manifest = json.loads(Path("results/rotor/manifest.json").read_text())
     assert manifest["top_origin"] == "gyrostat.py"
     assert manifest["scheme_origin"] == ("gyrostat.py" if name == "heun" else "topcli")
     edit(folder / "gyrostat.py", *FIELD)
     refused = cli(*command)
-    registry.unload_scheme_files()
+    registry.unload_plugin_files()
     assert refused.code == 2
     first, second = refused.err.splitlines()
     assert first.startswith(
@@ -153,7 +153,7 @@ def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Sai
         if old:
             edit(folder / "gyrostat.py", old, new)
         said.append(cli(*command))
-        registry.unload_scheme_files()
+        registry.unload_plugin_files()
         forget()
     assert [one.code for one in said] == [0, 0, 0]
     assert ["(2 ran)" in one.out + one.err for one in said] == [True, False, True]

@@ -14,7 +14,7 @@ from topcli.errors import TopcliError, UsageError
 from topcli.schemes.any_top.kahan import build_quadratic
 from topcli.schemes.any_top.midpoint import build_midpoint
 from topcli.schemes.layout import CompensatedOption
-from topcli.schemes.registry import find_scheme, load_scheme_file, names_for
+from topcli.schemes.registry import find_scheme, load_plugin_file, names_for
 from topcli.tops import TOPS
 
 TOP = """
@@ -64,7 +64,7 @@ def tops(own_registry: None, tmp_path: Path) -> None:
         components = tuple(f"y{i + 1}" for i in range(d))
         text = TOP.format(name=kind.title(), kind=kind, components=components, swing=components[0], d=d, field=field)
         (tmp_path / f"{kind}.py").write_text(text)
-        load_scheme_file(tmp_path / f"{kind}.py")
+        load_plugin_file(tmp_path / f"{kind}.py")
 
 
 def end(name: str, kind: str, h: float, N: int, **options: bool) -> np.ndarray:
@@ -113,12 +113,12 @@ def test_a_declared_integral_that_is_none_is_named(own_registry: None, tmp_path:
     path = tmp_path / "drawn.py"
     for factor, broken in ((3.0, True), (2.0, False)):
         path.write_text(text.replace("return ()", f"return {declared.format(factor)}"))
-        load_scheme_file.cache_clear()
+        load_plugin_file.cache_clear()
         if broken:
             with pytest.raises(TopcliError, match=r"'energy' is no integral of the field: .* contains 2\*x\*v"):
-                load_scheme_file(path)
+                load_plugin_file(path)
         else:
-            load_scheme_file(path)
+            load_plugin_file(path)
         assert ("drawn" in TOPS) is not broken
 
 

@@ -22,7 +22,7 @@ from topcli.analysis.conformance import (
     states_near,
 )
 from topcli.contracts import Stepper, Top, invariant_of
-from topcli.schemes.registry import all_schemes, unload_scheme_files
+from topcli.schemes.registry import all_schemes, unload_plugin_files
 from topcli.studies.check_declarations import Found, Subject, exact_rate, random_rate, scheme_rows, top_rows
 from topcli.studies.stress.trials import generic_case
 from topcli.tops.euler import Euler
@@ -55,11 +55,11 @@ def check(cli: Callable[..., Said]) -> Iterator[Callable[..., Said]]:
         Path("mine.py").write_text(text.replace(old, new) if old else text)
         Path("rotor.yaml").write_text(FILES["rotor.yaml"])
         said = cli(*(options or ("check", "mine.py", "--json")), *(("--plugin", "mine.py") if options else ()))
-        unload_scheme_files()
+        unload_plugin_files()
         return said
 
     yield call
-    unload_scheme_files()
+    unload_plugin_files()
 
 
 def rows_of(said: Said) -> dict[str, dict[str, Any]]:

@@ -265,7 +265,7 @@ def own(cli: Callable[..., Said]) -> Iterator[Callable[..., Said]]:
     """Call a command with the scheme file."""
     Path("own.py").write_text(FILE)
     yield lambda *arguments: cli(*arguments, "--plugin", "own.py")
-    registry.unload_scheme_files()
+    registry.unload_plugin_files()
 
 
 def errors_of(said: Said) -> dict[str, str]:

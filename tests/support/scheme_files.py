@@ -38,11 +38,11 @@ class Found:
 @contextmanager
 def loaded_file(path: Path) -> Iterator[None]:
     """Load what a file registers, and forget it at the end."""
-    registry.load_scheme_file(path)
+    registry.load_plugin_file(path)
     try:
         yield
     finally:
-        registry.unload_scheme_files()
+        registry.unload_plugin_files()
 
 
 def write_scheme(folder: Path, body: str, options: str = "") -> Path:
@@ -57,7 +57,7 @@ def run_scheme(path: Path) -> Found:
     registry.all_schemes()  # so that the built-in ones are among those that stay
     before = registry.registry.snapshot()
     try:
-        registry.load_scheme_file.__wrapped__(path)
+        registry.load_plugin_file.__wrapped__(path)
         top = Kowalevski()
         method = registry.find_scheme("mine", "kowalevski").build(top, None)
     finally:

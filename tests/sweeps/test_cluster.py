@@ -24,7 +24,7 @@ from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.config.rows import RowReader
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
-from topcli.schemes.registry import load_scheme_file, unload_scheme_files
+from topcli.schemes.registry import load_plugin_file, unload_plugin_files
 from topcli.sweeps import cluster as connect
 from topcli.sweeps.cluster import (
     ALONE,
@@ -117,7 +117,7 @@ def no_scheme_files() -> Iterator[None]:
 
 
 def _unload() -> None:
-    unload_scheme_files()
+    unload_plugin_files()
     forget()
 
 
@@ -187,7 +187,7 @@ def test_a_worker_that_is_killed_loses_no_row(cluster: Processes, tmp_path: Path
 
 @pytest.mark.slow
 def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_path: Path, scheme_file: Path) -> None:
-    load_scheme_file(scheme_file)
+    load_plugin_file(scheme_file)
     sweep(tmp_path / "here", OF_FILE)
     messages = [row["message"] for row in table(tmp_path / "here")]
     assert [str(scheme_file) in text for text in messages] == [False] * 4 + [True] * 2
@@ -204,7 +204,7 @@ def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_
     # the file is edited: the same worker, which has loaded it before, computes with the new content
     _unload()
     (tmp_path / "weights.py").write_text("WEIGHT = 1.0\n")
-    load_scheme_file(scheme_file)
+    load_plugin_file(scheme_file)
     sweep(tmp_path / "here2", OF_FILE)
     run_on_cluster(cluster.address, load_sweep(OF_FILE), tmp_path / "there2")
     assert repr(table(tmp_path / "there2")) == repr(table(tmp_path / "here2"))
@@ -214,7 +214,7 @@ def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_
 
 @pytest.mark.slow
 def test_a_row_that_ends_its_workers_fails_alone(dask: None, tmp_path: Path, scheme_file: Path) -> None:
-    load_scheme_file(scheme_file)
+    load_plugin_file(scheme_file)
     data = {**OF_FILE, "grid": {"top.A": [2.25, 2.5]}, "base": {**OF_FILE["base"], "h": 0.01}}
     sweep(tmp_path / "here", data)
     deadly = {**data, "grid": {"top.A": [2.25, 2.875, 2.5]}}

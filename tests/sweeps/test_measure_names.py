@@ -128,7 +128,7 @@ def last(batch, name):
 
 
 def load(path: Path) -> None:
-    schemes.load_scheme_file.__wrapped__(path)
+    schemes.load_plugin_file.__wrapped__(path)
 
 
 def test_measures_from_a_file(tmp_path: Path, own_registry: None) -> None:

@@ -20,7 +20,7 @@ from topcli.studies import STUDIES, find_study
 STUDY = "study"
 """Place of a command that follows from a study."""
 _TYPE = re.compile(r" <[^>]*>$")
-WITHOUT_PLUGINS = frozenset(("verify", "table", "claims", "compositions", "scenes", "sweeps", "runs"))
+WITHOUT_PLUGINS = frozenset(("verify", "table", "claims", "compositions", "sweeps", "runs"))
 """Commands that meet no scheme, top, measure, figure or case of a user: they have no option ``--plugin``."""
 
 
@@ -31,10 +31,10 @@ FAILED_PLUGINS = "topcli.plugins.failed"
 def _load_plugins(ctx: typer.Context, paths: list[Path] | None) -> None:
     """Register what the files given by ``--plugin`` define; ``topcli doctor`` reports those that fail."""
     for path in paths or ():
-        from topcli.schemes.registry import load_scheme_file
+        from topcli.schemes.registry import load_plugin_file
 
         try:
-            load_scheme_file(path)
+            load_plugin_file(path)
         except UsageError as error:
             if ctx.command.name != "doctor":
                 raise

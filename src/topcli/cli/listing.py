@@ -89,8 +89,9 @@ def _forms(top: str | None) -> Iterable[str]:
     return [form.form for form in forms(top)] if top else TOPS
 
 
-def _print_plugin_failures() -> None:
-    from topcli.schemes.registry import plugin_failures
+def print_plugin_failures() -> None:
+    """Import the plugins of installed packages, and report those that fail."""
+    from topcli.schemes.plugins import plugin_failures
 
     for failure in plugin_failures():
         print_message(str(failure))
@@ -103,10 +104,9 @@ def tops(as_json: Json = False) -> Listing:
     The parameters are keys of a config. A step does not get them, but p, the constants of the equations of motion.
     """
     from topcli.schemes.plugins import top_origin
-    from topcli.schemes.registry import plugin_failures
     from topcli.tops import TOPS
 
-    plugin_failures()  # tops of installed packages are listed too
+    print_plugin_failures()  # tops of installed packages are listed too
     items = [
         {
             "name": top.kind,
@@ -145,7 +145,7 @@ def schemes(
     items = [scheme_data(scheme) for scheme in all_schemes() if scheme.top in wanted]
     for item in items:
         item["options"] = {name: str(option["default"]) for name, option in item["options"].items()}
-    _print_plugin_failures()
+    print_plugin_failures()
     return Listing(items, ["name", "top", "order", "self_adjoint", "conserves"])
 
 
@@ -196,10 +196,9 @@ def sweeps(as_json: Json = False) -> Listing:
 @_listed
 def cases(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the hard cases of topcli stress."""
-    from topcli.schemes.plugins import plugin_failures
     from topcli.studies.stress.cases import CASES, OWN, cases_of
 
-    plugin_failures()
+    print_plugin_failures()
     wanted = [*CASES, *OWN.values()] if top is None else [case for form in _forms(top) for case in cases_of(form)]
     items = [{"name": case.name, "top": case.form, "question": case.question, "origin": case.origin} for case in wanted]
     return Listing(items, ["name", "top", "question"])
@@ -215,7 +214,7 @@ def measures(top: OnlyTop = None, as_json: Json = False) -> Listing:
 
     listed = all_measures() if top is None else measures_of_form(next(iter(_forms(top))))
     items = [_fields(measure, "name", "unit", "summary", "of_failed", "reproducible", "origin") for measure in listed]
-    _print_plugin_failures()
+    print_plugin_failures()
     return Listing(items, ["name", "unit", "summary"])
 
 
@@ -223,9 +222,8 @@ def measures(top: OnlyTop = None, as_json: Json = False) -> Listing:
 def figures(as_json: Json = False) -> Listing:
     """List the figures that topcli plot draws."""
     from topcli.figures.catalogue import FIGURES
-    from topcli.schemes.plugins import plugin_failures
 
-    plugin_failures()
+    print_plugin_failures()
     return Listing(
         [_fields(figure, "name", "title", "scene", "origin") for figure in FIGURES.values()],
         ["name", "scene", "title"],

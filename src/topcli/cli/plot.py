@@ -97,6 +97,10 @@ def _chosen(names: list[str], options: dict[str, str | None], where: list[str]) 
     given = [f"--{name}" for name, value in {**options, "where": where}.items() if value]
     if given:
         raise UsageError(f"{given[0]} belongs to sweeps: topcli plot sweep DIR/NAME --x KEY --y MEASURE")
+    if not names:
+        from topcli.cli.listing import print_plugin_failures
+
+        print_plugin_failures()  # figures of installed packages are drawn too
     return [find_figure(name) for name in names] if names else list(FIGURES.values())
 
 

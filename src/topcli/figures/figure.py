@@ -23,7 +23,7 @@ from topcli.errors import ExitCode, RunError, TopcliError, UsageError, clipped
 from topcli.figures.picture import DEFAULT_FORMATS, Drawable, Grid, draw, overlay_column, save
 from topcli.figures.style import STYLE
 from topcli.runs.identity import method_fingerprint
-from topcli.schemes.registry import load_scheme_file, loaded_scheme_files
+from topcli.schemes.registry import load_plugin_file, loaded_plugin_files
 from topcli.store.files import io_failure, require_writable, stored_study, write_study, write_whole
 from topcli.store.series import read_metadata, write_parquet
 from topcli.studies import imported
@@ -296,7 +296,7 @@ class _Processes:
         self.context.set_forkserver_preload([*PRELOADED, "matplotlib.figure"])
         self.on_message, self.on_progress = request.on_message, on_progress
         silent = replace(request, on_progress=Request.on_progress, on_message=Request.on_message)
-        plugins = tuple(Path(file.path).absolute() for file in loaded_scheme_files())
+        plugins = tuple(Path(file.path).absolute() for file in loaded_plugin_files())
         self.arguments = (silent, out, formats, plugins)
         self.running: dict[Any, tuple[Figure, Any]] = {}
 
@@ -363,7 +363,7 @@ def _make_apart(
 
     try:
         for path in plugins:
-            load_scheme_file(path)
+            load_plugin_file(path)
         pipe.send(make_figure(figure, replace(request, on_progress=progress, on_message=pipe.send), out, formats))
     except TopcliError as error:
         pipe.send(error)

@@ -27,7 +27,7 @@ from topcli.tops import TOPS
 
 GROUPS = ("topcli.tops", "topcli.schemes", "topcli.figures")
 """Groups of entry points in which installed packages declare plugins; each may bring anything."""
-SCHEME_FILE = "topcli_scheme_file_"
+PLUGIN_FILE = "topcli_scheme_file_"
 """Start of the names of the modules of plugin files; a digest of the path follows."""
 _NOT_BESIDE = sys.stdlib_module_names | {"topcli"}
 
@@ -39,7 +39,7 @@ def is_built_in(value: Any) -> bool:
 
 def named_module(value: Any) -> str:
     """Name of the module of a function or class, the same for a plugin file wherever it lies."""
-    return SCHEME_FILE if value.__module__.startswith(SCHEME_FILE) else value.__module__
+    return PLUGIN_FILE if value.__module__.startswith(PLUGIN_FILE) else value.__module__
 
 
 def file_of(value: Any) -> str:
@@ -68,7 +68,7 @@ def sources_of(values: Iterable[Any]) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class SchemeFile:
+class PluginFile:
     """Loaded plugin file: its ``path`` as given, its ``folder``, and the content of its modules by relative path."""
 
     path: str
@@ -98,7 +98,7 @@ class Registry:
         """Distribution or file that is being imported."""
         self.installed: dict[EntryPoint, PluginFailure | list[str]] = {}
         """Plugins of installed packages with the names that they have registered, or the reason why they failed."""
-        self.files: list[SchemeFile] = []
+        self.files: list[PluginFile] = []
         self.before_files: Snapshot | None = None
         self.tables: list[tuple[Table, dict[Any, Any]]] = []
         """Tables that plugins extend, each with its built-in content."""

@@ -21,10 +21,10 @@ from topcli.contracts import Block, Floats, Integrability, Invariant, Method, No
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import compose, find_composition, obstacle
 from topcli.schemes.plugins import (
-    SCHEME_FILE,
+    PLUGIN_FILE,
     FromSource,
     PluginFailure,
-    SchemeFile,
+    PluginFile,
     built_in_modules,
     failed_plugin,
     import_plugin,
@@ -267,7 +267,7 @@ def _checked(build: Build, name: str) -> Build:
 
 
 @cache
-def load_scheme_file(path: Path) -> None:
+def load_plugin_file(path: Path) -> None:
     """Import the schemes of a Python file (``--plugin``), which may import modules that lie beside it.
 
     Raises UsageError if the file cannot be read or imported, or registers nothing.
@@ -275,7 +275,7 @@ def load_scheme_file(path: Path) -> None:
     plugin_failures()
     if not os.path.isfile(path):  # False also for what cannot be a path
         raise UsageError(f"plugin {path}: no such file")
-    name = SCHEME_FILE + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
+    name = PLUGIN_FILE + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(name, path, loader=FromSource(name, str(path)))
     if spec is None or spec.loader is None:
         raise UsageError(f"plugin {path}: not a Python file (expected a name ending in .py)")
@@ -300,21 +300,21 @@ def load_scheme_file(path: Path) -> None:
         path.name: path.read_bytes(),
         **{file.relative_to(folder).as_posix(): file.read_bytes() for file in files},
     }
-    registry.files.append(SchemeFile(str(path), str(folder), content, frozenset((name, *imported))))
+    registry.files.append(PluginFile(str(path), str(folder), content, frozenset((name, *imported))))
 
 
-def loaded_scheme_files() -> tuple[SchemeFile, ...]:
+def loaded_plugin_files() -> tuple[PluginFile, ...]:
     """Plugin files that have been loaded, in that order."""
     return tuple(registry.files)
 
 
-def unload_scheme_files() -> None:
+def unload_plugin_files() -> None:
     """Forget what plugin files have registered."""
     if registry.before_files is not None:
         registry.restore(registry.before_files)
         registry.before_files = None
     registry.files.clear()
-    load_scheme_file.cache_clear()
+    load_plugin_file.cache_clear()
 
 
 @one_at_a_time

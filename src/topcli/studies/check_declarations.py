@@ -29,7 +29,7 @@ from topcli.field import integrals as field_integrals
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.runs.report import finite
 from topcli.schemes.plugins import top_origin, users_error
-from topcli.schemes.registry import all_schemes, find_scheme, load_scheme_file
+from topcli.schemes.registry import all_schemes, find_scheme, load_plugin_file
 from topcli.studies.bench.contest import Problem
 from topcli.studies.entries import scheme_with
 from topcli.studies.order import FALSE
@@ -324,7 +324,7 @@ def plan(
     """
     origin = None if file is None else str(Path(file))
     if file is not None:
-        load_scheme_file(Path(file))
+        load_plugin_file(Path(file))
     own = [each for each in all_schemes() if each.origin == origin]
     brought = [form for form in TOPS if top_origin(TOPS[form]) == origin]
     given = None if config is None else load_experiment(config)

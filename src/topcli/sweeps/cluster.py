@@ -29,7 +29,7 @@ from topcli.config.rows import Row
 from topcli.config.sweep import Sweep
 from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.plugins import reason_of
-from topcli.schemes.registry import loaded_scheme_files
+from topcli.schemes.registry import loaded_plugin_files
 from topcli.sweeps.row_results import FAILED, Results, Work, unfinished
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
@@ -400,7 +400,7 @@ def _prepared(client: Client, address: str, on_message: Callable[[str], None], s
     from topcli.sweeps.worker import Job, Preparation, versions
 
     threads = _wait_for_workers(client, address, on_message, stop)
-    job = Job(uuid.uuid4().hex[:16], versions(), loaded_scheme_files())
+    job = Job(uuid.uuid4().hex[:16], versions(), loaded_plugin_files())
     for line in _check_workers(client, address, job):
         on_message(line)
     plugin = Preparation(job)

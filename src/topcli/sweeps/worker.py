@@ -18,8 +18,8 @@ from distributed import WorkerPlugin, get_worker
 import topcli
 from topcli.engine.ensemble import limit_threads
 from topcli.errors import TopcliError, UsageError
-from topcli.schemes.plugins import SchemeFile
-from topcli.schemes.registry import load_scheme_file, unload_scheme_files
+from topcli.schemes.plugins import PluginFile
+from topcli.schemes.registry import load_plugin_file, unload_plugin_files
 from topcli.store.provenance import cpu_name, installed
 from topcli.sweeps.row_results import Results, Work, forget
 
@@ -66,7 +66,7 @@ class Job:
 
     token: str
     versions: Versions
-    files: tuple[SchemeFile, ...]
+    files: tuple[PluginFile, ...]
 
     @property
     def content(self) -> str:
@@ -131,7 +131,7 @@ def _load(job: Job, place: str) -> None:
         return
     import topcli.sweeps.measures  # noqa: F401 (its table is among those that plugin files extend)
 
-    unload_scheme_files()
+    unload_plugin_files()
     forget()
     _state.loaded, _state.folder = "", Path(tempfile.mkdtemp(prefix="topcli-", dir=place))
     for number, file in enumerate(job.files):
@@ -139,7 +139,7 @@ def _load(job: Job, place: str) -> None:
             path = _state.folder / str(number) / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-        load_scheme_file(_state.folder / str(number) / Path(file.path).name)
+        load_plugin_file(_state.folder / str(number) / Path(file.path).name)
     _state.loaded = job.content
 
 

@@ -27,7 +27,7 @@ import numpy as np
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.registry import load_scheme_file
+from topcli.schemes.registry import load_plugin_file
 from topcli.studies import imported
 
 
@@ -137,7 +137,7 @@ class Worker:
     ) -> list[tuple[Any, ...]]:
         """Load a peer for a problem; return the name, the parameter and the values of each variant."""
         for path in plugins:
-            load_scheme_file(path)
+            load_plugin_file(path)
         experiment = load_experiment(config)
         times = np.arange(intervals + 1) * (span / intervals)
         variants = imported(place)(PeerProblem(experiment.top, np.array(experiment.y0), times))
