@@ -31,7 +31,7 @@ from topcli.arithmetic.fused import fma, unlikely
 from topcli.engine.code_cache import ObjectCode, store_code, stored_code
 from topcli.engine.duals import dual_numbers, rules_digest
 from topcli.engine.fingerprint import fingerprint
-from topcli.engine.source import compilable_copy, require_no_raise
+from topcli.engine.source import Copier, plain_function, require_no_raise
 from topcli.errors import RunError, TopcliError
 
 _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
@@ -202,13 +202,33 @@ def _expectation() -> Any:
     return expected_false
 
 
+_compiled: dict[tuple[object, ...], Any] = {}
+"""Kernels that this process has compiled, by their content and how: a composition has those of its base."""
+
+
+class _Kernels(Copier):
+    """Copies whose kernels are compiled once in a process for each ``kind``."""
+
+    kind: tuple[object, ...] = ()
+
+    def compiled(self, value: object, names: list[str]) -> Any:
+        inner = plain_function(value)
+        if inner is None or id(inner) in self.done or id(inner) in self.open:
+            return super().compiled(value, names)
+        key = fingerprint(inner), *self.kind
+        if key not in _compiled:
+            _compiled[key] = super().compiled(value, names)
+        return _compiled[key]
+
+
 def _compile(function: Callable[..., Any], signature: str, inline: bool, duals: bool) -> Any:
     """Compile with numba and return the cfunc."""
     from numba import cfunc, njit, types
 
     kinds = {"p": types.CPointer(types.float64), "d": types.float64, "q": types.int64}
     # no kernel is called from Python: without these wrappers it compiles in half of the time, to the same code
-    jit = njit(forceinline=inline, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    how: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
+    jit = njit(forceinline=inline, **how)
     # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
     signature_type = types.int64(*(kinds[c] for c in signature))
 
@@ -216,13 +236,12 @@ def _compile(function: Callable[..., Any], signature: str, inline: bool, duals: 
         require_no_raise(kernel)  # the time loop would never end: a cfunc that raises returns 0
         return jit(kernel)
 
-    return cfunc(signature_type, error_model="numpy", forceinline=True)(
-        compilable_copy(
-            function,
-            compiler,
-            {id(fma): _fma_instruction(), id(unlikely): _expectation(), **(dual_numbers() if duals else {})},
-        )
-    )
+    replace = {id(fma): _fma_instruction(), id(unlikely): _expectation(), **(dual_numbers() if duals else {})}
+    plain = plain_function(function)
+    assert plain is not None  # its fingerprint was taken
+    kernels = _Kernels(compiler, replace)
+    kernels.kind = inline, duals
+    return cfunc(signature_type, error_model="numpy", forceinline=True)(kernels.copy(plain))
 
 
 def _known(identity: str, signature: str, start: float) -> Native | None:
