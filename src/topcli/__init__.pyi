@@ -5,6 +5,7 @@ from topcli.contracts import Top as Top
 from topcli.figures.catalogue import figure as figure
 from topcli.runs.simulate import simulate as simulate
 from topcli.runs.simulate import simulate_ensemble as simulate_ensemble
+from topcli.runs.step_map import step as step
 from topcli.schemes.own_tops import top as top
 from topcli.schemes.registry import scheme as scheme
 from topcli.show.report import analyse as analyse
@@ -13,6 +14,7 @@ from topcli.show.report import claims as claims
 from topcli.show.report import compare as compare
 from topcli.show.report import integrability as integrability
 from topcli.show.report import lax as lax
+from topcli.show.report import lyapunov as lyapunov
 from topcli.show.report import motion as motion
 from topcli.show.report import order as order
 from topcli.show.report import roundoff as roundoff

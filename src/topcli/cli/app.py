@@ -170,6 +170,7 @@ class _Topcli(LazyGroup):
         "lax": STUDY,
         "integrability": STUDY,
         "roundoff": STUDY,
+        "lyapunov": STUDY,
         "stress": STUDY,
         "check": STUDY,
         "claims": STUDY,

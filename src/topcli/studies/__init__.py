@@ -54,6 +54,9 @@ STUDIES = {
     ),
     "stress": StudyPlace("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
     "claims": StudyPlace("topcli.paper.study:CLAIMS", "Decide the paper's claims by experiments."),
+    "lyapunov": StudyPlace(
+        "topcli.studies.lyapunov:LYAPUNOV", "Measure Lyapunov exponents and tell regular from chaotic orbits."
+    ),
     "order": StudyPlace("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
 }
 """All studies by name."""

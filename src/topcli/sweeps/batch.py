@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.leaving import energy_of
+from topcli.analysis.lyapunov import Growth, growth_of
 from topcli.analysis.order import PROBES as PROBE_STATES
 from topcli.analysis.order import probe_rows
 from topcli.analysis.reference import distances
@@ -96,6 +97,14 @@ class Batch:
     def t(self) -> Array:
         """Times ``n * h`` of the recorded rows, shape (m,)."""
         return self.n * self.experiment.h
+
+    @cached_property
+    def growth(self) -> Growth:
+        """Growth of a tangent vector along each run; the runs are computed once more for it."""
+        experiment = self.experiment
+        return growth_of(
+            experiment.top, experiment.scheme, experiment.method(), experiment.h, experiment.N, self.initial
+        )
 
     @property
     def whole(self) -> NDArray[np.bool_]:

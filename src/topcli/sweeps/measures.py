@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from topcli.analysis.lyapunov import Verdict
 from topcli.analysis.swings import minima_times
 from topcli.analysis.swings import swing_spacing as spacing_of_first
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
+from topcli.engine.tangent import obstacle as tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.references import obstacle
 from topcli.schemes.plugins import origin_of, plugin_table, without_users_errors
@@ -469,6 +471,34 @@ def counter(batch: Batch, name: str) -> Array:
     if name not in batch.endings.counters:
         return np.full(len(batch), np.nan)
     return batch.endings.counts[:, batch.endings.counters.index(name)].astype(np.float64)
+
+
+def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
+    reason = tangent_obstacle(scheme, scheme.build(top, scheme.options()))
+    return reason and f"scheme {scheme.name!r} {reason}"
+
+
+@measure(
+    "lyapunov",
+    summary="largest finite-time Lyapunov exponent",
+    unit="inverse time",
+    obstacle=_tangent_obstacle,
+)
+def lyapunov(batch: Batch) -> Array:
+    """Growth of a tangent vector over the whole run, divided by the time."""
+    return batch.growth.exponents
+
+
+@measure(
+    "chaotic",
+    summary="1 for a chaotic orbit, 0 for a regular one; undecided ones have no value",
+    unit=NUMBER,
+    obstacle=_tangent_obstacle,
+)
+def chaotic(batch: Batch) -> Array:
+    """Verdict on each run from the growth of a tangent vector."""
+    value = {Verdict.CHAOTIC: 1.0, Verdict.REGULAR: 0.0}
+    return np.array([value.get(verdict, np.nan) for verdict in batch.growth.verdicts])
 
 
 @measure("steps", summary="steps taken; of a failed run, the step that failed", unit=NUMBER, of_failed=True)

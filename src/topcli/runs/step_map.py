@@ -1,0 +1,167 @@
+"""The map of a scheme as a function of states, for analyses of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array
+from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
+from topcli.engine.tangent import TangentCode, TangentRun, tangent_code
+from topcli.errors import UsageError
+
+
+class StepMap:
+    """Compiled map of a scheme: a state, or an array of states, to those after one step.
+
+    The last axis of an array of states has the components. States are computed side by side, on all processors, with
+    the bits of ``topcli run``; a state from which a step fails becomes nan. Everything is dimensionless.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        Top, scheme and step size of the map.
+    components : tuple of str
+        Names of the components of a state.
+    h : float
+        Step size.
+    initial : ndarray, shape (d,)
+        Initial state of the config.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.experiment, self.h = experiment, experiment.h
+        self.components = type(experiment.top).components
+        self.initial = np.array(experiment.y0, dtype=float)
+        self._method = experiment.method()
+        self._codes: dict[int, EnsembleCode] = {}
+        self._tangents: dict[int, TangentCode] = {}
+
+    def __repr__(self) -> str:
+        experiment = self.experiment
+        return f"<map of {experiment.scheme.name} for {experiment.top.kind}, h = {self.h:g}>"
+
+    def __call__(self, states: ArrayLike, steps: int = 1) -> Array:
+        """States after ``steps`` steps.
+
+        Parameters
+        ----------
+        states : array_like, shape (..., d)
+            States of the top.
+        steps : int, optional
+            Number of steps.
+
+        Returns
+        -------
+        ndarray, shape (..., d)
+            New states; nan where a step fails.
+
+        Raises
+        ------
+        UsageError
+            For states of another length, and for less than one step.
+        """
+        y, shape = self._rows(states, "states", steps)
+        if not len(y):
+            return y.reshape(shape)
+        tile, top = tile_of(len(y)), self.experiment.top
+        if tile not in self._codes:
+            self._codes[tile] = EnsembleCode(top, self._method, tile)
+        execution = Execution(code=self._codes[tile])
+        run = EnsembleRun(top, self._method, y, self.h, steps, steps, on_piece=lambda piece: None, execution=execution)
+        for _ in run:
+            pass
+        return np.where((run.last_n == steps)[:, None], run.last, np.nan).reshape(shape)
+
+    def tangent(self, states: ArrayLike, vectors: ArrayLike, steps: int = 1) -> tuple[Array, Array]:
+        """States after ``steps`` steps, and the images of tangent vectors.
+
+        Parameters
+        ----------
+        states, vectors : array_like, shape (..., d)
+            States, and a tangent vector at each; they are broadcast against each other.
+        steps : int, optional
+            Number of steps.
+
+        Returns
+        -------
+        tuple of ndarray, shape (..., d)
+            New states and images; nan where a step fails.
+
+        Raises
+        ------
+        UsageError
+            For a scheme without a tangent map, for arrays that do not fit, and for less than one step.
+        """
+        try:
+            arrays = np.broadcast_arrays(np.asarray(states, dtype=float), np.asarray(vectors, dtype=float))
+        except ValueError as error:
+            raise UsageError(f"states and vectors do not fit: {error}") from None
+        (y, shape), (v, _) = (self._rows(array, "states and vectors", steps) for array in arrays)
+        lanes = tile_of(len(y))
+        if lanes not in self._tangents:
+            self._tangents[lanes] = tangent_code(self.experiment.scheme, self.experiment.top, self._method, lanes)
+        found = np.full((2, *y.shape), np.nan)
+        for first in range(0, len(y), lanes):
+            part = slice(first, first + lanes)
+            run = TangentRun(self._tangents[lanes], self.h, y[part], v[part])
+            run.advance(1, steps, renormalise=False)
+            found[0, part], found[1, part] = run.states, run.vectors
+        found[:, ~np.isfinite(found).all(axis=(0, 2))] = np.nan
+        return found[0].reshape(shape), found[1].reshape(shape)
+
+    def jacobian(self, states: ArrayLike, steps: int = 1) -> Array:
+        """Derivative of the new states with respect to the old ones, shape (..., d, d); raises as ``tangent``."""
+        y = np.asarray(states, dtype=float)
+        d = len(self.components)
+        _, images = self.tangent(y[..., None, :], np.eye(d), steps)
+        return np.swapaxes(images, -1, -2)
+
+    def _rows(self, states: ArrayLike, what: str, steps: int) -> tuple[Array, tuple[int, ...]]:
+        """States as rows (m, d), and their shape."""
+        y, d = np.asarray(states, dtype=float), len(self.components)
+        if y.ndim == 0 or y.shape[-1] != d:
+            raise UsageError(
+                f"{what}: the last axis has the {d} components {', '.join(self.components)}, not {y.shape}"
+            )
+        if steps != int(steps) or steps < 1:
+            raise UsageError(f"steps = {steps}: must be a whole number from 1 on")
+        return np.ascontiguousarray(y.reshape(-1, d)), y.shape
+
+
+def step(config: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) -> StepMap:
+    """Return the map of the scheme of a config as a compiled function of states.
+
+    Parameters
+    ----------
+    config : path, str or mapping
+        Config file, name of a packaged scene, or its content; N and the output play no role.
+    overrides : sequence of str, optional
+        Override a key of the config, e.g. ``"h=0.01"``.
+
+    Returns
+    -------
+    StepMap
+        ``f(states)`` takes one step, ``f(states, n)`` n steps, ``f.tangent(states, vectors)`` the tangent map too.
+
+    Raises
+    ------
+    ConfigError
+        For a config that cannot be loaded.
+
+    Examples
+    --------
+    >>> import numpy, topcli
+    >>> f = topcli.step("kowalevski_generic_hk", ["h=0.1"])
+    >>> f(numpy.zeros((1000, 6)) + f.initial).shape
+    (1000, 6)
+    >>> bool(abs(numpy.linalg.det(f.jacobian(f.initial)) - 1) < 0.01)
+    True
+    """
+    return StepMap(load_experiment(config, overrides))
