@@ -13,7 +13,7 @@ from topcli.contracts import Invariant, Scheme, Top
 from topcli.schemes.registry import all_schemes
 from topcli.studies.citations import Publication, works_in
 from topcli.studies.scheme_page import operations_of
-from topcli.tops import TOPS
+from topcli.tops import CATALOGUE, TOPS
 
 NOTATION = r"""
 A prime marks the new state, a bar the mean of the old and the new one; $f$ is the right-hand side of the equations of
@@ -269,6 +269,10 @@ def top_page(top: type[Top]) -> Page:
 
     made = top.new()
     lines = [f"# {top.title[:1].upper()}{top.title[1:]}", "", prose(top.__doc__ or "").replace("\n    ", "\n"), ""]
+    if top.form in CATALOGUE:
+        picture = f"![Motions of its gentle and its hard scene](../../images/tops/{top.form}.png)"
+        scenes = " and ".join(f"`{top.form.replace('-', '_')}_{case}`" for case in ("gentle", "hard"))
+        lines += [picture, "", f"The exact motions of the scenes {scenes}.", ""]
     lines += ["## Equations of motion", "", *display(top.formula)]
     vectors = ", ".join(f"`{name}`" for name in top.vectors)
     lines += [

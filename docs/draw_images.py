@@ -79,6 +79,28 @@ def breaks(study: Path) -> dict[str, list[str]]:
     return found
 
 
+def draw_portraits(data: Path) -> None:
+    """Draw the panels of the picture of the catalogue one by one, for the pages of its tops."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    from topcli.figures.portraits import PLANES, Portrait
+    from topcli.figures.style import STYLE
+    from topcli.store.series import read_series
+
+    columns, folder = read_series(data), IMAGES / "tops"
+    folder.mkdir(exist_ok=True)
+    for form, plane in PLANES.items():
+        with mpl.rc_context(fname=STYLE):
+            figure = Figure(figsize=(3.6, 2.8), layout="constrained")
+            axes = figure.add_subplot()
+            Portrait(form, plane).paint(axes, columns, None)
+            figure.legend(loc="outside lower center", ncols=2)
+            figure.savefig(folder / f"{form}.drawn.png", dpi=200)
+        _copy_small(folder / f"{form}.drawn.png", folder / f"{form}.png")
+        (folder / f"{form}.drawn.png").unlink()
+
+
 def _copy_small(source: Path, target: Path) -> None:
     """Copy a picture for print as one for a page: half as many pixels each way, 256 colours."""
     from PIL import Image
@@ -113,6 +135,8 @@ def main() -> None:
             continue
         picture = draw(name, arguments.results)
         _copy_small(picture, IMAGES / f"{name}.png")
+        if name == "catalogue":
+            draw_portraits(picture.with_suffix(".parquet"))
         if name == "stress":
             known[name] = breaks(arguments.results / "stress" / "stress.json")
         elif name not in TIMES:

@@ -35,6 +35,7 @@ from topcli.store.series import write_parquet
 from topcli.studies.stress.trials import chosen
 from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
+from topcli.tops import CATALOGUE
 from topcli.tops.kowalevski import Kowalevski
 
 IMAGES = ROOT / "docs" / "images"
@@ -102,6 +103,7 @@ def test_every_picture_is_drawn_by_the_target_and_shown_on_a_page() -> None:
     text = "".join(path.read_text(encoding="utf-8") for path in pages)
     assert pictures == set(images.PICTURES) == {name for name in pictures if f"images/{name}.png)" in text}
     assert set(STORED) == pictures - set(images.TIMES)
+    assert {path.stem for path in (IMAGES / "tops").glob("*.png")} == set(CATALOGUE)
 
 
 def test_the_picture_of_hard_cases_shows_the_declared_limits() -> None:
