@@ -22,6 +22,7 @@ HOMES = {
     "check": "topcli.show.report",
     "claims": "topcli.show.report",
     "compare": "topcli.show.report",
+    "discover": "topcli.show.report",
     "figure": "topcli.figures.catalogue",
     "integrability": "topcli.show.report",
     "lax": "topcli.show.report",

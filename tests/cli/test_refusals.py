@@ -349,6 +349,8 @@ cite bohlin-d
     did you mean 'bohlin-
 cite hk+kahan
     did you mean 'kahan-li
+discover results/nin
+    results/nin: no run is stored here
 integrability kowalevsky
     did you mean 'kowalevski'
 integrability euler midpoint

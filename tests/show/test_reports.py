@@ -46,6 +46,7 @@ STUDY = {
 
 
 REPORTS: dict[str, Callable[[Path], Report]] = {
+    "discover": lambda out: topcli.discover(topcli.run("euler_hk", out, name="seen", N=300).folder),
     "integrability": lambda out: topcli.integrability("suslov"),
     "lax": lambda out: topcli.lax("euler", "hk", overrides=["N=100"]),
     "roundoff": lambda out: topcli.roundoff("hk", "euler_hk", steps=20_000, copies=2),

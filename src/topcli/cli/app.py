@@ -169,6 +169,7 @@ class _Topcli(LazyGroup):
         "animate": "results.animate",
         "lax": STUDY,
         "integrability": STUDY,
+        "discover": STUDY,
         "roundoff": STUDY,
         "lyapunov": STUDY,
         "stress": STUDY,

@@ -46,6 +46,7 @@ STUDIES = {
     "analyse": StudyPlace("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
     "lax": StudyPlace("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
     "check": StudyPlace("topcli.studies.check:CHECK", "Check what schemes and tops declare, with controls."),
+    "discover": StudyPlace("topcli.studies.discover:DISCOVER", "Find polynomials that stay constant along orbits."),
     "integrability": StudyPlace(
         "topcli.studies.integrability:INTEGRABILITY", "Collect evidence on the integrability of a scheme's map."
     ),
