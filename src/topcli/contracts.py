@@ -137,6 +137,18 @@ class EulerPoisson:
     gravity: tuple[float, float, float]
     omega_sign: float = 1.0
 
+    def rates(self, y: Sequence[Any]) -> tuple[Any, ...]:
+        """Rates of change of omega and gamma, the six numbers ``y``, in their arithmetic."""
+        (A, B, C), (x0, y0, z0), (w1, w2, w3, g1, g2, g3) = self.moments, self.gravity, y
+        return (
+            ((B * w2 * w3 - C * w3 * w2) + (g2 * z0 - g3 * y0)) / A,
+            ((C * w3 * w1 - A * w1 * w3) + (g3 * x0 - g1 * z0)) / B,
+            ((A * w1 * w2 - B * w2 * w1) + (g1 * y0 - g2 * x0)) / C,
+            g2 * w3 - g3 * w2,
+            g3 * w1 - g1 * w3,
+            g1 * w2 - g2 * w1,
+        )
+
 
 class Top(BaseModel):
     """Base class of the tops.
@@ -267,8 +279,8 @@ class Top(BaseModel):
         Returns
         -------
         EulerPoisson
-            Used by the reference solution and by schemes written for any top. ``checked_equations`` compares it with
-            ``field`` before it is used.
+            Of a rigid body without a rotor: for schemes and Lax forms that need its moments. ``checked_equations``
+            compares it with ``field`` before it is used.
         """
         raise NotImplementedError
 
@@ -408,14 +420,15 @@ def _compared(top: Top) -> tuple[EulerPoisson, str]:
     d, field = len(top.components), getattr(type(top), "field", None)
     if field is None:  # then the equations are all there is
         return equations, ""
-    p = tuple(map(float, top.constants()))
+    p, signs = tuple(map(float, top.constants())), np.array([equations.omega_sign] * 3 + [1.0] * 3)
     if d not in (3, 6):
         return equations, f"its state has {d} components; expected omega (3), or omega and gamma (6)"
     for probe in range(PROBES):
         direction = np.cos(np.arange(1.0, 7.0) + 6.0 * probe)  # in general position
         for omega, gamma in SIZES:
             y = np.concatenate([omega * direction[:3], (gamma if d == 6 else 0.0) * direction[3:]])
-            expected, terms = _euler_poisson_rates(equations, y)
+            sized = [Sized.of(rate) for rate in equations.rates(tuple(map(Sized, (signs * y).tolist())))]
+            expected, terms = signs * [one.value for one in sized], np.array([one.size for one in sized])
             with np.errstate(all="ignore"):
                 rates = np.array(field(tuple(y[:d].tolist()), p), dtype=float)
             if rates.shape != (d,):
@@ -432,20 +445,6 @@ def _compared(top: Top) -> tuple[EulerPoisson, str]:
                     f"at ({state})"
                 )
     return equations, ""
-
-
-def _euler_poisson_rates(equations: EulerPoisson, y: Array) -> tuple[Array, Array]:
-    """Right-hand side of the Euler-Poisson equations at a state (6,), and the magnitudes of its terms (6,)."""
-    moments, gravity = np.array(equations.moments, dtype=float), np.array(equations.gravity, dtype=float)
-    omega, gamma = equations.omega_sign * y[:3], y[3:]
-    j, k = np.array([1, 2, 0]), np.array([2, 0, 1])
-    with np.errstate(all="ignore"):
-        turn = omega[j] * omega[k]
-        torque = (moments[j] - moments[k]) * turn + (gamma[j] * gravity[k] - gamma[k] * gravity[j])
-        size = (moments[j] + moments[k]) * np.abs(turn) + np.abs(gamma[j] * gravity[k]) + np.abs(gamma[k] * gravity[j])
-        first, second = gamma[j] * omega[k], gamma[k] * omega[j]
-        rates = np.concatenate([equations.omega_sign * torque / moments, first - second])
-        return rates, np.concatenate([np.abs(size / moments), np.abs(first) + np.abs(second)])
 
 
 class NoOptions(BaseModel):

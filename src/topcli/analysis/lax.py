@@ -98,10 +98,7 @@ def hat(v: Array) -> Matrices:
 
 def rates(equations: EulerPoisson, states: Array) -> Array:
     """Right-hand side of the Euler-Poisson equations at states (n, 6), Sogo (EulerPoisson)."""
-    I, g = np.array(equations.moments), np.array(equations.gravity)  # noqa: E741
-    omega, gamma = states[:, :3], states[:, 3:]
-    torque = np.cross(I * omega, omega) + np.cross(gamma, g)
-    return np.hstack([torque / I, np.cross(gamma, omega)])
+    return np.stack(equations.rates(tuple(states.T)), axis=1)
 
 
 def _block(upper: Matrices, diagonal: Matrices) -> Matrices:
