@@ -12,6 +12,7 @@ import pytest
 import topcli
 from topcli.analysis.constants import Level, constants, null_dimension
 from topcli.runs.simulate import simulate
+from topcli.studies import find_study
 
 TOLERANCE = 1e-11
 
@@ -177,3 +178,23 @@ def test_mistakes(cli: Any, in_tmp: Path, command: str) -> None:
     assert said.code == 2
     assert said.err.startswith(f"error: {MISTAKES[command]}")
     assert said.err.count("\n") == 1
+
+
+def test_every_cell_is_the_value_of_its_field() -> None:
+    keys = ("degree", "monomials", "null", "products", "found", "kept", "left")
+    levels = [dict(zip(keys, (2, 27, 10, 7, 3, 1.5e-15, 0.25), strict=True))]
+    one = {"polynomial": "x**2", "values": [1.25], "deviation": 3.5e-15, "degree": 2}
+    data = {
+        "levels": levels,
+        "constants": [one, {**one, "values": [1.0, 2.0]}],
+        "sources": ["a"],
+        "rows": 50,
+        "degree": 2,
+    }
+    shown = [table.cells(data) for table in find_study("discover").tables_of(data)]
+    assert shown[0].header == ["constant", "value", "deviation"]
+    assert shown[0].lines == [["x**2", "1.25", "3.5e-15"], ["x**2", "–", "3.5e-15"]]
+    heads = ["degree", "monomials", "null space", "products", "new", "largest below the gap", "smallest above"]
+    assert shown[1].header == heads
+    assert shown[1].lines == [["2", "27", "10", "7", "3", "1.5e-15", "0.25"]]
+    assert shown[1].title == "a: 50 rows, degree 2"

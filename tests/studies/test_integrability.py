@@ -186,6 +186,26 @@ def test_verdicts(law: str | None, characteristic: Any, repeated: bool, integral
     assert verdict_of(DegreeGrowth(law, characteristic=characteristic), repeated, integrals, 3)[0] == verdict
 
 
+def test_the_table_shows_what_was_found() -> None:
+    """On the map with the most different numbers."""
+    report = topcli.integrability("volterra", overrides=["top.b2=0.3"])
+    study, table = report.study, report.table
+    bits, bases = study["heights"]["bits"], study["hk_bases"]
+    assert table["found"]["degrees"] == ", ".join(map(str, study["degrees"]))
+    assert table["meaning"]["degrees"] == "2.414^n; recurrence x**3 - 3*x**2 + x + 1, confirmed by 2 terms"
+    assert (study["growth"]["characteristic"], study["growth"]["surplus"]) == ([1, -3, 1, 1], 2)
+    assert table["found"]["repeated"] == "the same"
+    assert study["repeated"] == study["degrees"][: len(study["repeated"])]
+    assert table["found"]["heights"] == f"{bits[-1]} bits after {len(bits) - 1} steps"
+    assert table["meaning"]["heights"] == f"about {study['heights']['growth']['factor']:.4g}^n"
+    assert table["found"]["HK bases"] == f"independent integrals: {study['integrals']}"
+    listed = [f"degree {row['degree']}: null space {row['null']} of {row['monomials']}" for row in bases]
+    assert table["meaning"]["HK bases"] == "; ".join(listed)
+    assert [row["monomials"] for row in bases] == [10, 20, 35]
+    assert table["found"]["density"] == f"degree {study['density']['degree']}"
+    assert (table["seconds"] > 0.0).all()
+
+
 def test_density_of_the_weierstrass_map_is_that_of_the_formula() -> None:
     """1 - 12 (h/2)^2 x (Petrera, Pfadler, Suris 2011)."""
     study = topcli.integrability("weierstrass", overrides=["h=0.2"]).study
@@ -271,20 +291,28 @@ def test_the_map_of_the_integrable_steklov_top_is_not_integrable() -> None:
     assert study["verdict"] == "not integrable"
 
 
-def test_scheme_that_decides_is_refused(cli: Any, tmp_path: Any) -> None:
-    """By name; a scheme whose decisions only count events is not, such as hk of the Kowalevski top."""
-    file = tmp_path / "mine.py"
-    file.write_text(
+REFUSED = {
+    "(s[0] + h * s[1] if s[1] > 0.0 else s[0], s[1], s[2])": "it makes a decision that depends on the state",
+    "(s[0] + abs(s[1]), s[1], s[2])": "it makes a decision that depends on the state",
+    "(s[0] ** 0.5, s[1], s[2])": "it takes the power 0.5 of the state",
+    "(s[0], 1.0, s[2])": "it returns a component that does not depend on the state",
+    "(math.exp(s[0]), s[1], s[2])": "it uses math.exp, which rational numbers do not have",
+}
+
+
+@pytest.mark.parametrize("step", REFUSED)
+def test_a_step_that_is_not_rational_is_refused(cli: Any, in_tmp: Path, step: str) -> None:
+    """By name; decisions that only count events are not, such as those of hk of the Kowalevski top."""
+    (in_tmp / "mine.py").write_text(
+        "import math\n\n"
         "import topcli\n"
         "from topcli.contracts import Stepper\n\n\n"
         "@topcli.scheme('mine', top='euler', title='Mine', order=1, explicit=True, self_adjoint=False,\n"
         "               citation='', equations='')\n"
         "def mine(top, options):\n"
-        '    """One that decides."""\n'
-        "    return Stepper(lambda s, h, p: (s[0] + h * s[1] if s[1] > 0.0 else s[0], s[1], s[2]), 3)\n"
+        '    """A step."""\n'
+        f"    return Stepper(lambda s, h, p: {step}, 3)\n"
     )
-    said = cli("integrability", "euler", "mine", "--plugin", str(file))
+    said = cli("integrability", "euler", "mine", "--plugin", "mine.py")
     assert said.code == 2
-    assert "scheme 'mine' cannot compute with rational functions: it makes a decision that depends on the state" in (
-        said.err
-    )
+    assert said.err == f"error: integrability: scheme 'mine' cannot compute with rational functions: {REFUSED[step]}\n"

@@ -147,7 +147,7 @@ class Jet:
 
     def __pow__(self, exponent: Any) -> Jet:
         if not isinstance(exponent, int):
-            raise NotRationalError(f"takes the power {exponent} of the state")
+            raise NotRationalError(f"takes the power {float(exponent):g} of the state")
         base, result = self if exponent >= 0 else self.reciprocal(), Jet(np.zeros_like(self.a)) + 1
         for _ in range(abs(exponent)):
             result = result * base
@@ -224,10 +224,16 @@ def rational_map(scheme: Scheme, top: Top, options: Any, h: Fraction, arithmetic
 
 
 def _is_decided(step: RationalMap) -> bool:
-    """True if the state after a step depends on comparisons; those of counters do not matter."""
+    """True if the state after two steps depends on comparisons; those of counters do not matter.
+
+    Raises NotRationalError for a state that is no function of the one before.
+    """
     y = [Jet(np.array([[PRIME // (i + 3)]])) for i in range(step.d)]
     found: list[list[int]] = []
     for answer in (False, True):
         with deciding(answer):
-            found.append([int(x.a[0, 0]) for x in step.leave(step.step(step.step(step.enter(y))))])
+            state = step.leave(step.step(step.step(step.enter(y))))
+        if not all(isinstance(x, Jet) for x in state):
+            raise NotRationalError("returns a component that does not depend on the state")
+        found.append([int(x.a[0, 0]) for x in state])
     return found[0] != found[1]
