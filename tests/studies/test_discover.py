@@ -17,9 +17,9 @@ from topcli.studies import find_study
 TOLERANCE = 1e-11
 
 
-def torus(radius: float = 3.0, noise: float = 0.0) -> Any:
+def torus(radius: float = 3.0, noise: float = 0.0, rows: int = 500) -> Any:
     """Orbit with x^2 + y^2 = 1 and z^2 + w^2/radius^2 = 1."""
-    t = np.arange(500.0)
+    t = np.arange(float(rows))
     states = np.stack([np.cos(t), np.sin(t), np.cos(2**0.5 * t), radius * np.sin(2**0.5 * t)], axis=1)
     return states + noise * np.random.default_rng(1).normal(size=states.shape)
 
@@ -39,6 +39,7 @@ def counts(levels: Sequence[Level]) -> list[tuple[int, int, int]]:
         ([1.0, 1.1e-7, 0.9e-11], 1),
         ([1.0, 0.8e-7, 0.9e-11], 0),
         ([1.0, 0.5], 0),
+        ([1e3, 1.0, 0.9e-8], 1),
     ],
 )
 def test_null_space_needs_the_tolerance_and_a_gap(singular: list[float], found: int) -> None:
@@ -56,6 +57,7 @@ def test_constants_of_a_torus() -> None:
         ratio = x.get((1, 1), 0.0) / x[0, 0] if (0, 0) in x else 9.0 * x[3, 3] / x[2, 2]
         assert ratio == pytest.approx(1.0, rel=1e-10)
         assert one.values[0] == pytest.approx(x.get((0, 0), x.get((2, 2))), rel=1e-10)
+        assert min(x.values()) > 0.0  # the first term is positive
         assert one.deviation < 1e-14
     assert counts(constants([torus(noise=1e-9)], 2, TOLERANCE))[1] == (0, 0, 0)
     noisy = constants([torus(noise=1e-9)], 2, 1e-6)[1]
@@ -156,6 +158,16 @@ def test_files_and_runs(cli: Any, in_tmp: Path) -> None:
     assert topcli.discover(run.folder, columns=["omega1,omega2"]).study["relations"] == 1
 
 
+def test_all_of_a_long_orbit_is_used(cli: Any, in_tmp: Path) -> None:
+    """At most 20,000 rows, from beginning to end."""
+    states = torus(rows=30_000)
+    said = cli("discover", write(in_tmp / "long.csv", states), "--json").json()
+    assert (said["rows"], said["relations"]) == (15_000, 2)
+    states[21_000:] *= 2.0
+    levels = cli("discover", write(in_tmp / "long.csv", states), "--json").json()["relations"]
+    assert levels == 1  # the difference of both, which stays zero
+
+
 MISTAKES = {
     "few.csv": "few.csv: 20 rows are too few for the 14 monomials of degree 2; at least 24 are needed",
     "one.csv --degree 12": "--degree 12: 4 components have 1819 monomials, and at most 500 are tried",
@@ -197,4 +209,4 @@ def test_every_cell_is_the_value_of_its_field() -> None:
     heads = ["degree", "monomials", "null space", "products", "new", "largest below the gap", "smallest above"]
     assert shown[1].header == heads
     assert shown[1].lines == [["2", "27", "10", "7", "3", "1.5e-15", "0.25"]]
-    assert shown[1].title == "a: 50 rows, degree 2"
+    assert find_study("discover").tables_of(data)[1].title_of(data) == "a: 50 rows, degree 2"

@@ -106,6 +106,7 @@ def test_degrees_of_known_maps() -> None:
         ([n**3 + 1 for n in range(1, 10)], "polynomial", 3, None, 2),
         ([2, 3, 5, 8, 13, 21], "exponential", None, (1 + math.sqrt(5)) / 2, 3),
         ([2, 3, 5, 7, 11, 13, 17, 19, 23], None, None, None, 0),
+        ([8, 12, 18, 27], None, None, None, 0),  # a factor of 3/2, which is no whole number
     ],
 )
 def test_growth_is_that_of_the_shortest_recurrence(
@@ -300,10 +301,8 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("step", REFUSED)
-def test_a_step_that_is_not_rational_is_refused(cli: Any, in_tmp: Path, step: str) -> None:
-    """By name; decisions that only count events are not, such as those of hk of the Kowalevski top."""
-    (in_tmp / "mine.py").write_text(
+def write_scheme(folder: Path, step: str) -> None:
+    (folder / "mine.py").write_text(
         "import math\n\n"
         "import topcli\n"
         "from topcli.contracts import Stepper\n\n\n"
@@ -313,6 +312,21 @@ def test_a_step_that_is_not_rational_is_refused(cli: Any, in_tmp: Path, step: st
         '    """A step."""\n'
         f"    return Stepper(lambda s, h, p: {step}, 3)\n"
     )
+
+
+def test_a_special_step_size_is_found_out(cli: Any, in_tmp: Path) -> None:
+    """The degree falls at h = 0.3, the default, but not at the step size of the repetition."""
+    write_scheme(in_tmp, "(s[0] + (h - 0.3) * s[1] ** 2, s[1] + h * s[0], s[2])")
+    found = cli("integrability", "euler", "mine", "--plugin", "mine.py", "--json").json()
+    assert set(found["degrees"]) == {1}
+    assert found["repeated"][:3] == [2, 2, 4]
+    assert (found["verdict"], found["why"]) == ("undecided", "the degrees along another line, with another h, differ")
+
+
+@pytest.mark.parametrize("step", REFUSED)
+def test_a_step_that_is_not_rational_is_refused(cli: Any, in_tmp: Path, step: str) -> None:
+    """By name; decisions that only count events are not, such as those of hk of the Kowalevski top."""
+    write_scheme(in_tmp, step)
     said = cli("integrability", "euler", "mine", "--plugin", "mine.py")
     assert said.code == 2
     assert said.err == f"error: integrability: scheme 'mine' cannot compute with rational functions: {REFUSED[step]}\n"
