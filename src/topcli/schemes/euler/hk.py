@@ -8,7 +8,8 @@ M = 1 - [c_i (omega_k e_j + omega_j e_k)]. With b_i = c_j c_k omega_i² and v_i 
 
 Every function returns omega' - omega (or half of it). The only operation that rounds at the size of omega is then one
 addition, so that round-off is a random walk. The step has a closed form with one division, which overlaps with the
-computation of gamma.
+computation of gamma. Code generated from the field takes 3 to 6 % longer for one trajectory; with gamma, its modified
+gamma² drifts by 4e4 to 6e4 ulp over 1e8 steps of 0.1, that of this step by 2e3.
 
 Integrals of the map, with I = (A, B, C):
 
