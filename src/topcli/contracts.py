@@ -357,6 +357,7 @@ def checked_rotation(top: Top, needed_by: str) -> None:
             "body, define angular_velocity, three numbers in the body's frame"
         )
     p, d = top.constants(), len(top.components)
+    raised: list[Exception] = []
     for probe in range(PROBES):
         y = np.cos(np.arange(1.0, d + 1.0) + d * probe)  # in general position
         try:
@@ -367,7 +368,8 @@ def checked_rotation(top: Top, needed_by: str) -> None:
                 continue
             near = [tuple((y + k * s * rates).tolist()) for k in (0, -2, -1, 1, 2)]
             along = [vertical(state, p) for state in near] if vertical else []
-        except (ArithmeticError, ValueError):  # outside the domain of a root or a logarithm, perhaps
+        except (ArithmeticError, ValueError) as error:  # outside the domain of a root or a logarithm, perhaps
+            raised.append(error)
             continue
         for name, value in (("angular_velocity", omega), ("vertical", along[0] if along else omega)):
             if not isinstance(value, tuple) or len(value) != 3:
@@ -383,6 +385,9 @@ def checked_rotation(top: Top, needed_by: str) -> None:
                 f"top {top.kind!r}: its vertical is not fixed in space: it changes by ({shown[0]}), and "
                 f"vertical x angular_velocity is ({shown[1]}), at ({shown[2]})"
             )
+    if len(raised) == PROBES:
+        error = f"{type(raised[-1]).__name__}: {raised[-1]}"
+        raise UsageError(f"top {top.kind!r}: angular_velocity or vertical fails at every state that was tried: {error}")
 
 
 def checked_equations(top: Top, needed_by: str) -> EulerPoisson:

@@ -69,6 +69,13 @@ def test_an_angular_velocity_has_three_numbers() -> None:
         checked_rotation(Flat(), "a test")
 
 
+@pytest.mark.parametrize("name", ["angular_velocity", "vertical"])
+def test_a_vector_that_always_fails_is_refused(name: str) -> None:
+    failing = type("Failing", (Kowalevski,), {name: staticmethod(lambda y, p: (1.0 / (0.0 * p[0]), y[1], y[2]))})
+    with pytest.raises(UsageError, match="fails at every state that was tried: ZeroDivisionError"):
+        checked_rotation(failing(), "a test")
+
+
 def gyrostat_field(y, p):
     """The heavy top with a rotor along its third axis, of angular momentum p[6]."""
     f1, f2, f3, g1, g2, g3 = heavy_field(y, (p[0], p[1], p[2], p[3], p[4], p[5]))
