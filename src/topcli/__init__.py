@@ -24,6 +24,7 @@ HOMES = {
     "compare": "topcli.show.report",
     "discover": "topcli.show.report",
     "figure": "topcli.figures.catalogue",
+    "frequencies": "topcli.show.report",
     "integrability": "topcli.show.report",
     "lax": "topcli.show.report",
     "lyapunov": "topcli.show.report",

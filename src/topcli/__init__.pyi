@@ -13,6 +13,7 @@ from topcli.show.report import check as check
 from topcli.show.report import claims as claims
 from topcli.show.report import compare as compare
 from topcli.show.report import discover as discover
+from topcli.show.report import frequencies as frequencies
 from topcli.show.report import integrability as integrability
 from topcli.show.report import lax as lax
 from topcli.show.report import lyapunov as lyapunov

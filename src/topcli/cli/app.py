@@ -172,6 +172,7 @@ class _Topcli(LazyGroup):
         "discover": STUDY,
         "roundoff": STUDY,
         "lyapunov": STUDY,
+        "frequencies": STUDY,
         "stress": STUDY,
         "check": STUDY,
         "claims": STUDY,

@@ -58,6 +58,9 @@ STUDIES = {
     "lyapunov": StudyPlace(
         "topcli.studies.lyapunov:LYAPUNOV", "Measure Lyapunov exponents and tell regular from chaotic orbits."
     ),
+    "frequencies": StudyPlace(
+        "topcli.studies.frequencies:FREQUENCIES", "Measure frequencies of an orbit and the convergence of its averages."
+    ),
     "order": StudyPlace("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
 }
 """All studies by name."""

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from topcli.analysis.frequencies import agreement_digits, strongest_line
 from topcli.analysis.lyapunov import Verdict
 from topcli.analysis.swings import minima_times
 from topcli.analysis.swings import swing_spacing as spacing_of_first
@@ -414,6 +415,34 @@ def _figure_of_column(name: str, summary: str, figure: Callable[[Array], Array])
 _figure_of_column("min", "smallest value", lambda rows: rows.min(axis=1))
 _figure_of_column("max", "largest value", lambda rows: rows.max(axis=1))
 _figure_of_column("mean", "mean", lambda rows: rows.mean(axis=1))
+
+
+@measure(
+    "frequency.NAME",
+    summary="frequency of the strongest line of NAME in the recorded rows",
+    unit="cycles per unit time",
+    needs=[COLUMN],
+    names=column_names,
+    noun="column",
+)
+def frequency(batch: Batch, column: str) -> Array:
+    """Frequency, below half a cycle per row; 0 for a constant column."""
+    spacing = abs(batch.experiment.h) * batch.experiment.output.every
+    return np.array([strongest_line(rows).frequency for rows in batch.columns[column]]) / spacing
+
+
+@measure(
+    "digits.NAME",
+    summary="digits to which weighted averages of NAME agree between the halves of the run",
+    unit=NUMBER,
+    needs=[COLUMN],
+    names=column_names,
+    noun="column",
+)
+def digits(batch: Batch, column: str) -> Array:
+    """Weighted Birkhoff digits: few on a chaotic orbit, up to 16 on a regular one."""
+    return agreement_digits(batch.columns[column])
+
 
 ERROR_UNIT = "norm of the state"
 

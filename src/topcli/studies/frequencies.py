@@ -1,0 +1,209 @@
+"""``topcli frequencies``: frequencies and rotation numbers of an orbit, and how fast its averages converge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from topcli.errors import ExitCode
+from topcli.studies import SILENT, Watch
+from topcli.studies.study import Data, Faults, Flag, Head, Overrides, Result, Study, parts_of, top_title
+from topcli.table import Column, Table
+
+if TYPE_CHECKING:
+    from topcli.contracts import Array
+
+MOST_ROWS = 1 << 22
+"""Largest number of rows of an orbit."""
+RESOLUTION = 70
+"""Distance of two lines, in cycles over the whole orbit, from which on neither shifts the other by 1e-13 of a cycle."""
+
+
+def measure(
+    config: Annotated[str | Path, Flag("", "CONFIG")],
+    component: Annotated[Sequence[str], Flag("--component", "NAME")] = (),
+    angle: Annotated[Sequence[str], Flag("--angle", "X,Y")] = (),
+    overrides: Overrides = (),
+    watch: Watch = SILENT,
+) -> Result:
+    """Measure frequencies of an orbit and the convergence of its averages.
+
+    Find the strongest line in the spectrum of each column of the rows that a config records. The two halves of a
+    regular orbit have the same frequencies, and averages that agree to many digits.
+
+    Parameters
+    ----------
+    config : path or str
+        Config file or name of a packaged scene.
+    component : sequence of str, optional
+        Measure a component, invariant or quantity of the config; by default, all components and quantities.
+    angle : sequence of str, optional
+        Measure the mean rotation of the point (X, Y) of two columns about the origin.
+    overrides : sequence of str, optional
+        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
+    watch : Watch, optional
+        Observer of the study.
+
+    Returns
+    -------
+    StudyReport
+        ``table`` has a row for each column and each angle.
+
+    Raises
+    ------
+    UsageError
+        For an unknown column, and for too few or too many rows.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> report = topcli.frequencies("euler_exact", component=["omega2"])
+    >>> abs(report.study["columns"][0]["frequency"] / topcli.motion("euler_exact")["frequency"] - 1) < 1e-6
+    True
+    """
+    import numpy as np
+
+    from topcli.analysis.columns import columns
+    from topcli.analysis.frequencies import LEAST_ROWS
+    from topcli.config.load import load_experiment
+    from topcli.errors import UsageError
+    from topcli.runs.simulate import trajectory_of
+
+    experiment = load_experiment(config, overrides)
+    top, every, quantities = experiment.top, experiment.output.every, experiment.quantities
+    rows = experiment.N // every + 1
+    if rows < 2 * LEAST_ROWS:
+        raise UsageError(f"{rows} recorded rows: too few for frequencies; take at least {2 * LEAST_ROWS}")
+    if rows > MOST_ROWS:
+        least = math.ceil(experiment.N / (MOST_ROWS - 1))
+        raise UsageError(f"output.every: {rows} recorded rows do not fit in memory; take {least} or more")
+    pairs = [_pair(text) for text in angle]
+    names = list(component) or ([] if pairs else [*top.components, *(quantity.name for quantity in quantities)])
+    asked, start = [*names, *(name for pair in pairs for name in pair)], np.array([experiment.y0], dtype=float)
+    # an unknown name is refused before the run
+    columns(top, np.zeros(1, dtype=np.int64), experiment.h, start, asked, experiment.modified, quantities=quantities)
+    watch.begin("frequencies", experiment)
+    orbit, spacing = trajectory_of(experiment), experiment.h * every
+    whole = len(orbit) == rows
+    found = [_line(name, orbit[name], spacing) for name in names if whole]
+    found += [_rotation(pair, orbit[pair[0]], orbit[pair[1]], spacing) for pair in pairs if whole]
+    return Result(
+        {
+            "config": experiment.resolved(),
+            "T": experiment.N * experiment.h,
+            "rows": rows,
+            "highest": 0.5 / abs(spacing),
+            "columns": found,
+            "outcome": orbit.outcome.value,
+            "message": orbit.ending.message,
+        },
+        source=lambda: experiment.digest,
+    )
+
+
+def _pair(text: str) -> tuple[str, str]:
+    from topcli.errors import UsageError, quoted
+
+    x, comma, y = (part.strip() for part in text.partition(","))
+    if not (x and comma and y) or "," in y:
+        raise UsageError(f"--angle {quoted(text)}: write two columns, such as --angle gamma1,gamma2")
+    return x, y
+
+
+def _line(name: str, rows: Array, spacing: float) -> Data:
+    """Strongest line of a column, its change from the first half to the second, and the digits of the average."""
+    from topcli.analysis.frequencies import agreement_digits, strongest_line
+
+    line, half = strongest_line(rows), len(rows) // 2
+    first, second = (strongest_line(part).frequency for part in (rows[:half], rows[half:]))
+    return {
+        "name": name,
+        "frequency": line.frequency / abs(spacing),
+        "amplitude": line.amplitude,
+        "change": (second - first) / abs(spacing),
+        "digits": float(agreement_digits(rows)),
+    }
+
+
+def _rotation(pair: tuple[str, str], x: Array, y: Array, spacing: float) -> Data:
+    """Mean rotation of a point, with its sense, and its change from the first half to the second."""
+    from topcli.analysis.frequencies import rotation_number
+
+    half = len(x) // 2
+    first, second = rotation_number(x[: half + 1], y[: half + 1]), rotation_number(x[half:], y[half:])
+    change = (second - first) / spacing
+    return {
+        "name": f"angle of {', '.join(pair)}",
+        "frequency": rotation_number(x, y) / spacing,
+        "amplitude": None,
+        "change": change,
+        "digits": min(16.0, -math.log10(max(abs(second - first), 1e-16))),
+    }
+
+
+def _period(row: Data) -> float:
+    return 1.0 / abs(row["frequency"]) if row["frequency"] else math.inf
+
+
+def _subject(data: Data) -> str:
+    config = data["config"]
+    return (
+        f"{config['scheme']['name']} on {config['name']}: {top_title(config)}, h = {config['h']:g}, N = {config['N']}"
+    )
+
+
+TABLE = Table(
+    "columns",
+    (
+        Column("column", "name"),
+        Column("frequency", lambda row: f"{row['frequency']:.12g}"),
+        Column("period", lambda row: f"{_period(row):.6g}"),
+        Column("amplitude", lambda row: "" if row["amplitude"] is None else f"{row['amplitude']:.3g}"),
+        Column("change", lambda row: f"{row['change']:.1e}"),
+        Column("digits", lambda row: f"{row['digits']:.1f}"),
+    ),
+    heading="Frequencies",
+    title=_subject,
+    index="column",
+    numbers=(1, 2, 3, 4, 5),
+)
+
+
+def notes(data: Data) -> Iterator[str]:
+    """What the columns mean, and what the rows cannot show."""
+    if not data["columns"]:
+        return
+    yield (
+        "frequency: strongest line, in cycles per unit time; change: that of the second half of the orbit minus that "
+        "of the first; digits to which the averages over the halves agree"
+    )
+    yield (
+        f"{data['rows']} rows over T = {data['T']:g}: lines above {data['highest']:g} appear as lower ones, and lines "
+        f"closer than about {RESOLUTION / abs(data['T']):.2g} disturb each other"
+    )
+
+
+def head(data: Data) -> Head:
+    """Head of the chapter."""
+    return Head("Frequencies", _subject(data), data["outcome"].replace("_", " "), data["outcome"] == "completed")
+
+
+def faults(data: Data) -> Faults:
+    """An orbit that ended early."""
+    if data["columns"]:
+        return Faults()
+    return Faults(ExitCode.FAILED, [f"no frequencies: the run {data['message']}"])
+
+
+FREQUENCIES = Study(
+    "frequencies",
+    measure,
+    head,
+    (TABLE,),
+    notes=notes,
+    faults=faults,
+    stem=lambda data: f"{data['config']['scheme']['name']}_{data['config']['name']}",
+    parts=lambda data: parts_of(data["config"], [data["config"]["scheme"]["name"]]),
+)

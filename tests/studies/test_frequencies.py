@@ -1,0 +1,149 @@
+"""Frequencies against the exact ones of integrable tops, convergence of weighted averages, and the study of both."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import topcli
+from sweeping import measured
+from topcli.analysis.frequencies import agreement_digits, rotation_number, strongest_line, weighted_mean
+from topcli.config.load import load_experiment
+from topcli.errors import UsageError
+
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+NAN = math.nan
+
+
+def config(kind: str, scheme: str, N: int, omega: list[float], **more: Any) -> dict[str, Any]:
+    initial = {"omega": omega, "gamma": [0.6, 0.0, 0.8]}
+    return {"name": "orbit", "top": {"kind": kind, **more}, "initial": initial, "scheme": scheme, "h": 0.25, "N": N}
+
+
+def columns_of(**options: Any) -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in topcli.frequencies(**options).study["columns"]}
+
+
+# the functions
+
+
+@pytest.mark.parametrize("frequency", [0.1 * GOLDEN, 0.5 * GOLDEN, 0.4 + 1e-3 * GOLDEN])
+def test_frequency_and_amplitude_of_a_line_among_weaker_ones(frequency: float) -> None:
+    n = np.arange(4001)
+    rows = 5.0 + 3.0 * np.cos(2.0 * np.pi * frequency * n + 1.0) + 2.0 * np.sin(2.0 * np.pi * 0.2371 * n)
+    line = strongest_line(rows)
+    assert line.frequency == pytest.approx(frequency, abs=1e-15)
+    assert line.amplitude == pytest.approx(3.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rows", "frequency"),
+    [(np.full(100, 0.1), 0.0), (np.zeros(100), 0.0), (np.arange(15.0), NAN), (np.r_[np.arange(99.0), NAN], NAN)],
+    ids=["constant", "zero", "short", "nan"],
+)
+def test_columns_without_a_line(rows: np.ndarray, frequency: float) -> None:
+    assert strongest_line(rows).frequency == pytest.approx(frequency, nan_ok=True)
+    expected = 16.0 if frequency == 0.0 else NAN
+    assert float(agreement_digits(rows)) == pytest.approx(expected, nan_ok=True)
+
+
+def test_weighted_average_converges_faster_than_any_power() -> None:
+    """The mean of cos over a turn is 0, and that of exp(cos) is I0(1)."""
+
+    def error(m: int) -> float:
+        return abs(float(weighted_mean(np.exp(np.cos(GOLDEN * np.arange(m) + 0.3)))) - float(np.i0(1.0)))
+
+    assert error(100) > 1e-7
+    assert error(4000) < 3e-15
+    plain = np.exp(np.cos(GOLDEN * np.arange(4000) + 0.3)).mean() - np.i0(1.0)
+    assert abs(plain) > 1e-5  # the ordinary mean
+
+
+def test_digits_count_the_agreement_of_the_halves() -> None:
+    rows = np.ones((3, 2000))
+    rows[1, 1000:] += 1e-5
+    rows[2, 1000:] += 1e-9
+    assert agreement_digits(rows) == pytest.approx([16.0, 5.0, 9.0], abs=0.01)
+    assert agreement_digits(rows[1] * 1e8) == pytest.approx(5.0, abs=0.01)
+
+
+def test_rotation_number_has_the_sense_of_the_rotation() -> None:
+    angle = 2.0 * np.pi * 0.1 * GOLDEN * np.arange(2001)
+    angle += 0.3 * np.sin(angle)  # an uneven rotation has the same mean
+    for sign in (1, -1):
+        assert rotation_number(np.cos(angle), np.sin(sign * angle)) == pytest.approx(sign * 0.1 * GOLDEN, abs=1e-15)
+
+
+# exact frequencies
+
+
+def test_frequencies_of_the_euler_top() -> None:
+    orbit = config("euler", "exact", 1 << 14, [1.0, 0.5, 1.0], A=2.0, B=3.0, C=4.0)
+    exact = topcli.motion(orbit)["frequency"]
+    rows = columns_of(config=orbit, component=["omega1", "omega2", "omega3"], angle=["omega1,omega2"])
+    assert rows["omega1"]["frequency"] == pytest.approx(exact, rel=1e-12)
+    assert rows["omega2"]["frequency"] == pytest.approx(exact, rel=1e-12)
+    assert rows["omega3"]["frequency"] == pytest.approx(2.0 * exact, rel=1e-12)
+    assert abs(rows["angle of omega1, omega2"]["frequency"]) == pytest.approx(exact, rel=1e-12)
+    assert min(row["digits"] for row in rows.values()) > 14.0
+
+
+def test_frequencies_of_the_lagrange_top() -> None:
+    initial = {"m": [0.3, 0.5, 2.0], "a": [0.6, 0.0, 0.8]}
+    orbit = {**config("lagrange", "exact", 1 << 14, []), "top": "lagrange", "initial": initial}
+    exact = topcli.motion(orbit)
+    rows = columns_of(config=orbit, component=["a3"], angle=["a1,a2"])
+    assert rows["a3"]["frequency"] == pytest.approx(exact["frequency.nutation"], rel=1e-12)
+    assert rows["angle of a1, a2"]["frequency"] == pytest.approx(exact["frequency.precession"], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("omega", "lines"),
+    [
+        ([2.0, 1.0, 1.0], {"omega1": (0, 1), "gamma2": (0, 1), "gamma3": (1, 1)}),
+        ([0.3, 0.2, 1.5], {"omega3": (0, 1), "gamma1": (1, 2), "gamma3": (1, 1)}),
+        ([1.1, 0.5, 0.7], {"omega1": (0, 2), "omega2": (0, 1), "gamma3": (1, 1)}),
+    ],
+)
+def test_frequencies_of_the_kowalevski_top(omega: list[float], lines: dict[str, tuple[int, int]]) -> None:
+    """Every line is a sum of multiples of the two frequencies of the torus."""
+    orbit = config("kowalevski", "taylor", 1 << 16, omega)
+    exact = topcli.motion(orbit)
+    rows = columns_of(config=orbit, component=list(lines))
+    for name, (first, second) in lines.items():
+        expected = first * exact["frequency.1"] + second * exact["frequency.2"]
+        assert rows[name]["frequency"] == pytest.approx(expected, rel=1e-12), name
+
+
+# the study and the measures
+
+
+def test_study_of_an_orbit_that_blows_up_has_no_frequencies() -> None:
+    study = topcli.frequencies(config("kowalevski", "rk2", 400, [20.0, 1.0, 1.0], c0=50.0)).study
+    assert study["outcome"] == "blew_up"
+    assert study["columns"] == []
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"component": ["omega7"]}, "no column 'omega7'"),
+        ({"angle": ["gamma1"]}, "--angle 'gamma1': write two columns"),
+        ({"overrides": ["N=20"]}, "21 recorded rows: too few"),
+        ({"overrides": ["N=100000000", "output.every=1"]}, "do not fit in memory; take 24 or more"),
+    ],
+)
+def test_what_is_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        topcli.frequencies("euler_exact", **options)
+
+
+def test_measures_are_those_of_the_study() -> None:
+    orbit = {**config("kowalevski", "hk", 4000, [2.0, 1.0, 1.0]), "output": {"every": 2}}
+    names = ["frequency.omega1", "digits.omega1"]
+    row = columns_of(config=orbit, component=["omega1"])["omega1"]
+    found = measured(load_experiment(orbit), names)
+    assert [found[name][0] for name in names] == [row["frequency"], row["digits"]]
