@@ -25,8 +25,8 @@ from topcli.contracts import Array, Method, Scheme, Top, check_stop, stop_asked
 from topcli.engine.ensemble import default_threads, tile_of
 from topcli.engine.tangent import TangentCode, TangentRun, tangent_code
 
-MOST_STEPS = 64
-"""Steps from one renormalisation of the vectors to the next, at most."""
+FEWEST_STEPS, MOST_STEPS = 8, 64
+"""Steps from one renormalisation of the vectors to the next."""
 CALL_STEPS = 1 << 22
 """Steps of all orbits of a call of compiled code: about 0.1 s."""
 LEAST_STEPS = 1000
@@ -52,7 +52,7 @@ class Verdict(StrEnum):
 
 def interval(h: float, N: int) -> int:
     """Steps from one renormalisation to the next: about a unit of time."""
-    return max(1, min(MOST_STEPS, int(1.0 / abs(h)), N // POINTS))
+    return min(max(FEWEST_STEPS, min(MOST_STEPS, int(1.0 / abs(h)))), max(1, N // POINTS))
 
 
 def checkpoints(N: int) -> NDArray[np.int64]:
@@ -132,17 +132,30 @@ class Growth:
         return found
 
 
-def _unit_vectors(count: int, d: int, seed: int) -> Array:
-    vectors = np.random.default_rng(seed).normal(size=(count, d))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+def _mean(values: Array) -> Array:
+    """Mean of the finite values along the first axis; 0 if there are none."""
+    finite = np.isfinite(values)
+    return np.where(finite, values, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
 
 
-def _rates(top: Top, states: Array) -> Array:
-    """Typical |dy/dt|/|y| over the states (k, m, d) of each orbit (m,)."""
+def _units(top: Top, states: Array) -> Array:
+    """Typical size of each component over the states (k, m, d) of each orbit (m, d): that of the vector it is in."""
+    units = np.empty(states.shape[1:])
+    with np.errstate(all="ignore"):
+        for start, stop in type(top).vectors.values():
+            size = np.sqrt(_mean((states[:, :, start:stop] ** 2).sum(axis=2)))
+            units[:, start:stop] = size[:, None]
+        typical = np.sqrt((units**2).mean(axis=1, keepdims=True))
+        return np.where(units > SMALLEST * typical, units, np.where(typical > 0.0, typical, 1.0))
+
+
+def _rates(top: Top, states: Array, units: Array) -> Array:
+    """Typical |dy/dt|/|y| over the states (k, m, d) of each orbit (m,), all components in their ``units`` (m, d)."""
     p = top.constants()
     with np.errstate(all="ignore"):
-        speed = np.array([[np.linalg.norm(top.field(tuple(y), p)) for y in row] for row in states.tolist()])
-        return np.nan_to_num(np.nanmean(speed / np.linalg.norm(states, axis=2), axis=0), nan=0.0)
+        slopes = np.array([[top.field(tuple(y), p) for y in row] for row in states.tolist()])
+        speed = np.linalg.norm(slopes / units, axis=2) / np.linalg.norm(states / units, axis=2)
+        return _mean(speed)
 
 
 def _taken(run: TangentRun, steps: int, every: int, stop: Callable[[], bool]) -> bool:
@@ -159,24 +172,32 @@ def _taken(run: TangentRun, steps: int, every: int, stop: Callable[[], bool]) ->
     return True
 
 
-RATE_STATES = 8
-"""States along an orbit from which its unit of time is taken."""
+STATES = 8
+"""States along an orbit from which its units are taken."""
+SMALLEST = 1e-8
+"""Size of a component relative to that of all below which it is no unit of its own."""
 
 
 def _tile_growth(
     code: TangentCode, top: Top, h: float, points: NDArray[np.int64], y: Array, seed: int, stop: Callable[[], bool]
 ) -> tuple[Array, Array]:
     """Growth (k, m) and rates (m,) of the orbits of a tile from ``y`` (m, d)."""
-    run, every = TangentRun(code, h, y, _unit_vectors(len(y), code.d, seed)), interval(h, int(points[-1]))
-    logs, states, done = np.full((len(points), len(y)), np.nan), [y], 0
-    looked = set(np.linspace(0, len(points) - 1, RATE_STATES).round().astype(int).tolist())
+    first, every = np.random.default_rng(seed).normal(size=y.shape), interval(h, int(points[-1]))
+    first *= _units(top, y[None])
+    run, states, done = TangentRun(code, h, y, first), [y], 0
+    logs, vectors = np.full((len(points), len(y)), np.nan), np.full((len(points), *y.shape), np.nan)
+    looked = set(np.linspace(0, len(points) - 1, STATES).round().astype(int).tolist())
     for k, n in enumerate(points.tolist()):
         if not _taken(run, n - done, every, stop):
             break
-        logs[k], done = run.growth, n
+        logs[k], vectors[k], done = run.growth, run.vectors, n
         if k in looked:
             states.append(run.states)
-    return logs, _rates(top, np.array(states))
+    along = np.array(states)
+    units = _units(top, along)
+    with np.errstate(all="ignore"):
+        lengths = np.log(np.linalg.norm(vectors / units, axis=2)) - np.log(np.linalg.norm(first / units, axis=1))
+    return logs + lengths, _rates(top, along, units)
 
 
 def growth_of(
@@ -244,4 +265,5 @@ def spectrum_of(
         states.append(run.states[:1])
         watch(done, N)
     largest_first = np.argsort(-logs[-1], kind="stable")
-    return Growth(points, h, logs[:, largest_first], np.repeat(_rates(top, np.array(states)), d))
+    along = np.array(states)
+    return Growth(points, h, logs[:, largest_first], np.repeat(_rates(top, along, _units(top, along)), d))

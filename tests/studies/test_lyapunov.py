@@ -1,0 +1,113 @@
+"""The study ``lyapunov``: its answer in the terminal and in JSON, its picture, the measures of sweeps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import topcli
+from steppers import built
+from topcli.analysis.lyapunov import growth_of
+from topcli.config.load import load_experiment
+from topcli.errors import TopcliError
+from topcli.figures.chaos import loaded_lyapunov
+from topcli.figures.picture import draw
+from topcli.studies.lyapunov import LYAPUNOV, measure
+from topcli.studies.study import Result
+
+REGULAR = ("kowalevski_generic_hk", ["N=20000"])
+CHAOTIC = ("heavy_chaotic", ["scheme=hk", "h=0.05", "N=40000"])
+
+
+def test_a_regular_orbit() -> None:
+    report = topcli.lyapunov(REGULAR[0], overrides=REGULAR[1])
+    study = report.study
+    experiment = load_experiment(*REGULAR)
+    method = built("hk", experiment.top)
+    growth = growth_of(experiment.top, experiment.scheme, method, 0.01, 20_000, np.array([experiment.y0]))
+    assert study["verdict"] == "regular"
+    assert study["exponents"] == growth.exponents.tolist()
+    assert study["T"] == 200.0
+    assert study["exponents"][0] < study["detectable"]
+    assert list(report.table["exponent"]) == study["exponents"]
+
+
+def test_a_chaotic_orbit_with_its_spectrum() -> None:
+    report = topcli.lyapunov(CHAOTIC[0], overrides=CHAOTIC[1], spectrum=True)
+    x = report.study["exponents"]
+    assert report.study["verdict"] == "chaotic"
+    assert x == sorted(x, reverse=True)
+    assert len(x) == 6
+    assert x[0] > 10.0 * report.study["regular_exponent"]
+    alone = topcli.lyapunov(CHAOTIC[0], overrides=CHAOTIC[1]).study
+    assert abs(alone["exponents"][0] - x[0]) < 4.0 * (alone["errors"][0] + report.study["errors"][0])
+
+
+def test_command(cli) -> None:
+    shown = cli("lyapunov", REGULAR[0], "--set", REGULAR[1][0], "--json")
+    assert json.loads(shown.out)["verdict"] == "regular"
+    shown = cli("lyapunov", REGULAR[0], "--set", REGULAR[1][0])
+    assert "per unit of time" in shown.out
+    assert "a chaotic orbit with an exponent above" in shown.out + shown.err
+
+
+@pytest.mark.parametrize(
+    ("config", "overrides", "words"),
+    [
+        ("kowalevski_exact", [], "scheme 'exact' is a solution in closed form"),
+        ("heavy_taylor", [], "scheme 'taylor' chooses its steps"),
+        ("kowalevski_hk", ["N=10"], "N = 10: too few steps for an exponent; take at least 1000"),
+        ("kowalevski_ensemble", [], "a single one is needed"),
+    ],
+)
+def test_refusals(config: str, overrides: list[str], words: str) -> None:
+    with pytest.raises(TopcliError, match=words):
+        measure(config, overrides=overrides)
+
+
+def test_an_orbit_that_broke_off_is_a_failure() -> None:
+    result = measure("lagrange_hk", overrides=["scheme=rk2", "h=1", "N=1000"])
+    assert result.data["verdict"] == "broke off"
+    faults = LYAPUNOV.faults(result.data)
+    assert faults.code == 1
+    assert "broke off after step" in faults.lines[0]
+    assert not loaded_lyapunov(result).panels
+
+
+@pytest.mark.parametrize("spectrum", [False, True])
+def test_picture(spectrum: bool, tmp_path: Path) -> None:
+    result = measure(REGULAR[0], spectrum, REGULAR[1])
+    loaded = loaded_lyapunov(Result(result.data, result.arrays))
+    figure = draw(loaded.panels, loaded.data(), loaded.layout)
+    (axes,) = figure.axes
+    assert len(axes.get_lines()) == (7 if spectrum else 2)
+    reference = loaded.data()["regular"]
+    assert reference[-1] == pytest.approx(result.data["regular_exponent"])
+
+
+def test_measures_of_a_sweep(tmp_path: Path) -> None:
+    """A row has the numbers of the study; a row that fails has none."""
+    sweep = {
+        "base": {"top": "kowalevski", "initial": {"omega": [2, 0.5, 0.3], "gamma": [0.6, 0, 0.8]}, "N": 4000},
+        "grid": {"scheme": ["hk", "rk2"], "h": [0.1, 0.6]},
+        "measure": ["lyapunov", "chaotic"],
+    }
+    table = topcli.sweep(sweep, tmp_path).table
+    for _, row in table.iterrows():
+        config = {**sweep["base"], "scheme": row["scheme"], "h": row["h"]}
+        study = measure(config).data
+        if row["outcome"] != "completed":
+            assert np.isnan(row["lyapunov"])
+            continue
+        assert row["lyapunov"] == pytest.approx(study["exponents"][0], rel=0.2, abs=2e-3)
+        assert {1.0: "chaotic", 0.0: "regular"}.get(row["chaotic"], "undecided") == study["verdict"]
+    assert set(table["chaotic"]) & {0.0, 1.0}
+
+
+def test_a_measure_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    sweep = {"base": {"config": "kowalevski_exact"}, "grid": {"h": [0.1]}, "measure": ["lyapunov"]}
+    with pytest.raises(TopcliError):
+        topcli.sweep(sweep, tmp_path)
