@@ -22,6 +22,8 @@ from topcli.field.polynomial import Monomial, Polynomial
 
 EXTRA = 8
 """Rows of a matrix beyond the number of columns: a null space is accidental with a probability of PRIME**-EXTRA."""
+CHUNK = 32
+"""Rows that are eliminated together, so that they stay in the processor's cache."""
 
 
 def monomials(d: int, degree: int) -> list[Monomial]:
@@ -48,7 +50,9 @@ def reduced(matrix: Residues) -> tuple[Residues, list[int]]:
             left[row, column:] %= PRIME
             left[row, column:] = left[row, column:] * inverse(left[row, column : column + 1]) % PRIME
             factors = PRIME - left[row + 1 :, column, None] % PRIME
-            left[row + 1 :, column:] = folded(left[row + 1 :, column:] + factors * left[row, column:])
+            for at in range(0, len(factors), CHUNK):
+                rest = left[row + 1 + at : row + 1 + at + CHUNK, column:]
+                rest[...] = folded(rest + factors[at : at + CHUNK] * left[row, column:])
             pivots.append(column)
     left = left[: len(pivots)]
     free = np.setdiff1d(np.arange(left.shape[1]), pivots)

@@ -44,7 +44,7 @@ OTHER_H = Fraction(1, 7)
 BASES = (2, 3, 4)
 """Degrees of HK bases, up to the one that has enough integrals."""
 MOST_MONOMIALS = 1000
-"""Monomials of a density, about 3 s of work: degree 6 for six components."""
+"""Monomials of a density, about 2 s of work: degree 6 for six components."""
 LARGEST_DENSITY = 6
 SEEDS = 3
 """Attempts with other random numbers, after a division by zero modulo the prime."""
