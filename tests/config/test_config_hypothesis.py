@@ -160,6 +160,10 @@ def experiments(draw: st.DrawFn) -> dict[str, Any]:
     for key, field in scheme.options.model_fields.items():
         if get_origin(field.annotation) is Literal and draw(st.booleans()):
             options[key] = draw(st.sampled_from(get_args(field.annotation)))
+    try:
+        scheme.options(**{key: value for key, value in options.items() if key != "name"})
+    except ValueError:
+        reject()  # they exclude each other
     N = draw(st.integers(1, 10**12))
     columns = ["n", "t", "omega1", "omega2", "omega3", "gamma1", "gamma2", "gamma3", "gamma_sq", "energy", "k_sq"]
     gamma: list[Any] = draw(st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(any))

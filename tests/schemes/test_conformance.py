@@ -202,7 +202,7 @@ def test_exactness_control(top: Top) -> None:
 @cases(*(subject for subject in SUBJECTS if isinstance(subject.method, Stepper) and not subject.method.plain))
 def test_machine_code_is_the_step(subject: Subject) -> None:
     """The same arithmetic, bit for bit, in all slots of the working state and in the recorded states."""
-    method, N = subject.method, 100 if subject.stages == 1 else 30
+    method, N = subject.method, 40 if subject.stages == 1 else 12
     assert isinstance(method, Stepper)
     plain, compiled, states = working_states(subject.top, method, gen(subject.top), 0.02, N)
     assert compiled == plain

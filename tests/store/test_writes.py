@@ -209,7 +209,7 @@ def test_a_fault_at_any_operation_takes_back_no_checkpoint(tmp_path: Path, how: 
     """With a checkpoint after each chunk of 16 steps, and with none; what a checkpoint claims had been flushed."""
     expected = content(run_experiment(small(), tmp_path / "whole").stored.folder)
     steps = set()
-    for at in itertools.count(1, 7 if every == 0.0 else 3):
+    for at in itertools.count(1, 13 if every == 0.0 else 5):
         out = tmp_path / f"{at}"
         out.mkdir()
         disk, messages = Disk(out, at, how), list[str]()
