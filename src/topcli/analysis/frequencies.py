@@ -44,9 +44,10 @@ def weights(m: int) -> Array:
 def weighted_mean(values: ArrayLike) -> Array:
     """Weighted Birkhoff average over the last axis of ``values`` (..., m)."""
     rows = np.asarray(values, dtype=float)
-    first = rows[..., :1]
-    # about the first value, so that a constant column has its own average
-    return first[..., 0] + ((rows - first) * weights(rows.shape[-1])).sum(axis=-1)
+    weight = weights(rows.shape[-1])
+    # orbit by orbit, which stays in the cache; about the first value, so that a constant column has its own average
+    means = [row[0] + (weight * (row - row[0])).sum() for row in rows.reshape(-1, len(weight))]
+    return np.array(means).reshape(rows.shape[:-1])
 
 
 def agreement_digits(values: ArrayLike) -> Array:
@@ -69,7 +70,7 @@ def agreement_digits(values: ArrayLike) -> Array:
         return np.full(rows.shape[:-1], np.nan)
     with np.errstate(all="ignore"):
         apart = np.abs(weighted_mean(rows[..., :half]) - weighted_mean(rows[..., half : 2 * half]))
-        size = np.abs(rows).max(axis=-1)
+        size = np.maximum(rows.max(axis=-1), -rows.min(axis=-1))
         digits = -np.log10(np.maximum(apart / size, 10.0**-MOST_DIGITS))
     return np.where(size == 0.0, MOST_DIGITS, np.where(np.isfinite(size), digits, np.nan))
 
