@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 import topcli
+from conftest import Said
 from sweeping import measured
 from topcli.analysis.frequencies import agreement_digits, rotation_number, strongest_line, weighted_mean
 from topcli.config.load import load_experiment
@@ -121,10 +123,34 @@ def test_frequencies_of_the_kowalevski_top(omega: list[float], lines: dict[str, 
 # the study and the measures
 
 
-def test_study_of_an_orbit_that_blows_up_has_no_frequencies() -> None:
-    study = topcli.frequencies(config("kowalevski", "rk2", 400, [20.0, 1.0, 1.0], c0=50.0)).study
-    assert study["outcome"] == "blew_up"
-    assert study["columns"] == []
+BLOWS_UP = ("--set", "scheme=rk2", "--set", "h=3", "--set", "N=2000")
+
+
+def test_an_orbit_that_blows_up_has_no_frequencies(cli: Callable[..., Said]) -> None:
+    arguments = ("frequencies", "kowalevski_hk", *BLOWS_UP, "--component", "omega1", "--angle", "gamma1,gamma2")
+    said = cli(*arguments)
+    assert said.code == 1
+    assert "error: no frequencies: the run blew up at step 9" in said.err
+    assert said.out.count("none") == 10
+    said = cli(*arguments, "--json")
+    assert said.code == 1
+    assert said.json()["outcome"] == "blew_up"
+    for row in said.json()["columns"]:
+        assert set(row.values()) == {row["name"], None}
+
+
+def test_command_prints_what_the_function_returns(cli: Callable[..., Said]) -> None:
+    """Twelve digits of a frequency, and a quantity that is no number."""
+    formula = "output.quantities={bad: log(omega1 - 10), twice: 2*omega2}"
+    arguments = ("frequencies", "euler_exact", "--set", formula)
+    rows = {row["name"]: row for row in cli(*arguments, "--json").json()["columns"]}
+    assert list(rows)[-2:] == ["bad", "twice"]
+    assert rows["bad"]["frequency"] is None
+    assert rows["twice"]["frequency"] == pytest.approx(rows["omega2"]["frequency"], rel=1e-12)
+    said = cli(*arguments)
+    assert said.code == 0
+    printed = {line.split()[0]: line.split()[1] for line in said.out.splitlines() if line.split()[0] in rows}
+    assert printed == {name: f"{row['frequency']:.12g}" if row["frequency"] else "none" for name, row in rows.items()}
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,7 @@ def measure(
     from topcli.analysis.frequencies import LEAST_ROWS
     from topcli.config.load import load_experiment
     from topcli.errors import UsageError
+    from topcli.runs.report import finite
     from topcli.runs.simulate import trajectory_of
 
     experiment = load_experiment(config, overrides)
@@ -86,16 +87,19 @@ def measure(
     columns(top, np.zeros(1, dtype=np.int64), experiment.h, start, asked, experiment.modified, quantities=quantities)
     watch.begin("frequencies", experiment)
     orbit, spacing = trajectory_of(experiment), experiment.h * every
-    whole = len(orbit) == rows
-    found = [_line(name, orbit[name], spacing) for name in names if whole]
-    found += [_rotation(pair, orbit[pair[0]], orbit[pair[1]], spacing) for pair in pairs if whole]
+    # the rows that a run which ended early lacks have no values, and so has no frequency
+    kept = np.arange(rows) < len(orbit)
+    recorded = {name: np.where(kept, np.resize(orbit[name], rows), np.nan) for name in asked}
+    found = [_line(name, recorded[name], spacing) for name in names]
+    found += [_rotation(pair, recorded[pair[0]], recorded[pair[1]], spacing) for pair in pairs]
     return Result(
         {
             "config": experiment.resolved(),
             "T": experiment.N * experiment.h,
             "rows": rows,
             "highest": 0.5 / abs(spacing),
-            "columns": found,
+            "columns": finite(found),
+            "completed": len(orbit) == rows,
             "outcome": orbit.outcome.value,
             "message": orbit.ending.message,
         },
@@ -139,12 +143,17 @@ def _rotation(pair: tuple[str, str], x: Array, y: Array, spacing: float) -> Data
         "frequency": rotation_number(x, y) / spacing,
         "amplitude": None,
         "change": change,
-        "digits": min(16.0, -math.log10(max(abs(second - first), 1e-16))),
+        "digits": -math.log10(max(abs(second - first), 1e-16)),
     }
 
 
-def _period(row: Data) -> float:
-    return 1.0 / abs(row["frequency"]) if row["frequency"] else math.inf
+def _period(row: Data) -> float | None:
+    f = row["frequency"]
+    return None if f is None else 1.0 / abs(f) if f else math.inf
+
+
+def _number(value: float | None, form: str) -> str:
+    return "none" if value is None else format(value, form)
 
 
 def _subject(data: Data) -> str:
@@ -158,11 +167,11 @@ TABLE = Table(
     "columns",
     (
         Column("column", "name"),
-        Column("frequency", lambda row: f"{row['frequency']:.12g}"),
-        Column("period", lambda row: f"{_period(row):.6g}"),
-        Column("amplitude", lambda row: "" if row["amplitude"] is None else f"{row['amplitude']:.3g}"),
-        Column("change", lambda row: f"{row['change']:.1e}"),
-        Column("digits", lambda row: f"{row['digits']:.1f}"),
+        Column("frequency", lambda row: _number(row["frequency"], ".12g")),
+        Column("period", lambda row: _number(_period(row), ".6g")),
+        Column("amplitude", lambda row: _number(row["amplitude"], ".3g")),
+        Column("change", lambda row: _number(row["change"], ".1e")),
+        Column("digits", lambda row: _number(row["digits"], ".1f")),
     ),
     heading="Frequencies",
     title=_subject,
@@ -173,7 +182,7 @@ TABLE = Table(
 
 def notes(data: Data) -> Iterator[str]:
     """What the columns mean, and what the rows cannot show."""
-    if not data["columns"]:
+    if not data["completed"]:
         return
     yield (
         "frequency: strongest line, in cycles per unit time; change: that of the second half of the orbit minus that "
@@ -192,7 +201,7 @@ def head(data: Data) -> Head:
 
 def faults(data: Data) -> Faults:
     """An orbit that ended early."""
-    if data["columns"]:
+    if data["completed"]:
         return Faults()
     return Faults(ExitCode.FAILED, [f"no frequencies: the run {data['message']}"])
 

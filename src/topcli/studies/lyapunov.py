@@ -59,6 +59,7 @@ def measure(
     from topcli.analysis.lyapunov import LEAST_STEPS, growth_of, spectrum_of
     from topcli.config.load import load_experiment
     from topcli.errors import UsageError
+    from topcli.runs.report import finite
 
     experiment = load_experiment(config, overrides)
     if experiment.N < LEAST_STEPS:
@@ -71,7 +72,7 @@ def measure(
     else:
         growth = growth_of(top, scheme, method, h, N, y0[None])
     return Result(
-        {"config": experiment.resolved(), **_figures(growth)},
+        {"config": experiment.resolved(), **finite(_figures(growth))},
         {"t": growth.t, **{f"exponent_{i + 1}": logs / growth.t for i, logs in enumerate(growth.logs.T)}},
         source=lambda: experiment.digest,
     )
@@ -110,7 +111,7 @@ def _subject(data: Data) -> str:
 
 def _with_error(row: Data) -> str:
     x, error = row["exponent"], row["error"]
-    if not math.isfinite(x):
+    if x is None:
         return "none"
     digits = max(0, 1 - math.floor(math.log10(error))) if error > 0.0 else 6
     return f"{x:.{digits}f} ± {error:.{digits}f}"
