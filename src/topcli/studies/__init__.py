@@ -56,10 +56,10 @@ STUDIES = {
     "stress": StudyPlace("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
     "claims": StudyPlace("topcli.paper.study:CLAIMS", "Decide the paper's claims by experiments."),
     "lyapunov": StudyPlace(
-        "topcli.studies.lyapunov:LYAPUNOV", "Measure Lyapunov exponents and tell regular from chaotic orbits."
+        "topcli.studies.lyapunov:LYAPUNOV", "Measure Lyapunov exponents; tell regular from chaotic."
     ),
     "frequencies": StudyPlace(
-        "topcli.studies.frequencies:FREQUENCIES", "Measure frequencies of an orbit and the convergence of its averages."
+        "topcli.studies.frequencies:FREQUENCIES", "Measure frequencies of an orbit; test averages for chaos."
     ),
     "order": StudyPlace("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
 }

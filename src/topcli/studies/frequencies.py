@@ -28,7 +28,7 @@ def measure(
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
-    """Measure frequencies of an orbit and the convergence of its averages.
+    """Measure frequencies of an orbit; test averages for chaos.
 
     Find the strongest line in the spectrum of each column of the rows that a config records. The two halves of a
     regular orbit have the same frequencies, and averages that agree to many digits.

@@ -22,7 +22,7 @@ def measure(
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
-    """Measure Lyapunov exponents and tell regular from chaotic orbits.
+    """Measure Lyapunov exponents; tell regular from chaotic.
 
     Follow a tangent vector along the orbit of a config, by the tangent map of its scheme, and judge its growth. With
     several vectors the whole spectrum is measured.
