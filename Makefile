@@ -1,7 +1,8 @@
 # make figures   install what runs need and draw the paper's figures into results/figures
 # make quick     the tests that are not slow: the main path of each module, in 40 s on two cores
 # make test      install what tests need and run them all
-# make check     lint, format, types, layers, tests
+# make lint      ruff, the types, the layers
+# make check     make lint and make test
 # make docs      the documentation as HTML in docs/_build/html
 # make docs-images  the pictures in docs/images, with a summary of their data
 # make attack    hostile files, damaged results, kills: tens of minutes, and nothing may be found (ARGS='damage --seed 7')
@@ -18,7 +19,7 @@ export NUMBA_CACHE_DIR
 # pytest rewrites each test module at every start where this is set, as in many containers: ten seconds a process
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: venv figures quick test check attack docs docs-images claims bench bench-steps clean
+.PHONY: venv figures quick test lint check attack docs docs-images claims bench bench-steps clean
 
 venv: $(VENV)/.installed
 
@@ -43,11 +44,13 @@ test: $(VENV)/.installed-dev
 	if [ $$failed = 1 ]; then \
 		echo "what failed, once more and alone:"; $(BIN)/python -m pytest --last-failed; exit 1; fi
 
-check: $(VENV)/.installed-dev
+lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
 	PYTHONPATH=src $(BIN)/lint-imports
+
+check: lint
 	@$(MAKE) --no-print-directory test
 
 $(VENV)/.installed-docs: $(VENV)/.installed
