@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -322,13 +323,12 @@ def test_a_batch_has_the_bits_of_its_single_runs(scene: str, overrides: list[str
     modified = [f"drift.{integral.name}" for integral in experiment.modified]
     names = [*ALL, *integrals, *modified]
     states = nearby(experiment.y0, 21, experiment.top)
+    alone = {i: measured(experiment, names, states[i : i + 1]) for i in (0, 7, 8, 20)}
     for count in (21, 64):
         together = measured(experiment, names, states, count=count)
-        for i in (0, 7, 8, 20):
-            alone = measured(experiment, names, states[i : i + 1])
-            for name in names:
-                assert together[name][i : i + 1].tobytes() == alone[name].tobytes(), (name, i)
-                assert np.isfinite(alone[name][0]) or name == "swing_spacing"
+        for (i, one), name in product(alone.items(), names):
+            assert together[name][i : i + 1].tobytes() == one[name].tobytes(), (name, i)
+            assert np.isfinite(one[name][0]) or name == "swing_spacing"
 
 
 def test_only_what_is_needed_is_recorded() -> None:
