@@ -43,8 +43,14 @@ def test_frequency_and_amplitude_of_a_line_among_weaker_ones(frequency: float) -
 
 @pytest.mark.parametrize(
     ("rows", "frequency"),
-    [(np.full(100, 0.1), 0.0), (np.zeros(100), 0.0), (np.arange(15.0), NAN), (np.r_[np.arange(99.0), NAN], NAN)],
-    ids=["constant", "zero", "short", "nan"],
+    [
+        (np.full(100, 0.1), 0.0),
+        (0.1 + 1e-17 * (-1.0) ** np.arange(100) * np.arange(100), 0.0),
+        (np.zeros(100), 0.0),
+        (np.arange(15.0), NAN),
+        (np.r_[np.arange(99.0), NAN], NAN),
+    ],
+    ids=["constant", "round-off", "zero", "short", "nan"],
 )
 def test_columns_without_a_line(rows: np.ndarray, frequency: float) -> None:
     assert strongest_line(rows).frequency == pytest.approx(frequency, nan_ok=True)
@@ -77,6 +83,8 @@ def test_rotation_number_has_the_sense_of_the_rotation() -> None:
     angle += 0.3 * np.sin(angle)  # an uneven rotation has the same mean
     for sign in (1, -1):
         assert rotation_number(np.cos(angle), np.sin(sign * angle)) == pytest.approx(sign * 0.1 * GOLDEN, abs=1e-15)
+    assert math.isnan(rotation_number(np.r_[np.ones(99), math.inf], np.ones(100)))
+    assert math.isnan(rotation_number(np.ones(16), np.ones(16)))
 
 
 # exact frequencies
@@ -165,6 +173,17 @@ def test_command_prints_what_the_function_returns(cli: Callable[..., Said]) -> N
 def test_what_is_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         topcli.frequencies("euler_exact", **options)
+
+
+def test_change_is_that_from_the_first_half_to_the_second() -> None:
+    """The angle 0.3t + at² has the mean rate 0.3 + 2at at the middle of each half."""
+    a, T = 1e-4, 4000 * 0.25
+    formulas = {"x": f"cos(0.3*t + {a}*t**2)", "y": f"sin(0.3*t + {a}*t**2)"}
+    orbit = {**config("kowalevski", "hk", 4000, [2.0, 1.0, 1.0]), "output": {"quantities": formulas}}
+    rows = columns_of(config=orbit, component=["x"], angle=["x,y"])
+    assert rows["angle of x, y"]["frequency"] == pytest.approx((0.3 + a * T) / (2.0 * np.pi), rel=1e-12)
+    assert rows["angle of x, y"]["change"] == pytest.approx(a * T / (2.0 * np.pi), rel=1e-12)
+    assert rows["x"]["change"] == pytest.approx(a * T / (2.0 * np.pi), rel=0.3)
 
 
 def test_measures_are_those_of_the_study() -> None:
