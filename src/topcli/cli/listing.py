@@ -21,7 +21,7 @@ list_app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
-    help="List tops, schemes, measures, scenes, sweeps, figures, runs.",
+    help="List tops, schemes, measures, scenes, figures or runs.",
 )
 
 OnlyTop = Annotated[str | None, top_option("List only entries for this top.")]

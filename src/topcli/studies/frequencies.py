@@ -166,12 +166,12 @@ def _subject(data: Data) -> str:
 TABLE = Table(
     "columns",
     (
-        Column("column", "name"),
-        Column("frequency", lambda row: _number(row["frequency"], ".12g")),
+        Column("column", "name", key="column"),
+        Column("frequency", "frequency", "{:.12g}".format),
         Column("period", lambda row: _number(_period(row), ".6g")),
-        Column("amplitude", lambda row: _number(row["amplitude"], ".3g")),
-        Column("change", lambda row: _number(row["change"], ".1e")),
-        Column("digits", lambda row: _number(row["digits"], ".1f")),
+        Column("amplitude", "amplitude", "{:.3g}".format),
+        Column("change", "change", "{:.1e}".format),
+        Column("digits", "digits", "{:.1f}".format),
     ),
     heading="Frequencies",
     title=_subject,
