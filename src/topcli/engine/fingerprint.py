@@ -397,6 +397,10 @@ def own_code(top: type[Top], scheme: Scheme) -> str:
     return walk.digest.hexdigest()
 
 
+ASIDE = ("source", "tangent")
+"""Attributes of a Stepper that a run does not use."""
+
+
 def same_method(method: Method, other: Method) -> bool:
     """True if both methods certainly compile to the same machine code: much cheaper than two fingerprints.
 
@@ -405,7 +409,7 @@ def same_method(method: Method, other: Method) -> bool:
     """
     if not isinstance(method, Stepper) or not isinstance(other, Stepper):
         return method is other
-    compared = (part.name for part in fields(method) if part.name != "constants")
+    compared = (part.name for part in fields(method) if part.name not in ("constants", *ASIDE))
     return len(method.constants) == len(other.constants) and all(
         _same(getattr(method, name), getattr(other, name)) for name in compared
     )
