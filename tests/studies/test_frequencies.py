@@ -139,7 +139,7 @@ def test_an_orbit_that_blows_up_has_no_frequencies(cli: Callable[..., Said]) -> 
     said = cli(*arguments)
     assert said.code == 1
     assert "error: no frequencies: the run blew up at step 9" in said.err
-    assert said.out.count("none") == 10
+    assert said.out.count("–") == 10
     said = cli(*arguments, "--json")
     assert said.code == 1
     assert said.json()["outcome"] == "blew_up"
@@ -158,7 +158,7 @@ def test_command_prints_what_the_function_returns(cli: Callable[..., Said]) -> N
     said = cli(*arguments)
     assert said.code == 0
     printed = {line.split()[0]: line.split()[1] for line in said.out.splitlines() if line.split()[0] in rows}
-    assert printed == {name: f"{row['frequency']:.12g}" if row["frequency"] else "none" for name, row in rows.items()}
+    assert printed == {name: f"{row['frequency']:.12g}" if row["frequency"] else "–" for name, row in rows.items()}
 
 
 @pytest.mark.parametrize(

@@ -152,10 +152,6 @@ def _period(row: Data) -> float | None:
     return None if f is None else 1.0 / abs(f) if f else math.inf
 
 
-def _number(value: float | None, form: str) -> str:
-    return "none" if value is None else format(value, form)
-
-
 def _subject(data: Data) -> str:
     config = data["config"]
     return (
@@ -168,7 +164,7 @@ TABLE = Table(
     (
         Column("column", "name", key="column"),
         Column("frequency", "frequency", "{:.12g}".format),
-        Column("period", lambda row: _number(_period(row), ".6g")),
+        Column("period", _period, "{:.6g}".format),
         Column("amplitude", "amplitude", "{:.3g}".format),
         Column("change", "change", "{:.1e}".format),
         Column("digits", "digits", "{:.1f}".format),
