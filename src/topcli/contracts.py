@@ -579,7 +579,8 @@ class Sampler:
     ----------
     states : callable
         ``states(y0, h, n, p)`` takes the initial state, shape (d,), the step size, the step numbers, shape (m,), and
-        the constants of the top; it returns the states after these numbers of steps, shape (m, d).
+        the constants of the top; it returns the states after these numbers of steps, shape (m, d). A section asks for
+        states between two steps too: ``n`` are then floats.
     setup : Setup, optional
         Work done once for each initial state, if it takes time. ``states`` does it by itself where nobody else has.
     accuracy : callable, optional
@@ -589,7 +590,7 @@ class Sampler:
         ``q0``, shape (4,). None if the attitude has no closed form; it is then summed up over the steps.
     """
 
-    states: Callable[[Array, float, NDArray[np.int64], Floats], Array]
+    states: Callable[[Array, float, Any, Floats], Array]
     setup: Setup | None = None
     accuracy: Callable[[Array, float, NDArray[np.int64], Floats], Accuracy] | None = None
     attitude: Callable[[Array, Array, float, NDArray[np.int64], Floats], Array] | None = None

@@ -42,12 +42,12 @@ def invariant_values(invariants: Iterable[Invariant], states: Array) -> dict[str
 
 def columns(
     top: Top,
-    n: NDArray[np.int64],
+    n: NDArray[Any],
     h: float,
     states: Array,
     names: Iterable[str],
     modified: Iterable[Invariant] = (),
-    values: Mapping[str, Array] | None = None,
+    values: Mapping[str, NDArray[Any]] | None = None,
     quantities: Iterable[Quantity] = (),
 ) -> dict[str, NDArray[Any]]:
     """Columns by name, computed from recorded rows.
@@ -56,8 +56,8 @@ def columns(
     ----------
     top : Top
         Top whose components and invariants are the columns.
-    n : ndarray of int64, shape (m,)
-        Step numbers.
+    n : ndarray, shape (m,)
+        Step numbers, with fractions at the crossings of a section.
     h : float
         Step size.
     states : ndarray, shape (m, d)
@@ -86,14 +86,14 @@ def columns(
     formulas = {quantity.name: quantity for quantity in quantities}
     data: dict[str, NDArray[Any]] = {}
     for name in names:
-        if name == "n":
+        if name in values:
+            data[name] = values[name]
+        elif name == "n":
             data[name] = n
         elif name == "t":
             data[name] = n * h
         elif name in top.components:
             data[name] = states[:, top.components.index(name)]
-        elif name in values:
-            data[name] = values[name]
         elif name in formulas:
             data[name] = formulas[name].values(top, n, h, states)
         elif name in invariants:

@@ -25,7 +25,7 @@ class Quantity:
     formula: str
     function: Callable[[Sequence[Any], Sequence[Any]], Any]
 
-    def values(self, top: Top, n: NDArray[np.int64], h: Any, states: Array) -> Array:
+    def values(self, top: Top, n: NDArray[Any], h: Any, states: Array) -> Array:
         """Values (m,) at ``states`` (m, d) of ``top`` after ``n`` (m,) steps of ``h``, in their arithmetic."""
         parameters = (getattr(top, name) for name in type(top).model_fields)
         t = np.array([int(step) * h for step in n], dtype=object) if states.dtype.hasobject else n * h

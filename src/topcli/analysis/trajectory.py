@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns
+from topcli.analysis.crossings import CrossingSearch
 from topcli.analysis.leaving import step_of_leaving
 from topcli.analysis.quantities import Quantity
 from topcli.analysis.tally import EnsembleSummary, InvariantRow, InvariantTally, invariant_report
@@ -58,6 +59,8 @@ class Trajectory:
         those of both forms.
     quantities : tuple of Quantity
         Observables of ``output.quantities``.
+    theta : ndarray, shape (m,), or None
+        For the crossings of a section, the fraction of the step after ``n`` at which each lies; None otherwise.
 
     Examples
     --------
@@ -85,6 +88,7 @@ class Trajectory:
     attitude: Array | None = None
     attitude_form: str = ""
     quantities: tuple[Quantity, ...] = ()
+    theta: Array | None = None
 
     @classmethod
     def of_run(
@@ -94,25 +98,38 @@ class Trajectory:
         modified: tuple[Invariant, ...] = (),
         attitude: str = "",
         quantities: tuple[Quantity, ...] = (),
+        search: CrossingSearch | None = None,
     ) -> Trajectory:
         """Carry out ``run`` and return its trajectory, with the step at which it left its energy surface.
 
-        ``attitude`` is the form of the attitude, whose quaternions then follow the states of the run.
+        ``attitude`` is the form of the attitude, whose quaternions then follow the states of the run. With ``search``
+        the crossings of a section are kept alone.
         """
-        n, states, ending = run.collect()
         fields: dict[str, Any] = {"quantities": quantities}
+        if search is None:
+            n, states, ending = run.collect()
+        else:
+            found = search.along(run)
+            n, states, fields["theta"] = found.n, found.states, found.theta
+            assert run.ending is not None
+            ending = run.ending
         if attitude:
             states, q = map(np.ascontiguousarray, np.split(states, [len(run.top.components)], axis=1))
             fields |= {"attitude": q, "attitude_form": attitude}
-        ending = ending.with_left(step_of_leaving(run.top, n, states), run.h)
+        ending = ending.with_left(step_of_leaving(run.top, n, states) if len(n) else None, run.h)
         seconds = run.compile_seconds, run.run_seconds
         ready = run.setup.seconds if run.setup else 0.0
         return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, setup_seconds=ready, **fields)
 
     @property
     def t(self) -> Array:
-        """Times ``n * h`` of the recorded states, shape (m,)."""
-        return self.n * self.h
+        """Times of the recorded states, shape (m,): ``n * h``, or those of the crossings of a section."""
+        return self._steps * self.h
+
+    @property
+    def _steps(self) -> NDArray[Any]:
+        """Numbers of steps, with fractions at the crossings of a section."""
+        return self.n if self.theta is None else self.n + self.theta
 
     @property
     def outcome(self) -> Outcome:
@@ -127,12 +144,12 @@ class Trajectory:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Column by name, shape (m,). Raises UsageError for an unknown name."""
-        attitude: dict[str, Array] = {}
+        values: dict[str, NDArray[Any]] = {"n": self.n}
         if self.attitude is not None:
             for form, names in ATTITUDES.items():
-                attitude |= attitude_columns(form, self.attitude) if name in names else {}
+                values |= attitude_columns(form, self.attitude) if name in names else {}
         return columns(
-            self.top, self.n, self.h, self.states, [name], self.modified, attitude, quantities=self.quantities
+            self.top, self._steps, self.h, self.states, [name], self.modified, values, quantities=self.quantities
         )[name]
 
     def to_pandas(self) -> pd.DataFrame:

@@ -105,7 +105,7 @@ def _two_product(a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def multiple(step: DoubleDouble, n: Array) -> tuple[Array, Array]:
-    """Product of ``step`` and whole numbers ``n`` given as floats, shape (m,), in double-double."""
+    """Product of ``step`` and numbers ``n`` (m,), in double-double."""
     hi, lo = step
     p, e = _two_product(hi, n)
     th, tl = quick_two_sum(p, lo * n)  # type: ignore[arg-type]
@@ -246,9 +246,13 @@ class Oscillation:
     start: int
     step: int
 
-    def phases(self, n: NDArray[np.int64]) -> NDArray[np.uint64]:
-        """Phases after n (m,) steps, n of either sign."""
-        return np.uint64(self.start) + n.astype(np.int64).view(np.uint64) * np.uint64(self.step)
+    def phases(self, n: Array | NDArray[np.int64]) -> NDArray[np.uint64]:
+        """Phases after n (m,) steps, n of either sign, with fractions perhaps."""
+        if n.dtype.kind == "f" and (n != np.floor(n)).any():
+            ratios = (x.as_integer_ratio() for x in n.tolist())
+            found = [(self.start + self.step * top // bottom) % TURN for top, bottom in ratios]
+            return np.array(found, dtype=np.uint64)
+        return np.uint64(self.start) + n.astype(np.int64).view(np.uint64) * np.uint64(self.step % TURN)
 
     def at(self, phase: NDArray[np.uint64]) -> tuple[Array, Array, Array, Array, Array]:
         """x - lower, upper - x, dx/dt, sn and cn at the phases (m,); the first two without cancellation."""
@@ -300,7 +304,7 @@ def oscillation(q: Sequence[Decimal], x0: Decimal, rising: bool, low: Decimal, s
         period = 2 * half
 
         def turns(t: Decimal) -> int:
-            return int((t / (2 * period) * TURN).to_integral_value()) % TURN
+            return int((t / (2 * period) * TURN).to_integral_value())
 
         return Oscillation(
             lower=r,
@@ -310,7 +314,7 @@ def oscillation(q: Sequence[Decimal], x0: Decimal, rising: bool, low: Decimal, s
             kc2=float((e1 - e2) / (e1 - e3)),
             quarter=float(half * (e1 - e3).sqrt()),
             period=float(period),
-            start=turns(begin if rising else -begin),
+            start=turns(begin if rising else -begin) % TURN,
             step=turns(step),
         )
 

@@ -373,8 +373,9 @@ class EnsembleExperiment:
         """Return all that the ensemble depends on as plain data that loads to the same states, bit for bit."""
         given = self.first.model_copy(update={"top": self.top})
         plain = {**given.resolved(), "initial": self.members.initial}
-        keys = ("name", "top", "initial", "ensemble", "scheme", "h", "N", "output")
-        return {key: self.members.section if key == "ensemble" else plain[key] for key in keys}
+        keys = ("name", "top", "initial", "ensemble", "scheme", "h", "N", "section", "output")
+        plain["ensemble"] = self.members.section
+        return {key: plain[key] for key in keys if key in plain}
 
     @cached_property
     def digest(self) -> str:

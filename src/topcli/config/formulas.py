@@ -12,9 +12,9 @@ from pydantic import BaseModel, Field
 from topcli.analysis.columns import ATTITUDES
 from topcli.analysis.quantities import usable_names
 from topcli.config.document import STRICT, KeyPath, Problems, WrittenFloat, describe, validate
-from topcli.config.models import Output
+from topcli.config.models import Output, PoincareSection
 from topcli.contracts import Invariant, Top, checked_rotation
-from topcli.errors import nearest
+from topcli.errors import nearest, quoted
 from topcli.field.expression import parse
 from topcli.field.integrals import broken_integral
 from topcli.tops import CUSTOM, TOPS
@@ -199,3 +199,20 @@ def read_quantities(
         elif isinstance(text := _formula(value, path, usable_names(cls), problems), str):
             formulas[name] = text
     return formulas
+
+
+def read_section(section: PoincareSection, cls: type[Top], problems: Problems) -> PoincareSection | None:
+    """The section of orbits of ``cls``, its formula as text, checked; None if it is wrong."""
+    component, path = section.component, ("section",)
+    if (component is None) == (section.quantity is None):
+        given = "both are given" if component else "neither is given"
+        problems.add(path, f"needs component or quantity, and {given}; for example component: {cls.components[-1]}")
+    elif component is not None and component not in cls.components:
+        problems.add(
+            (*path, "component"), f"unknown component {quoted(component)}; {nearest(component, cls.components)}"
+        )
+    elif component is not None:
+        return section
+    elif isinstance(text := _formula(section.quantity, (*path, "quantity"), usable_names(cls), problems), str):
+        return section.model_copy(update={"quantity": text})
+    return None

@@ -133,7 +133,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         fault = "this is a sweep, and an experiment is needed here; `topcli sweep` takes sweeps"
         raise ConfigError(document.message(("base",), fault))
     problems = Problems(document)
-    optional = ("name", "output", "ensemble", "T", "precision", "max_digits")
+    optional = ("name", "output", "ensemble", "section", "T", "precision", "max_digits")
     data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
     data = with_written_numbers(data)
     if "name" not in data and default_name is not None:
@@ -145,7 +145,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
     config = _config(data, problems)
     cls, top = _top(data, problems)
     scheme = read_scheme(data["scheme"], cls, problems) if cls and "scheme" in data else None
-    state = members = columns = quantities = written = None
+    state = members = columns = quantities = section = written = None
     if cls and top and "ensemble" in data:
         from topcli.config.ensemble import read_members
 
@@ -162,6 +162,10 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
                 from topcli.config.formulas import read_quantities
 
                 quantities = read_quantities(config.output, type(top), integrals, problems)
+        if cls and config.section:
+            from topcli.config.formulas import read_section
+
+            section = read_section(config.section, cls, problems)
         _check(config, top, "ensemble" in data, problems)
         if config.precision != DOUBLE and top and state and not problems.messages:
             written = read_written(data, top, state, config.precision, problems)
@@ -180,6 +184,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         h=config.h,
         N=config.N,
         output=config.output.model_copy(update={"columns": columns, "quantities": quantities}),
+        section=section,
         precision=config.precision,
         max_digits=config.max_digits or MAX_DIGITS,
         written=written,
@@ -229,6 +234,7 @@ def _config(data: dict[str, Any], problems: Problems) -> Config | None:
 def _check(config: Config, top: Top | None, is_ensemble: bool, problems: Problems) -> None:
     """Add the mistakes in keys that depend on each other."""
     h, N, output, attitude = config.h, config.N, config.output, ("output", "attitude")
+    section, kept = config.section is not None, config.ensemble.get("store") if is_ensemble else None
     other, names = config.precision != DOUBLE, output.attitude_columns
     for path, wrong, text in (
         (("output", "every"), output.every > N, f"must be at most N = {N}, not {output.every}"),
@@ -249,6 +255,18 @@ def _check(config: Config, top: Top | None, is_ensemble: bool, problems: Problem
             "needs another precision than double, such as precision: 50",
         ),
         (attitude, names and is_ensemble, "an ensemble records no attitude; run single trajectories with it"),
+        (("section",), section and names, "a section records no attitude; leave out output.attitude"),
+        (("section",), section and other, "crossings are located in doubles only; leave out precision"),
+        (
+            ("output", "every"),
+            section and output.every > 1,
+            "a section looks at every step and records its crossings; leave out output.every",
+        ),
+        (
+            ("ensemble", "store"),
+            section and kept not in (None, "trajectories"),
+            f"a section records crossings, which {kept} leaves out; leave out ensemble.store",
+        ),
         (
             attitude,
             names and other and not is_ensemble,

@@ -8,15 +8,18 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
 from topcli.analysis.columns import ATTITUDES, column_names
+from topcli.analysis.crossings import CrossingSearch
 from topcli.analysis.quantities import Quantity, quantities_of
 from topcli.config.document import STRICT, as_integer, describe
 from topcli.config.ranges import MAX_STEPS
 from topcli.config.text import to_yaml
 from topcli.config.written import WrittenNumbers
-from topcli.contracts import Invariant, Method, Scheme, Top
+from topcli.contracts import Array, Invariant, Method, Scheme, Top
 from topcli.engine.fingerprint import own_code
 from topcli.engine.precise_numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
 from topcli.errors import quoted
@@ -131,6 +134,43 @@ class Output(BaseModel):
         return ATTITUDES[self.attitude] if self.attitude else ()
 
 
+class PoincareSection(BaseModel):
+    """The surface of a Poincaré section, whose crossings a run records in the place of its steps."""
+
+    model_config = STRICT
+
+    component: str | None = Field(
+        default=None, description="the component of the state whose value is that of the section", examples=["gamma2"]
+    )
+    quantity: Any = Field(
+        default=None,
+        description="or a formula in its place, as in output.quantities",
+        json_schema_extra={"type": ["string", "number", "null"]},
+    )
+    value: float = Field(default=0.0, description="the value on the section")
+    direction: Literal["up", "down", "both"] = Field(
+        default="up", description="crossings with a growing value (up), a falling one (down), or both"
+    )
+
+    @property
+    def formula(self) -> str:
+        """The component or the formula of the quantity."""
+        return self.component or str(self.quantity)
+
+    def search(self, top: Top, method: Method, h: float, y0: Array) -> CrossingSearch:
+        """Search for the crossings of the orbits of ``method`` from ``y0`` (m, d)."""
+        quantity = quantities_of(type(top), {"section": self.formula})[0]
+
+        def distance(n: NDArray[Any], states: Array) -> Array:
+            return quantity.values(top, n, h, states) - self.value
+
+        return CrossingSearch(top, method, h, y0, distance, self.direction)
+
+
+SECTION_TALLY = 16
+"""Steps from one state to the next at which a run that records crossings looks at the invariants and quantities."""
+
+
 class Config(BaseModel):
     """A numerical experiment on a discrete spinning top."""
 
@@ -168,6 +208,10 @@ class Config(BaseModel):
         default=None,
         description=f"with precision rational: the length of the numbers at which the run stops ({MAX_DIGITS} digits "
         "when absent)",
+    )
+    section: PoincareSection | None = Field(
+        default=None,
+        description="record the crossings of a Poincaré section only: its component or quantity, value and direction",
     )
     output: Output = Field(default=Output(), description="what is recorded and how it is written")
 
@@ -216,6 +260,7 @@ class Experiment(BaseModel):
     h: float
     N: int
     output: Output
+    section: PoincareSection | None = None
     precision: int | str = DOUBLE
     max_digits: int = MAX_DIGITS
     written: InstanceOf[WrittenNumbers] | None = None
@@ -226,9 +271,14 @@ class Experiment(BaseModel):
         return self.N * self.h
 
     @property
-    def rows(self) -> int:
-        """Number of rows of the series if the run completes."""
-        return self.N // self.output.every + 1
+    def rows(self) -> int | None:
+        """Number of rows of the series if the run completes; None for the crossings of a section."""
+        return None if self.section else self.N // self.output.every + 1
+
+    @property
+    def tallied(self) -> int:
+        """Number of steps from one state to the next in the report on invariants and quantities."""
+        return SECTION_TALLY if self.section else self.output.every
 
     @property
     def recorded(self) -> list[str]:
@@ -241,6 +291,13 @@ class Experiment(BaseModel):
     def quantities(self) -> tuple[Quantity, ...]:
         """Observables of the user."""
         return quantities_of(type(self.top), self.output.quantities)
+
+    def search(self, y0: Array | None = None, method: Method | None = None) -> CrossingSearch | None:
+        """Search for crossings of the section by orbits from ``y0`` (m, d) or its own; None without a section."""
+        if self.section is None:
+            return None
+        states = np.array([self.y0]) if y0 is None else y0
+        return self.section.search(self.top, method or self.method(), self.h, states)
 
     def method(self) -> Method:
         """Build the scheme for the top with the options."""
@@ -264,6 +321,7 @@ class Experiment(BaseModel):
             "scheme": {"name": self.scheme.name, **self.options.model_dump(mode="json")},
             "h": self.h,
             "N": self.N,
+            **({"section": self.section.model_dump(mode="json", exclude_none=True)} if self.section else {}),
             "output": self.output.resolved(),
             **self._resolved_precision(),
         }

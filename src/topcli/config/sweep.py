@@ -270,6 +270,7 @@ def _base(base: Any, problems: Problems) -> dict[str, Any]:
     reasons = {
         "name": "the base has no name; the rows are named after the sweep",
         "ensemble": "a row is one trajectory; vary initial states by grid, or by random",
+        "section": "a row measures whole orbits; `topcli run` records sections, of ensembles too",
     }
     for key in base if isinstance(base, dict) else ():
         if key not in BASE:

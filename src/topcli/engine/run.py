@@ -215,6 +215,7 @@ class Run:
     the run ends as ``interrupted``. With ``start``, the ``position()`` of an earlier equal run, the run continues from
     there, bit for bit. ``method`` may be its time loop, if the caller has that already. Numbers of another arithmetic
     (``engine.precise``) are kept as objects: ``y0``, ``h`` and the constants of ``top`` are then of this arithmetic.
+    A chunk has at most ``chunk_rows`` rows.
     """
 
     def __init__(
@@ -227,6 +228,7 @@ class Run:
         every: int = 1,
         stop: Callable[[], bool] = lambda: False,
         start: Position | None = None,
+        chunk_rows: int = CHUNK_ROWS,
     ) -> None:
         self.top, self.h, self.N, self.every = top, float(h), N, every
         self._stop = stop
@@ -245,7 +247,7 @@ class Run:
         if self._type is np.object_:
             chunk_steps = PRECISE_STEPS
         nothing: Any = np.zeros(self._loop.width, dtype=self._type)
-        self._position = start or Position(-1, nothing, CHUNK_ROWS, chunk_steps)
+        self._position = start or Position(-1, nothing, chunk_rows, chunk_steps)
         if len(self._position.work) != self._loop.width:
             raise ValueError(f"a working state of {len(self._position.work)} numbers, not {self._loop.width}")
         self._failed = False

@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from topcli.analysis.columns import columns, invariant_values
+from topcli.analysis.crossings import Crossings, CrossingSearch
 from topcli.analysis.quantities import QuantityTally, quantity_rows
 from topcli.analysis.tally import EnsembleSummary, InvariantTally, measure_columns
 from topcli.config.ensemble import EnsembleExperiment, Group
@@ -18,6 +19,7 @@ from topcli.contracts import Array, Invariant
 from topcli.engine.ensemble import BLOCK, EnsembleRun, Execution, Piece, tile_of
 from topcli.engine.run import OUTCOMES
 from topcli.runs.decision import RunOptions
+from topcli.runs.recorder import crossing_columns, tallied_rows
 from topcli.runs.recording import Recording
 from topcli.runs.report import EndingTally, ensemble_markdown, ensemble_report, setup_message
 from topcli.store.checkpoint import Checkpoint
@@ -51,19 +53,23 @@ class GroupRun(Generic[Kept]):
         self._next = offset
         self.modified: tuple[Invariant, ...] = first.modified
         self.invariants = (*group.top.invariants(), *self.modified)
-        self._last = first.N // first.output.every * first.output.every
+        self._last = first.N // first.tallied * first.tallied
         self.tally = self._tally(0)
         self.quantities = QuantityTally(first.quantities, 0)
         self.names = first.recorded
 
+        self.search: CrossingSearch | None = None
+        """Search for the crossings of a section by the trajectories of the block; None without a section."""
+
         def on_piece(piece: Piece) -> Kept:
-            flat = piece.states.reshape(-1, piece.states.shape[-1])
+            seen = piece if self.search is None else _thinned(piece)
+            flat = seen.states.reshape(-1, seen.states.shape[-1])
             values = invariant_values(self.invariants, flat)
-            self.tally.add(piece.n, piece.states, values, piece.first, piece.kept)
-            if first.quantities:
-                n = np.tile(piece.n, len(piece.kept))
+            self.tally.add(seen.n, seen.states, values, seen.first, seen.kept)
+            if first.quantities and len(seen.n):
+                n = np.tile(seen.n, len(seen.kept))
                 values |= {one.name: one.values(group.top, n, first.h, flat) for one in first.quantities}
-                self.quantities.add(values, piece.first, piece.kept)
+                self.quantities.add(values, seen.first, seen.kept)
             return keep(self, piece, values)
 
         self.run = EnsembleRun(
@@ -78,6 +84,11 @@ class GroupRun(Generic[Kept]):
             execution=Execution(stop, threads, tile_of(group.count), wide=experiment.store != "trajectories"),
         )
 
+    def _search_from(self, y0: Array) -> CrossingSearch | None:
+        if self.search is not None:
+            return self.search.restarted(y0)
+        return self.experiment.of_group(self.group).search(y0, self.run.method)
+
     def _tally(self, count: int) -> InvariantTally:
         return InvariantTally(self.invariants, self.experiment.first.h, self.group.top, count, self._last)
 
@@ -86,6 +97,7 @@ class GroupRun(Generic[Kept]):
         self.offset, self._next = self._next, self._next + len(y0)
         self.tally = self._tally(len(y0))
         self.quantities = QuantityTally(self.quantities.quantities, len(y0))
+        self.search = self._search_from(y0)
         self.run.begin(y0)
         yield from self.run
         self.tally.finish(self.run.last)
@@ -108,6 +120,11 @@ class GroupRun(Generic[Kept]):
         )
         return {"trajectory": (which + self.offset).astype(np.int64, copy=False), **table}
 
+    def crossing_rows(self, found: Crossings) -> Columns:
+        """Columns of crossings."""
+        table = crossing_columns(self.experiment.first, self.group.top, found, self.names)
+        return {"trajectory": found.which + self.offset, **table}
+
     def last_rows(self) -> Columns:
         """Row of the last state of each trajectory in the block that has been started."""
         begun = np.flatnonzero(self.tally.rows)
@@ -124,7 +141,14 @@ class GroupRun(Generic[Kept]):
         table["n"] = run.endings.step
         table["left_motion"] = run.endings.left
         first = self.experiment.first
-        return table | measure_columns(self.tally, first.N, first.output.every) | self.quantities.columns()
+        return table | measure_columns(self.tally, first.N, first.tallied) | self.quantities.columns()
+
+
+def _thinned(piece: Piece) -> Piece:
+    """The rows of a piece that the report of a section's run is about."""
+    at = tallied_rows(piece.n) if len(piece.n) else slice(None)
+    kept = np.searchsorted(np.arange(len(piece.n))[at], piece.kept)
+    return Piece(piece.first, piece.n[at], np.ascontiguousarray(piece.states[:, at]), kept)
 
 
 _OUTCOME_NAMES = np.array([outcome.value for outcome in OUTCOMES], dtype=object)
@@ -141,6 +165,9 @@ def _all_rows(group: GroupRun[Any], piece: Piece, values: Values) -> Columns | N
     """Rows of a piece that were reached, trajectory by trajectory; None if there are none."""
     if not piece.kept.any():
         return None
+    if group.search is not None:
+        found = group.search.add(piece.n, piece.states, piece.first, piece.kept)
+        return group.crossing_rows(found) if len(found.n) else None
     reached = np.arange(len(piece.n)) < piece.kept[:, None]
     which, row = np.nonzero(reached)
     of_rows = {name: value[reached.ravel()] for name, value in values.items()}
@@ -170,6 +197,7 @@ class EnsembleRecording(Recording):
         self._tables: dict[str, SeriesWriter] = {}
         self._observed: list[tuple[Array, int]] = []
         self._endings, self._initial, offset = EndingTally(N), hashlib.sha256(), 0
+        self._crossings = None if experiment.first.section is None else np.zeros(experiment.count, dtype=np.int64)
         seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
         keep = _all_rows if experiment.store == "trajectories" else _no_rows
         with ExitStack() as self._open:
@@ -190,7 +218,9 @@ class EnsembleRecording(Recording):
                 self.writer.sha256[files[name]] = table.sha256
             summary = self._summary.rows()
             observed = quantity_rows(experiment.first.quantities, self._observed)
-            report = ensemble_report(experiment, self.origin.identity.digest, self._endings, summary, seconds, observed)
+            report = ensemble_report(
+                experiment, self.origin.identity.digest, self._endings, summary, seconds, observed, self._crossings
+            )
         manifest = {
             "kind": "ensemble",
             "series": files.get("series", files["trajectories"]),
@@ -216,6 +246,8 @@ class EnsembleRecording(Recording):
                 if group.run.side_by_side or begins != tile:
                     series.end_group()
                 tile = begins
+                if self._crossings is not None:
+                    np.add.at(self._crossings, rows["trajectory"], 1)
                 series.write(rows)
             yield done
         if self.experiment.store == "final" and series is not None:

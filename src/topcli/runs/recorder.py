@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.columns import attitude_columns, columns, invariant_values
+from topcli.analysis.crossings import Crossings
 from topcli.analysis.quantities import QuantityTally
 from topcli.analysis.tally import InvariantTally
-from topcli.config.models import Experiment
-from topcli.contracts import Array, Ending, Method
-from topcli.engine.run import Chunk, Position, Run
+from topcli.config.models import SECTION_TALLY, Experiment
+from topcli.contracts import Array, Ending, Method, Top
+from topcli.engine.run import CHUNK_ROWS, Chunk, Position, Run
 from topcli.runs.report import left_motion
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from topcli.store.parts import release_reserve, reserve
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 EVALUATED_ROWS = 256
 """Rows that are evaluated and written together: doing so for a single row costs as much as some thousand steps."""
+
+SECTION_ROWS = 1 << 16
+"""Rows of a chunk in which the crossings of a section are sought together."""
 
 COST = 100.0
 """The next checkpoint waits at least this many times the seconds that the last one took: at most 1% of the run."""
@@ -87,10 +91,16 @@ class Recorder:
         self.quantities = QuantityTally(self._quantities)
         self._batch = PendingRows()
         self.tally = self.new_tally()
+        self._search = experiment.search()
+        self.crossings = None if self._search is None else 0
+        """Crossings of the section so far; None without one."""
         self.series = SeriesWriter(path, self.all_names(self._names), metadata, start.series if start else None)
         if start is not None:
             self.tally.restore(start.tally)
             self.quantities.restore(start.tally)
+            if self._search is not None:
+                self.crossings = int(start.tally["crossings"][0])
+                self._search.last[:] = start.tally["section"]
             if len(start.rows[0]):
                 self._batch.add(start.rows[0], self.loaded(start.rows[1]))
 
@@ -144,15 +154,25 @@ class Recorder:
             d = len(top.components)
             attitude = attitude_columns(form, states[:, d:])
             states = np.ascontiguousarray(states[:, :d])
+        found = None
+        if self._search is not None:
+            found = self._search.add(n, states[None])
+            self.crossings = (self.crossings or 0) + len(found.n)
+            n, states = n[at := tallied_rows(n)], np.ascontiguousarray(states[at])
         values = invariant_values(self._invariants, states)
         self.tally.add(n, states, values)
         observed = {quantity.name: quantity.values(top, n, h, states) for quantity in self._quantities}
-        self.quantities.add(observed)
+        if len(n):
+            self.quantities.add(observed)
+        if found is not None:
+            return crossing_columns(self._experiment, top, found, self._names)
         return columns(top, n, h, states, self._names, self._modified, values | observed | attitude)
 
     def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
         """All that a checkpoint holds of the rows so far; with ``flush`` the series is flushed to the disk first."""
         sums = {**self.tally.state(), **self.quantities.state()}
+        if self._search is not None:
+            sums |= {"crossings": np.array([self.crossings]), "section": self._search.last.copy()}
         return sums, self.series.mark(flush=flush), self._batch.rows()
 
     def finish(self, ending: Ending) -> Ending:
@@ -168,6 +188,27 @@ class Recorder:
         return ending
 
 
+def tallied_rows(n: NDArray[np.int64]) -> slice:
+    """Rows after ``n`` (m,) steps that the report of a section's run is about."""
+    return slice(-int(n[0]) % SECTION_TALLY, None, SECTION_TALLY)
+
+
+def crossing_columns(
+    experiment: Experiment, top: Top, found: Crossings, names: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    """Columns of crossings: ``n`` is the number of whole steps before each, ``t`` its time."""
+    return columns(
+        top,
+        found.n + found.theta,
+        experiment.h,
+        found.states,
+        names,
+        experiment.modified,
+        {"n": found.n},
+        experiment.quantities,
+    )
+
+
 def run_of(
     experiment: Experiment,
     method: Method,
@@ -180,7 +221,7 @@ def run_of(
     if precise is not None:
         return Run(precise.top, precise.loop, precise.y0, precise.h, N, every, stop, start)
     if not experiment.output.attitude:
-        return Run(top, method, y0, h, N, every, stop, start)
+        return Run(top, method, y0, h, N, every, stop, start, SECTION_ROWS if experiment.section else CHUNK_ROWS)
     from topcli.engine.attitude import attitude_loop, start_attitude
 
     loop = attitude_loop(top, experiment.scheme, experiment.options, method)

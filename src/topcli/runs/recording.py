@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.engine.fingerprint import own_parts
@@ -24,6 +26,8 @@ from topcli.runs.report import (
     report_data,
     report_markdown,
     seconds_of,
+    section_data,
+    section_note,
 )
 from topcli.schemes.plugins import sources_of, top_origin
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
@@ -162,10 +166,12 @@ class SingleRecording(Recording):
                 self.checkpoints.save(run, recorder)
             ending = recorder.finish(run.ending)
         writer.sha256[path.name] = recorder.series.sha256
+        crossings = None if recorder.crossings is None else np.array([recorder.crossings])
         summary = {
             **heading(experiment, experiment.name, self.origin.identity.digest),
             "outcome": ending.outcome.value,
-            "message": ending.message,
+            "message": ending.message + section_note(experiment, crossings),
+            **section_data(crossings),
             "step": ending.step,
             "t": ending.t,
             "left_motion": left_motion(ending),

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topcli.analysis.quantities import FIGURES
 from topcli.analysis.tally import LOST, QUANTILES, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
@@ -146,6 +147,28 @@ def report_data(
             **({"quantities": list(quantities)} if quantities else {}),
         }
     )
+
+
+def section_data(crossings: NDArray[np.int64] | None) -> dict[str, Any]:
+    """Entry of ``report.json`` on the crossings of a section by each trajectory (m,); none without a section."""
+    if crossings is None:
+        return {}
+    return {"section": {"crossings": int(crossings.sum()), "never_crossed": int((crossings == 0).sum())}}
+
+
+def section_note(experiment: Experiment, crossings: NDArray[np.int64] | None) -> str:
+    """End of a message on the crossings of a section by each trajectory (m,); empty without a section."""
+    section = experiment.section
+    if section is None or crossings is None:
+        return ""
+    where = f"{section.formula} = {section.value:g}" + (
+        "" if section.direction == "both" else f" ({section.direction})"
+    )
+    total, never = int(crossings.sum()), int((crossings == 0).sum())
+    if not total:
+        return f"; never crossed the section {where}"
+    note = f"; {total} crossing{'s' * (total != 1)} of the section {where}"
+    return note + (f"; {never} of {len(crossings)} trajectories never crossed it" if never else "")
 
 
 ORDINARY = ("iterations", "evaluations", "expansions", "corrections", "chart_switches")
@@ -377,6 +400,7 @@ def ensemble_report(
     invariants: Sequence[dict[str, Any]],
     seconds: dict[str, Any],
     quantities: Sequence[dict[str, Any]] = (),
+    crossings: NDArray[np.int64] | None = None,
 ) -> dict[str, Any]:
     """Content of ``report.json``; ``invariants`` and ``quantities`` are the rows of the ensemble's summaries."""
     return finite(
@@ -387,7 +411,8 @@ def ensemble_report(
             "trajectories": endings.total,
             "store": experiment.store,
             "outcome": endings.outcome.value,
-            "message": endings.message,
+            "message": endings.message + section_note(experiment.first, crossings),
+            **section_data(crossings),
             "outcomes": endings.outcomes,
             "failures": [{"trajectory": i, **_failure(ending)} for i, ending in endings.failures],
             "counters": dict(endings.counters),

@@ -31,9 +31,10 @@ def trajectory_of(experiment: Experiment) -> Trajectory:
         prepared = precise_run(experiment)
         assert prepared is not None
         return precise_trajectory(experiment, prepared)
-    run = run_of(experiment, experiment.method())
+    method = experiment.method()
+    run, search = run_of(experiment, method), experiment.search(method=method)
     attitude = experiment.output.attitude or ""
-    return Trajectory.of_run(run, experiment.scheme.name, experiment.modified, attitude, experiment.quantities)
+    return Trajectory.of_run(run, experiment.scheme.name, experiment.modified, attitude, experiment.quantities, search)
 
 
 def simulate(
@@ -97,6 +98,10 @@ MAX_NUMBERS = 5 * 10**8
 def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> Ensemble:
     """Run an ensemble in memory. Raises UsageError if its rows would not fit."""
     first, d = experiment.first, len(experiment.top.components)
+    if first.section is not None:
+        raise UsageError(
+            "simulate_ensemble: `topcli run` records the crossings of an ensemble, in a file; leave out section"
+        )
     each = first.N // first.output.every + 1 if experiment.store == "trajectories" else 0
     if experiment.count * each * d > MAX_NUMBERS:
         raise UsageError(

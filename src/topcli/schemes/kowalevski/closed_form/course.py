@@ -46,7 +46,7 @@ def fraction(x: Real) -> Fraction:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase ``start`` + n ``step`` modulo one turn, both in units of 2^-128 turns."""
+    """Phase ``start`` + n ``step`` modulo one turn, both in units of 2^-128 turns; ``step`` may be several turns."""
 
     start: int
     step: int
@@ -54,22 +54,28 @@ class Phase:
     @classmethod
     def of(cls, start: Fraction, step: Fraction) -> Phase:
         """Phase from numbers of turns."""
-        return cls(math.floor(start * TURN) % TURN, math.floor(step * TURN) % TURN)
+        return cls(math.floor(start * TURN) % TURN, math.floor(step * TURN))
 
-    def turns(self, n: NDArray[np.int64], fine: bool = False) -> Array:
+    def turns(self, n: Array | NDArray[np.int64], fine: bool = False) -> Array:
         """Phases after ``n`` (m,) steps of either sign, in [-1/2, 1/2) turns; the error is less than 2^-64 + ulp.
 
-        With ``fine`` small phases have 128 bits, less those of ``n``.
+        With ``fine``, and between two steps, small phases have 128 bits, less those of ``n``.
         """
+        if n.dtype.kind == "f" and (n != np.floor(n)).any():
+            return np.array([self._between(*x.as_integer_ratio()) for x in n.tolist()])
         count = n.astype(np.int64).view(np.uint64)
         low = np.uint64(self.step & LOW)
-        high = np.uint64(self.step >> 64) * count + _upper_half(low, count)
+        high = np.uint64(self.step >> 64 & LOW) * count + _upper_half(low, count)
         high -= np.where(n < 0, low, np.uint64(0))  # n was taken modulo 2^64
         lower = low * count + np.uint64(self.start & LOW)
         carry = lower < np.uint64(self.start & LOW)
         total = high + np.uint64(self.start >> 64) + carry
         upper = total.view(np.int64) * 2.0**-64
         return upper + lower * 2.0**-128 if fine else upper
+
+    def _between(self, top: int, bottom: int) -> float:
+        """Phase after ``top``/``bottom`` steps, rounded once."""
+        return ((self.start + self.step * top // bottom + TURN // 2) % TURN - TURN // 2) / TURN
 
 
 def _upper_half(a: np.uint64, b: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -1,0 +1,168 @@
+"""Crossings of a section: where an orbit passes through the surface g(y) = 0 in a given direction.
+
+Two successive states with g of different signs enclose a crossing. It is located on the scheme's own steps from the
+first of them (``engine.part_steps``): the fraction theta of the step with g = 0 is found by Chandrupatla's method,
+which combines bisection with inverse quadratic interpolation, to the last bit of theta (T. R. Chandrupatla, Adv. Eng.
+Software 28 (1997) 145). For ``taylor`` and ``exact`` the crossings are those of the motion. For a map of order r they
+differ from those of its interpolating flow by O(h^(r+1)); what the scheme conserves at every h is conserved at the
+crossings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.contracts import Array, Method, Top
+from topcli.engine.part_steps import PartSteps, part_steps_of
+from topcli.engine.run import Run
+
+Direction = Literal["up", "down", "both"]
+Function = Callable[[NDArray[Any], Array], Array]
+"""``g(n, states)``: values (k,) of the section's function at ``states`` (k, d) after ``n`` (k,) steps."""
+
+TOLERANCE = 2.0**-52
+"""Uncertainty of theta."""
+MOST_TRIALS = 100
+"""Trials after which a sign change is given up; bisection alone needs 52."""
+ZERO = 1e-3
+"""A sign change is a jump or a pole, not a zero, if |g| there exceeds this part of its values at the ends."""
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Crossings of several orbits.
+
+    Attributes
+    ----------
+    which : ndarray of int64, shape (k,)
+        Numbers of the orbits.
+    n : ndarray of int64, shape (k,)
+        Steps done before the crossing.
+    theta : ndarray, shape (k,)
+        Fraction of the next step at which the orbit crosses, from 0 to 1.
+    states : ndarray, shape (k, d)
+        States at the crossing.
+    """
+
+    which: NDArray[np.int64]
+    n: NDArray[np.int64]
+    theta: Array
+    states: Array
+
+
+class CrossingSearch:
+    """Search for crossings of g = 0 by orbits of ``method`` with steps ``h`` from ``y0`` (m, d).
+
+    ``last`` (m, d) are the latest states that ``add`` has seen, from which another search may continue.
+    """
+
+    def __init__(
+        self,
+        top: Top,
+        method: Method,
+        h: float,
+        y0: Array,
+        function: Function,
+        direction: Direction = "up",
+        parts: PartSteps | None = None,
+    ) -> None:
+        self.function, self.y0 = function, y0
+        self.direction: Direction = direction
+        self.parts = parts or part_steps_of(method, top, h)
+        self._given: tuple[Top, Method, float] = top, method, h
+        self.last = y0.copy()
+
+    def restarted(self, y0: Array) -> CrossingSearch:
+        """The same search by orbits from other states ``y0`` (m, d)."""
+        return CrossingSearch(*self._given, y0, self.function, self.direction, self.parts)
+
+    def add(
+        self, n: NDArray[np.int64], states: Array, first: int = 0, kept: NDArray[np.int64] | None = None
+    ) -> Crossings:
+        """Crossings within the next states (c, m, d) of the orbits from ``first`` on, after ``n`` (m,) steps in a row.
+
+        Only the first ``kept[i]`` states of each count. The initial states are no crossings.
+        """
+        count, rows, d = states.shape
+        kept = np.full(count, rows) if kept is None else kept
+        values = self.function(np.tile(n, count), states.reshape(-1, d)).reshape(count, rows)
+        here = slice(first, first + count)
+        if continues := rows > 0 and n[0] > 0:
+            before = self.function(np.full(count, n[0] - 1), self.last[here])
+            values = np.concatenate([before[:, None], values], axis=1)
+        changes = self._changes(values)
+        changes &= np.arange(1, changes.shape[1] + 1) < kept[:, None] + continues
+        orbit, row = np.divmod(np.flatnonzero(changes), max(changes.shape[1], 1))
+        beginning = states[orbit, row - continues]
+        if continues:
+            beginning[row == 0] = self.last[here][orbit[row == 0]]
+        ended = np.flatnonzero(kept)
+        self.last[first + ended] = states[ended, kept[ended] - 1]
+        begun = n[0] - continues + row if rows else row
+        return self._located(first + orbit, begun, beginning, values[orbit, row], values[orbit, row + 1])
+
+    def along(self, run: Run) -> Crossings:
+        """Carry out a run of one orbit and return its crossings."""
+        found = [self.add(chunk.n, chunk.states[None]) for chunk in run]
+        parts = zip(*((one.which, one.n, one.theta, one.states) for one in found), strict=True)
+        return Crossings(*(np.concatenate(part) for part in parts))
+
+    def _changes(self, g: Array) -> NDArray[np.bool_]:
+        """True where the values (c, m) change their sign in the section's direction before the next one (c, m - 1)."""
+        up = (g[:, :-1] < 0.0) & (g[:, 1:] >= 0.0) if self.direction != "down" else False
+        down = (g[:, :-1] > 0.0) & (g[:, 1:] <= 0.0) if self.direction != "up" else False
+        return np.asarray(up | down)
+
+    def _located(
+        self, which: NDArray[np.int64], n: NDArray[np.int64], before: Array, g0: Array, g1: Array
+    ) -> Crossings:
+        """Crossings in the steps from the states ``before`` (k, d), with the values of g at both ends (k,)."""
+
+        def value(i: NDArray[np.int64], theta: Array) -> Array:
+            return self.function(n[i] + theta, self.parts(y0[i], n[i], before[i], theta))
+
+        y0 = self.y0[which]
+        theta, found = roots(value, g0, g1)
+        kept = np.abs(found) <= ZERO * np.maximum(np.abs(g0), np.abs(g1))
+        states = self.parts(y0[kept], n[kept], before[kept], theta[kept])
+        return Crossings(which[kept], n[kept], theta[kept], states)
+
+
+def roots(function: Callable[[NDArray[np.int64], Array], Array], at_zero: Array, at_one: Array) -> tuple[Array, Array]:
+    """Roots in [0, 1] of functions that change their sign there, by Chandrupatla's method, and their values (k,).
+
+    ``function(i, x)`` evaluates the functions numbered ``i`` (j,) at ``x`` (j,); ``at_zero`` and ``at_one`` (k,) are
+    the values at both ends. A value that is not finite counts as one of the sign at the upper end.
+    """
+    count = len(at_zero)
+    best, least = np.ones(count), at_one.copy()
+    i = np.arange(count)
+    a, fa, b, fb = np.ones(count), at_one, np.zeros(count), at_zero
+    t, upper = np.full(count, 0.5), at_one
+    for _ in range(MOST_TRIALS):
+        nearer = np.abs(fa) < np.abs(fb)
+        best[i], least[i] = np.where(nearer, a, b), np.where(nearer, fa, fb)
+        smallest = TOLERANCE / np.abs(b - a).clip(TOLERANCE)
+        left = (smallest < 0.5) & (least[i] != 0.0)
+        if not left.any():
+            break
+        i = i[left]
+        a, fa, b, fb, t, upper, smallest = (one[left] for one in (a, fa, b, fb, t, upper, smallest))
+        x = a + t.clip(smallest, 1.0 - smallest) * (b - a)
+        fx = function(i, x)
+        fx = np.where(np.isfinite(fx), fx, upper)
+        same = np.sign(fx) == np.sign(fa)
+        c, fc = np.where(same, a, b), np.where(same, fa, fb)
+        b, fb = np.where(same, b, a), np.where(same, fb, fa)
+        a, fa = x, fx
+        with np.errstate(all="ignore"):
+            xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
+            smooth = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
+            inverse = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+        t = np.where(smooth, inverse, 0.5)
+    return best, least
