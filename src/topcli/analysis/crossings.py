@@ -128,7 +128,8 @@ class CrossingSearch:
 
         y0 = self.y0[which]
         theta, found = roots(value, g0, g1)
-        kept = np.abs(found) <= ZERO * np.maximum(np.abs(g0), np.abs(g1))
+        ends = np.maximum(np.abs(g0), np.abs(g1))
+        kept = np.isfinite(ends) & (np.abs(found) <= ZERO * ends)
         states = self.parts(y0[kept], n[kept], before[kept], theta[kept])
         return Crossings(which[kept], n[kept], theta[kept], states)
 

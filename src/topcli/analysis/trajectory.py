@@ -163,7 +163,8 @@ class Trajectory:
         """Return the report on invariants and modified integrals, one row each (see ``analysis.tally``)."""
         import pandas as pd
 
-        return pd.DataFrame([row.as_dict() for row in self.invariant_rows()]).set_index("name")
+        rows = self.invariant_rows() if len(self) else ()  # a section may never be crossed
+        return pd.DataFrame([row.as_dict() for row in rows], columns=None if rows else ["name"]).set_index("name")
 
     def invariant_rows(self) -> Sequence[InvariantRow]:
         """Return the report on invariants and modified integrals as rows, in the order of the columns."""

@@ -234,7 +234,10 @@ def _config(data: dict[str, Any], problems: Problems) -> Config | None:
 def _check(config: Config, top: Top | None, is_ensemble: bool, problems: Problems) -> None:
     """Add the mistakes in keys that depend on each other."""
     h, N, output, attitude = config.h, config.N, config.output, ("output", "attitude")
-    section, kept = config.section is not None, config.ensemble.get("store") if is_ensemble else None
+    section, kept = (
+        config.section is not None,
+        config.ensemble.get("store") if isinstance(config.ensemble, dict) else None,
+    )
     other, names = config.precision != DOUBLE, output.attitude_columns
     for path, wrong, text in (
         (("output", "every"), output.every > N, f"must be at most N = {N}, not {output.every}"),

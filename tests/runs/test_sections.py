@@ -1,0 +1,230 @@
+"""Crossings of Poincaré sections: where they are, which they are, and how they are recorded."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+import topcli
+from support.resuming import killed
+from topcli.analysis.crossings import roots
+from topcli.config.load import load, load_experiment
+from topcli.contracts import Stepper, same_state
+from topcli.errors import ConfigError, UsageError
+from topcli.runs.decision import RunOptions
+from topcli.runs.run import run_experiment
+
+KOWALEVSKI: dict[str, Any] = {
+    "top": "kowalevski",
+    "initial": {"omega": [0.3, 0.2, 1.1], "gamma": [0.6, 0.0, 0.8]},
+    "scheme": "hk",
+    "h": 0.05,
+    "N": 1000,
+}
+EULER: dict[str, Any] = {
+    "top": {"kind": "euler", "A": 3.0, "B": 2.0, "C": 1.0},
+    "initial": {"omega": [0.7, 0.0, 1.3]},
+    "h": 0.05,
+    "N": 1000,
+}
+LAGRANGE: dict[str, Any] = {
+    "top": "lagrange",
+    "initial": {"m": [0.3, -0.5, 1.2], "a": [0.6, 0.0, 0.8]},
+    "h": 0.05,
+    "N": 1000,
+}
+
+
+def section(**changes: Any) -> dict[str, Any]:
+    return {"section": {"component": "gamma2", **changes}}
+
+
+def half_period(moments: tuple[float, float, float], omega: tuple[float, float, float]) -> float:
+    """Time between zeros of omega of the middle axis, from Landau and Lifshitz, Mechanics, section 37."""
+    i1, i2, i3 = sorted(moments)
+    energy = sum(i * w * w for i, w in zip(moments, omega, strict=True))  # twice the energy
+    square = sum((i * w) ** 2 for i, w in zip(moments, omega, strict=True))
+    if square < energy * i2:
+        i1, i3 = i3, i1
+    rate = math.sqrt((i3 - i2) * (square - energy * i1) / (i1 * i2 * i3))
+    m = (i2 - i1) * (energy * i3 - square) / ((i3 - i2) * (square - energy * i1))
+    a, b = 1.0, math.sqrt(1.0 - m)
+    for _ in range(8):
+        a, b = (a + b) / 2.0, math.sqrt(a * b)
+    return math.pi / a / rate
+
+
+@pytest.mark.parametrize("scheme", ["exact", "taylor"])
+@pytest.mark.parametrize(
+    ("direction", "which"), [("both", slice(0, None)), ("up", slice(0, None, 2)), ("down", slice(1, None, 2))]
+)
+def test_crossings_of_a_free_body_have_the_times_of_its_period(scheme: str, direction: str, which: slice) -> None:
+    """From omega2 = 0, which is no crossing, omega2 falls: (C - A) omega3 omega1 < 0."""
+    expected = half_period((3.0, 2.0, 1.0), (0.7, 0.0, 1.3)) * np.arange(1, 100)
+    expected = expected[expected < 50.0][which]
+    found = topcli.simulate(EULER, scheme=scheme, section={"component": "omega2", "direction": direction})
+    assert len(found) == len(expected)
+    assert abs(found.t - expected).max() < 1e-13 * 50.0
+    assert abs(found["omega2"]).max() < 1e-14
+
+
+def test_crossings_of_a_regular_precession_of_lagrange() -> None:
+    """With m = Omega p + sigma a, sigma Omega = nu, a turns about p at the rate Omega."""
+    rate, tilt = 0.7, 0.6
+    a = np.array([tilt, 0.0, math.sqrt(1.0 - tilt**2)])
+    m = a / rate + [0.0, 0.0, rate]
+    start = {"m": m.tolist(), "a": a.tolist()}
+    found = topcli.simulate(LAGRANGE, initial=start, scheme="exact", section={"component": "a2", "value": 0.3})
+    expected = (math.asin(0.3 / tilt) + 2.0 * math.pi * np.arange(len(found))) / rate
+    assert len(found) == 6
+    assert abs(found.t - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize("config", [EULER, LAGRANGE, KOWALEVSKI], ids=["euler", "lagrange", "kowalevski"])
+def test_taylor_and_exact_cross_at_the_same_places(config: dict[str, Any]) -> None:
+    formula = {"omega": "omega1*omega2", "a": "a1 + a2 - 0.1", "gamma": "gamma1*gamma2"}[[*config["initial"]][-1]]
+    for h in (0.05, -0.05):
+        found = [
+            topcli.simulate(config, scheme=scheme, h=h, section={"quantity": formula, "direction": "both"})
+            for scheme in ("exact", "taylor")
+        ]
+        assert len(found[0]) == len(found[1]) > 5
+        assert abs(found[0].t - found[1].t).max() < 2e-12
+        assert abs(found[0].t - found[1].t)[:5].max() < 1e-13
+        assert abs(found[0].states - found[1].states)[:5].max() < 1e-13
+
+
+def parts_of_steps(config: dict[str, Any], before: NDArray[Any], component: int) -> tuple[float, NDArray[Any]]:
+    """Fraction of a step and state with a zero of a component, by bisection with the step as plain Python."""
+    experiment = load_experiment({"name": "x", **config})
+    method, p = experiment.method(), tuple(experiment.top.constants())
+    assert isinstance(method, Stepper)
+    p = method.parameters(experiment.top)
+
+    def state(theta: float) -> NDArray[Any]:
+        h = theta * experiment.h
+        work = (method.enter or same_state)(tuple(before.tolist()), h, p)
+        return np.array((method.leave or same_state)(method.step(work, h, p), h, p))
+
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if state(middle)[component] < 0.0 else (low, middle)
+    return high, state(high)
+
+
+@pytest.mark.parametrize("scheme", ["hk", "rk4", "hk+suzuki4"])
+def test_maps_cross_where_a_shorter_step_of_their_own_reaches_the_section(scheme: str) -> None:
+    rows = topcli.simulate(KOWALEVSKI, scheme=scheme)
+    found = topcli.simulate(KOWALEVSKI, scheme=scheme, **section())
+    value = rows["gamma2"]
+    begins = np.flatnonzero((value[:-1] < 0.0) & (value[1:] >= 0.0))
+    assert found["n"].tolist() == begins.tolist()
+    assert len(begins) > 5
+    for k, n in enumerate(begins.tolist()):
+        theta, state = parts_of_steps({**KOWALEVSKI, "scheme": scheme}, rows.states[n], 4)
+        assert found.t[k] == pytest.approx((n + theta) * 0.05, abs=1e-13)
+        assert abs(found.states[k] - state).max() < 1e-14
+
+
+def test_a_scheme_keeps_its_integrals_at_the_crossings() -> None:
+    found = topcli.simulate(KOWALEVSKI, scheme="splitting", **section())
+    assert len(found) > 5
+    assert abs(found["gamma_sq"] - 1.0).max() < 1e-13
+
+
+def test_a_pole_or_a_jump_is_no_crossing() -> None:
+    for formula in ("1/gamma2", "gamma2/abs(gamma2)"):
+        assert len(topcli.simulate(KOWALEVSKI, section={"quantity": formula, "direction": "both"})) == 0
+
+
+def test_a_formula_crosses_like_its_component() -> None:
+    found = topcli.simulate(KOWALEVSKI, **section(value=0.25))
+    same = topcli.simulate(KOWALEVSKI, section={"quantity": "4*gamma2", "value": 1.0})
+    assert len(found) > 5
+    assert np.array_equal(found.states, same.states)
+
+
+def test_roots_are_located_to_the_last_bit() -> None:
+    """Zeros of every kind of multiplicity one or three, at and between the ends."""
+    at = np.linspace(0.0, 1.0, 41)[1:]
+
+    def cubic(i: NDArray[np.int64], x: NDArray[Any]) -> NDArray[Any]:
+        return (x - at[i]) * (0.1 + (x - at[i]) ** 2)
+
+    def step(i: NDArray[np.int64], x: NDArray[Any]) -> NDArray[Any]:
+        return np.where(x < at[i], -1.0, np.nan)
+
+    every, one = np.arange(40), np.ones(40)
+    found, value = roots(cubic, cubic(every, 0.0 * one), cubic(every, one))
+    assert abs(found - at).max() <= 2.0**-51
+    assert abs(value).max() <= 2.0**-53
+    found, value = roots(step, -one, one)
+    assert abs(found - at).max() <= 2.0**-50
+    assert (abs(value) == 1.0).all()
+
+
+RUN = {"name": "crossings", **KOWALEVSKI, "h": 0.1, "N": 300_000, **section(direction="both")}
+
+
+def test_a_run_records_crossings_alone_and_resumes_to_the_same(tmp_path: Path) -> None:
+    whole = run_experiment(load(RUN), tmp_path / "whole")
+    rows = pd.read_parquet(whole.stored.series)
+    assert list(rows)[:3] == ["n", "t", "omega1"]
+    assert abs(rows["gamma2"]).max() < 1e-15
+    assert ((rows["t"] > rows["n"] * 0.1) & (rows["t"] <= (rows["n"] + 1) * 0.1 * (1 + 1e-15))).all()
+    memory = topcli.simulate(RUN)
+    assert np.array_equal(rows["t"], memory.t)
+    assert np.array_equal(rows[list(memory.top.components)], memory.states)
+    assert whole.report["section"] == {"crossings": len(rows), "never_crossed": 0}
+    assert whole.report["message"].endswith(f"; {len(rows)} crossings of the section gamma2 = 0")
+    killed(tmp_path / "killed", load_experiment(RUN), 3)
+    resumed = run_experiment(load(RUN), tmp_path / "killed", RunOptions(resume=True))
+    assert resumed.status == "resumed"
+    assert pd.read_parquet(resumed.stored.series).equals(rows)
+    times = ("seconds", "digest")
+    assert {k: v for k, v in resumed.report.items() if k not in times} == {
+        k: v for k, v in whole.report.items() if k not in times
+    }
+
+
+def test_an_ensemble_records_the_crossings_of_each_trajectory(tmp_path: Path) -> None:
+    ensemble = {"random": {"count": 70, "seed": 3, "gamma": "sphere"}}
+    both = {**RUN, "N": 2000, "section": {"component": "gamma3", "value": 0.99}}
+    result = run_experiment(load({**both, "ensemble": ensemble}), tmp_path)
+    rows = pd.read_parquet(result.stored.series)
+    starts = pd.read_parquet(result.stored.folder / "trajectories.parquet")
+    never = 0
+    for i in range(70):
+        state = starts.loc[i, [name for name in starts if name.startswith("initial_")]].tolist()
+        single = topcli.simulate({**both, "initial": {"omega": state[:3], "gamma": state[3:]}})
+        own = rows[rows["trajectory"] == i]
+        assert np.array_equal(own["t"], single.t)
+        assert np.array_equal(own[list(single.top.components)], single.states)
+        never += not len(own)
+    assert 0 < never < 70
+    assert result.report["section"] == {"crossings": len(rows), "never_crossed": never}
+    assert result.report["message"].endswith(f"; {never} of 70 trajectories never crossed it")
+
+
+def test_a_section_that_is_never_crossed_is_reported(tmp_path: Path) -> None:
+    never = {**RUN, "N": 100, "section": {"component": "gamma2", "value": 3.0}}
+    result = run_experiment(load(never), tmp_path)
+    assert result.report["message"] == "completed 100 steps (t = 10); never crossed the section gamma2 = 3 (up)"
+    assert len(pd.read_parquet(result.stored.series)) == 0
+    assert len(topcli.simulate(never)) == 0
+    assert len(topcli.simulate(never).invariants()) == 0
+
+
+def test_what_records_no_crossings_refuses_a_section(tmp_path: Path) -> None:
+    drawn = {"random": {"count": 3, "gamma": "sphere"}}
+    with pytest.raises(ConfigError, match=r"ensemble\.store: .*final"):
+        load({**RUN, "ensemble": {**drawn, "store": "final"}})
+    with pytest.raises(UsageError, match="topcli run"):
+        topcli.simulate_ensemble(RUN, ensemble=drawn)
+    with pytest.raises(ConfigError, match=r"base\.section: .*topcli run"):
+        topcli.sweep({"base": {k: v for k, v in RUN.items() if k != "name"}, "grid": {"h": [0.1]}})
