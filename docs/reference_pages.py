@@ -46,7 +46,7 @@ def config_page() -> Page:
     from topcli.config.draws import Random
     from topcli.config.ensemble import Section
     from topcli.config.formulas import CustomSection
-    from topcli.config.models import Config, Output
+    from topcli.config.models import Config, Output, PoincareSection
     from topcli.config.ranges import Range
 
     header = ("key", "type", "default", "meaning")
@@ -60,6 +60,13 @@ def config_page() -> Page:
         *table(header, keys_of(Config)),
     ]
     lines += ["## `output`", "", *table(header, keys_of(Output))]
+    lines += [
+        "## `section`",
+        "",
+        "One of `component` and `quantity`; see [Poincaré sections](../sections.md).",
+        "",
+        *table(header, keys_of(PoincareSection)),
+    ]
     lines += [
         "## `ensemble`",
         "",

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from topcli.figures.figure import Figure, MadeFigure, Request
 
 OVERLAY = "exact"
+SECTION = "section"
+"""First argument of ``topcli plot section DIR/NAME``, which draws the crossings of runs."""
 SWEEP = "sweep"
 """First argument of ``topcli plot sweep DIR/NAME``, whose figure is described by options."""
 
@@ -25,7 +27,7 @@ Names = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="FIGURE",
-        help="Names of figures, see topcli list figures; or the word sweep and the folder DIR/NAME of a sweep.",
+        help="Names of figures, see topcli list figures; or the word sweep or section and folders DIR/NAME.",
         autocompletion=complete_figure,
     ),
 ]
@@ -54,16 +56,23 @@ Configs = Annotated[
         show_default="configs",
     ),
 ]
-KeyX = Annotated[str | None, typer.Option("--x", metavar="KEY", help="Of a sweep: draw over this key.")]
+KeyX = Annotated[
+    str | None, typer.Option("--x", metavar="KEY", help="Draw a sweep over this key, or a section over this column.")
+]
 MeasureY = Annotated[
     str | None,
-    typer.Option("--y", metavar="MEASURE", help="Of a sweep: draw this measure; with --colour, over this key."),
+    typer.Option(
+        "--y", metavar="MEASURE", help="Draw this measure of a sweep (with --colour: key), or column of a section."
+    ),
 ]
 KeyBy = Annotated[
     str | None, typer.Option("--by", metavar="KEY", help="Of a sweep: draw a curve for each value of this key.")
 ]
 Colour = Annotated[
-    str | None, typer.Option("--colour", metavar="MEASURE", help="Of a sweep: draw a heat map of this measure.")
+    str | None,
+    typer.Option(
+        "--colour", metavar="MEASURE", help="Of a sweep: draw a heat map of this measure; of a section: verdict."
+    ),
 ]
 
 
@@ -92,6 +101,10 @@ def _chosen(names: list[str], options: dict[str, str | None], where: list[str]) 
     from topcli.errors import UsageError
     from topcli.figures.catalogue import FIGURES, find_figure
 
+    if names and names[0].lower() == SECTION and not (options["by"] or options["aggregate"] or where):
+        from topcli.figures.section import section_figure
+
+        return [section_figure([Path(name) for name in names[1:]], options["x"], options["y"], options["colour"])]
     if names and names[0].lower() == SWEEP:
         return [_sweep_figure(names, options, where)]
     given = [f"--{name}" for name, value in {**options, "where": where}.items() if value]
@@ -228,6 +241,7 @@ def plot(
     """Draw figures as PNG and PDF, with their data as Parquet.
 
     For a sweep: topcli plot sweep DIR/NAME --x KEY --y MEASURE --by KEY.
+    For runs with a section: topcli plot section DIR/NAME --colour verdict.
     For a run: topcli report DIR/NAME --out FILE.html.
     --set changes the runs that a figure draws, and its file has digits of
     the changed experiment in its name.

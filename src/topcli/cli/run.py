@@ -161,7 +161,8 @@ def _run_config(
         if request.dry_run:
             plan = _plan_data(experiment, request.out, options)
             if not (request.as_json or request.quiet):
-                emit(f"{experiment.name}: {plan['action']}: {plan['rows']} rows in {plan['folder']}")
+                rows = "the crossings" if plan["rows"] is None else f"{plan['rows']} rows"
+                emit(f"{experiment.name}: {plan['action']}: {rows} in {plan['folder']}")
             return ExitCode.SUCCESS, plan
         display.begin(experiment.name)
         try:
