@@ -35,6 +35,7 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "swings": ("plot", "swings", "--format", "png"),
     "integrable": ("plot", "integrable", "--format", "png"),
     "torus-points": ("plot", "torus-points", "--format", "png"),
+    "chaos": ("plot", "chaos", "--format", "png"),
     "error-and-cost": ("plot", "error-and-cost", "--format", "png"),
     "stress": ("plot", "stress", "--format", "png"),
     "work-precision": ("plot", "work-precision", "--format", "png"),

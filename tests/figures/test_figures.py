@@ -20,10 +20,11 @@ from conftest import ROOT
 from drawn_artists import columns_of, drawn_from
 from figure_studies import PREPARE
 from sweep_rows import write_rows
+from topcli.analysis import lyapunov
 from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
 from topcli.errors import RunError, UsageError
-from topcli.figures import errors, growth, period, torus
+from topcli.figures import chaos, errors, growth, period, torus
 from topcli.figures.catalogue import FIGURES, find_figure
 from topcli.figures.figure import Figure, Loaded, NothingMeasuredError, Request, _source, make_figure
 from topcli.figures.picture import Grid, Line, Panel
@@ -233,6 +234,11 @@ SOURCES: dict[str, tuple[Callable[[], str], str]] = {
     "integrable": (growth.energy_code, "figures.growth._energy_errors figures.growth.largest_by_octave"),
     "period": (period.period_code, "analysis.swings.swing_spacing analysis.swings.minima_times"),
     "torus-points": (torus.torus_code, "figures.torus.orbit figures.torus.crossings"),
+    "chaos": (
+        chaos.chaos_code,
+        "figures.chaos.random_orbits figures.chaos.chaotic_share figures.chaos._map_columns "
+        "analysis.lyapunov.growth_of analysis.lyapunov.checkpoints engine.tangent.tangent_code schemes.any_top.kahan.kahan_tangent",
+    ),
 }
 """Digest of what each study depends on, and functions of topcli whose results are in its data."""
 CONSTANTS: dict[str, list[tuple[Any, str, Any]]] = {
@@ -242,6 +248,7 @@ CONSTANTS: dict[str, list[tuple[Any, str, Any]]] = {
     "roundoff": [(growth, "STEPS", 1 << 18)],
     "integrable": [(growth, "ENERGY_H", 0.06), (growth, "ENERGY_STEPS", 1 << 19)],
     "torus-points": [(torus, "THICKNESS", 0.02)],
+    "chaos": [(chaos, "ORBITS", 64), (chaos, "ANGLE_H", 0.04), (lyapunov, "CHAOTIC", 5.0)],
 }
 """Settings of studies that are constants of a module."""
 

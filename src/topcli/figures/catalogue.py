@@ -246,6 +246,13 @@ FIGURES: dict[str, Figure] = {
             rank=1,
         ),
         Figure(
+            "chaos",
+            "Chaotic orbits of HK over the step size, and of a heavy top over its centre of gravity",
+            "kowalevski_generic_hk",
+            deferred("chaos:load_chaos"),
+            rank=1,
+        ),
+        Figure(
             "error-and-cost",
             "Kowalevski top, generic: error of the integrable map and others over h and over time",
             "kowalevski_generic_hk",

@@ -1,12 +1,30 @@
-"""Order and chaos: finite-time Lyapunov exponents of an orbit."""
+"""Order and chaos: the exponents of an orbit, and the share of chaotic orbits of maps that are integrable or not.
+
+The HK scheme of Kowalevski's top is no integrable map: with the step size, chaotic orbits appear and spread. That of
+Lagrange's top is integrable, and so is ``backlund``. A symmetric heavy top is integrable if its centre of gravity lies
+on the axis of symmetry, and chaotic motions appear as it is moved away. A gyrostat is integrable with any rotor, but
+its HK scheme with one on a principal axis only.
+"""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
-from topcli.figures.figure import Loaded
-from topcli.figures.picture import Grid, Line, Panel
+from topcli.analysis.lyapunov import Growth, Verdict, growth_of
+from topcli.contracts import Array
+from topcli.engine.fingerprint import fingerprint
+from topcli.figures.figure import Loaded, Request
+from topcli.figures.picture import Grid, Line, Panel, caption
+from topcli.figures.style import MARKERS, Styles
+from topcli.runs.identity import method_fingerprint
+from topcli.schemes.registry import find_scheme
 from topcli.studies.study import Result
+from topcli.tops import TOPS
 
 REGULAR = "regular"
 
@@ -32,3 +50,143 @@ def loaded_lyapunov(result: Result) -> Loaded:
         title=f"{config['scheme']['name']}, $h = {config['h']:g}$: {study['verdict']}",
     )
     return Loaded((panel,), lambda: columns, config, Grid(figsize=(5.4, 3.2)))
+
+
+STEPS = 10_000
+"""Steps of an orbit: 99 % of the verdicts are those of orbits 20 times longer (``benchmarks/indicators.py``)."""
+MAP_STEPS, MAP_SIZE = 4_000, 100
+MAP_STEP_SIZES = (0.02, 0.8)
+ORBITS = 512
+STEP_SIZES = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+MAPS = (
+    ("hk", "kowalevski", "HK, Kowalevski"),
+    ("hk", "lagrange", "HK, Lagrange"),
+    ("backlund", "kowalevski", "backlund"),
+)
+ANGLES = tuple(np.linspace(0.0, 90.0, 13).tolist())
+"""Angles between the axis of symmetry and the direction to the centre of gravity, in degrees."""
+ANGLE_H = 0.05
+ROTORS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.2)
+"""Strengths of a second rotor of a gyrostat, beside one on the first axis."""
+ROTOR_H, ROTOR_ORBITS = 0.5, 4096
+
+
+def random_orbits(count: int, seed: int = 7) -> Array:
+    """States (count, 6): omega normal with a standard deviation of 1.5, gamma a unit vector in a random direction."""
+    y = np.random.default_rng(seed).normal(size=(count, 6)) * np.repeat([1.5, 1.0], 3)
+    y[:, 3:] /= np.linalg.norm(y[:, 3:], axis=1, keepdims=True)
+    return y
+
+
+def growth_under(name: str, form: str, h: float, steps: int, y: Array, **parameters: float) -> Growth:
+    """Growth of tangent vectors along the orbits of a scheme from the states ``y`` (m, d)."""
+    top, scheme = TOPS[form](**parameters), find_scheme(name, form)
+    return growth_of(top, scheme, scheme.build(top, scheme.options()), h, steps, y)
+
+
+def chaotic_share(growth: Growth) -> tuple[float, float]:
+    """Share of chaotic orbits among those with a verdict, and its standard error (of at least half an orbit)."""
+    verdicts = growth.verdicts
+    chaotic = verdicts.count(Verdict.CHAOTIC)
+    count = max(1, chaotic + verdicts.count(Verdict.REGULAR))
+    share = chaotic / count
+    return share, max(np.sqrt(share * (1.0 - share) / count), 0.5 / count)
+
+
+def _map_columns() -> Iterator[tuple[str, Array]]:
+    """Exponent of each cell of the map: step size, and the size of omega in a fixed direction."""
+    sizes = np.linspace(*MAP_STEP_SIZES, MAP_SIZE)
+    lengths = np.linspace(0.05, 4.0, MAP_SIZE)
+    y = np.zeros((MAP_SIZE, 6))
+    y[:, :3], y[:, 3:] = lengths[:, None] * np.array([0.6, 0.64, 0.48]), (0.8, 0.0, 0.6)
+    rows = []
+    for h in sizes.tolist():
+        growth = growth_under("hk", "kowalevski", h, MAP_STEPS, y)
+        chaotic = np.array([verdict is Verdict.CHAOTIC for verdict in growth.verdicts])
+        rows.append(np.where(chaotic, growth.exponents, np.where(np.isfinite(growth.exponents), 0.0, np.nan)))
+    yield "map:h", np.repeat(sizes, MAP_SIZE)
+    yield "map:omega", np.tile(lengths, MAP_SIZE)
+    yield "map:exponent", np.concatenate(rows)
+
+
+def chaos_columns() -> Mapping[str, Array]:
+    """Columns of the figure: those of the map, and shares of chaotic orbits with their errors."""
+    columns, y = dict(_map_columns()), random_orbits(ORBITS)
+    columns["h"], columns["angle"], columns["rotor"] = map(np.array, (STEP_SIZES, ANGLES, ROTORS))
+    for name, form, label in MAPS:
+        shares = [chaotic_share(growth_under(name, form, h, STEPS, y)) for h in STEP_SIZES]
+        columns[f"share:{label}"], columns[f"error:{label}"] = map(np.array, zip(*shares, strict=True))
+    shares = []
+    for angle in np.radians(ANGLES).tolist():
+        tilted = {"A": 1.0, "B": 1.0, "C": 0.6, "x0": float(np.sin(angle)), "y0": 0.0, "z0": float(np.cos(angle))}
+        shares.append(chaotic_share(growth_under("hk", "heavy", ANGLE_H, STEPS, y, **tilted)))
+    columns["share:angle"], columns["error:angle"] = map(np.array, zip(*shares, strict=True))
+    y = random_orbits(ROTOR_ORBITS)[:, :3]
+    shares = [chaotic_share(growth_under("hk", "volterra", ROTOR_H, STEPS, y, b2=b)) for b in ROTORS]
+    columns["share:rotor"], columns["error:rotor"] = map(np.array, zip(*shares, strict=True))
+    return columns
+
+
+def chaos_code() -> str:
+    """Digest of everything that the columns depend on; equal digests mean equal columns."""
+    codes = [fingerprint(chaos_columns, compiled=False)]
+    for name, form in (*(each[:2] for each in MAPS), ("hk", "heavy"), ("hk", "volterra")):
+        top, scheme = TOPS[form].new(), find_scheme(name, form)
+        method = scheme.build(top, scheme.options())
+        codes += [method_fingerprint(method), fingerprint(getattr(method, "tangent", None), compiled=False)]
+    return hashlib.sha256("".join(codes).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class ChaosMap:
+    """Exponents over step size and initial state; regular orbits are white, those that broke off grey."""
+
+    title: str
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the map with its scale."""
+        shape = (MAP_SIZE, MAP_SIZE)
+        count = MAP_SIZE * MAP_SIZE
+        h, omega, found = (data[f"map:{name}"][:count].reshape(shape) for name in ("h", "omega", "exponent"))
+        axes.set_facecolor("0.75")
+        drawn = axes.pcolormesh(h, omega, np.where(found == 0.0, np.nan, found), cmap="viridis_r", rasterized=True)
+        calm = np.where(found == 0.0, 0.0, np.nan)
+        axes.pcolormesh(h, omega, calm, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
+        bar = axes.figure.colorbar(drawn, ax=axes, pad=0.02)
+        bar.set_label("exponent of chaotic orbits")
+        axes.grid(False)
+        caption(axes, "$h$", r"$|\boldsymbol{\omega}(0)|$", self.title)
+
+
+@dataclass(frozen=True)
+class SharePanel:
+    """Shares of chaotic orbits with error bars: columns ``share:LABEL`` over the column ``x``."""
+
+    x: str
+    labels: Sequence[str]
+    xlabel: str
+    title: str
+
+    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
+        """Draw the shares in percent."""
+        x = data[self.x]
+        x = x[np.isfinite(x)]
+        for i, label in enumerate(self.labels):
+            share, error = (100.0 * data[f"{kind}:{label}"][: len(x)] for kind in ("share", "error"))
+            axes.errorbar(x, share, error, label=label, marker=MARKERS[i], markersize=3.5, capsize=2.0, color=f"C{i}")
+        caption(axes, self.xlabel, "chaotic orbits in %", self.title)
+        if len(self.labels) > 1:
+            axes.legend(loc="upper left", frameon=True)
+
+
+def load_chaos(request: Request) -> Loaded:
+    """Load the map and the shares of chaotic orbits."""
+    panels = (
+        ChaosMap("(a) HK, Kowalevski top"),
+        SharePanel("h", [label for _, _, label in MAPS], "$h$", "(b) random orbits"),
+        SharePanel(
+            "angle", ["angle"], "centre of gravity off the axis, degrees", f"(c) heavy top, HK, $h = {ANGLE_H}$"
+        ),
+        SharePanel("rotor", ["rotor"], "second rotor $b_2$", f"(d) gyrostat, HK, $h = {ROTOR_H}$"),
+    )
+    return Loaded(panels, chaos_columns, {"study": chaos_code()}, Grid(2, figsize=(7.0, 5.2)))

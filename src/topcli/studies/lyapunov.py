@@ -159,7 +159,9 @@ def faults(data: Data) -> Faults:
     if data["verdict"] != "broke off":
         return Faults()
     steps = data["completed_steps"]
-    return Faults(ExitCode.FAILED, [f"the orbit broke off after step {steps}: it blew up or did not converge"])
+    return Faults(
+        ExitCode.FAILED, [f"the orbit broke off after {steps} steps or soon after: it blew up or did not converge"]
+    )
 
 
 LYAPUNOV = Study(
