@@ -1,12 +1,13 @@
 """Steps with their tangent maps against the steps alone, and the largest Lyapunov exponent against pynamicalsys.
 
-    python benchmarks/tangents.py [--json] [--repetitions 21] [--peer]
+    python benchmarks/tangents.py [--json] [--repetitions 21] [--peer] [--shares]
 
 The first table has a row for each top with a quadratic field: the HK step, and the HK step with a tangent vector,
 renormalised and its growth summed up every 64 steps; one orbit, and a tile of 64 side by side, on one core. The
 repetitions are interleaved; times are medians in nanoseconds per step of an orbit, ratios medians of those of the
 repetitions. The bar is a ratio of 2.5, and 25 ns (one orbit) and 3.5 ns (in a tile) for the Kowalevski top.
 
+With ``--shares``, instead of times, the share of chaotic orbits among 1e5 random ones under HK, after 1e4 steps.
 With ``--peer``, pynamicalsys computes the same exponent from the same map, compiled by numba, with its Jacobian.
 """
 
@@ -31,6 +32,7 @@ from topcli.engine.ensemble import TILE, EnsembleCode  # noqa: E402
 from topcli.engine.loop import loop_of  # noqa: E402
 from topcli.engine.tangent import TangentRun, tangent_code  # noqa: E402
 from topcli.field.polynomial import NotPolynomialError, field_of  # noqa: E402
+from topcli.figures.chaos import chaotic_share, growth_under, random_orbits  # noqa: E402
 from topcli.schemes.registry import all_schemes, find_scheme  # noqa: E402
 from topcli.tops import TOPS  # noqa: E402
 
@@ -155,13 +157,26 @@ def peer(steps: int = 100_000) -> dict[str, Any]:
     return {"steps": steps, "h": h, "orbits": rows}
 
 
+def show_shares(count: int = 100_000) -> None:
+    """Print the shares of chaotic orbits of three step sizes in percent, and the time of each."""
+    y = random_orbits(count)
+    for h in (0.1, 0.3, 0.6):
+        start = time.perf_counter()
+        share, error = chaotic_share(growth_under("hk", "kowalevski", h, 10_000, y))
+        print(f"h = {h}: {100 * share:.2f} +- {100 * error:.2f} % chaotic, {time.perf_counter() - start:.1f} s")
+
+
 def main() -> None:
     """Time and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--repetitions", type=int, default=21)
     parser.add_argument("--peer", action="store_true")
+    parser.add_argument("--shares", action="store_true")
     arguments = parser.parse_args()
+    if arguments.shares:
+        show_shares()
+        return
     rows = [row_of(form, arguments.repetitions) for form in quadratic_forms()]
     against = peer() if arguments.peer else None
     if arguments.json:

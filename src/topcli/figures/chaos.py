@@ -56,14 +56,14 @@ STEPS = 10_000
 """Steps of an orbit: 99 % of the verdicts are those of orbits 20 times longer (``benchmarks/indicators.py``)."""
 MAP_STEPS, MAP_SIZE = 4_000, 100
 MAP_STEP_SIZES = (0.02, 0.8)
-ORBITS = 512
-STEP_SIZES = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+ORBITS = 1024
+STEP_SIZES = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
 MAPS = (
     ("hk", "kowalevski", "HK, Kowalevski"),
     ("hk", "lagrange", "HK, Lagrange"),
     ("backlund", "kowalevski", "backlund"),
 )
-ANGLES = tuple(np.linspace(0.0, 90.0, 13).tolist())
+ANGLES = tuple(np.linspace(0.0, 90.0, 10).tolist())
 """Angles between the axis of symmetry and the direction to the centre of gravity, in degrees."""
 ANGLE_H = 0.05
 ROTORS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.2)
