@@ -237,7 +237,8 @@ SOURCES: dict[str, tuple[Callable[[], str], str]] = {
     "chaos": (
         chaos.chaos_code,
         "figures.chaos.random_orbits figures.chaos.chaotic_share figures.chaos._map_columns "
-        "analysis.lyapunov.growth_of analysis.lyapunov.checkpoints engine.tangent.tangent_code schemes.any_top.kahan.kahan_tangent",
+        "analysis.lyapunov.growth_of analysis.lyapunov.checkpoints engine.tangent.tangent_code "
+        "schemes.any_top.kahan.kahan_tangent",
     ),
 }
 """Digest of what each study depends on, and functions of topcli whose results are in its data."""
