@@ -182,7 +182,7 @@ def test_a_run_records_crossings_alone_and_resumes_to_the_same(tmp_path: Path) -
     assert np.array_equal(rows[list(memory.top.components)], memory.states)
     assert whole.report["section"] == {"crossings": len(rows), "never_crossed": 0}
     assert whole.report["message"].endswith(f"; {len(rows)} crossings of the section gamma2 = 0")
-    killed(tmp_path / "killed", load_experiment(RUN), 3)
+    killed(tmp_path / "killed", load_experiment(RUN, crossings=True), 3)
     resumed = run_experiment(load(RUN), tmp_path / "killed", RunOptions(resume=True))
     assert resumed.status == "resumed"
     assert pd.read_parquet(resumed.stored.series).equals(rows)
@@ -228,3 +228,13 @@ def test_what_records_no_crossings_refuses_a_section(tmp_path: Path) -> None:
         topcli.simulate_ensemble(RUN, ensemble=drawn)
     with pytest.raises(ConfigError, match=r"base\.section: .*topcli run"):
         topcli.sweep({"base": {k: v for k, v in RUN.items() if k != "name"}, "grid": {"h": [0.1]}})
+
+
+def test_studies_look_at_every_step() -> None:
+    """A config with a section is compared and analysed like the same config without it."""
+    plain = {name: value for name, value in RUN.items() if name != "section"} | {"N": 2000}
+    both = [{**plain, **section()}, plain]
+    deviations = [topcli.compare("hk", config=config).study["schemes"][0]["invariants"] for config in both]
+    assert deviations[0] == deviations[1]
+    assert load_experiment(both[0]).digest == load_experiment(both[1]).digest
+    assert load(both[0]).digest != load(both[1]).digest

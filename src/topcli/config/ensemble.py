@@ -351,6 +351,10 @@ class EnsembleExperiment:
         each = self.first.N // self.first.output.every + 1
         return self.count * {"trajectories": each, "final": 1, "statistics": 0}[self.store]
 
+    def of_all_steps(self) -> EnsembleExperiment:
+        """Return the same ensemble without its section."""
+        return replace(self, first=self.first.of_all_steps())
+
     def renamed(self, name: str) -> EnsembleExperiment:
         """Return the same ensemble under another name."""
         return replace(self, first=self.first.renamed(name))

@@ -64,10 +64,12 @@ def load_experiment(
     changes: Mapping[str, Any] | None = None,
     *,
     any_precision: bool = False,
+    crossings: bool = False,
 ) -> Experiment:
     """Load a single experiment; an ensemble is refused.
 
-    So is a precision other than double, unless the caller computes with it (``any_precision``). Raises as ``load``.
+    So is a precision other than double, unless the caller computes with it (``any_precision``). A section is left out,
+    so that every step is recorded, unless the caller wants the ``crossings``. Raises as ``load``.
     """
     document, name = read_config(source, overrides, changes)
     loaded = _experiment(document, name)
@@ -78,7 +80,7 @@ def load_experiment(
     if loaded.precision != DOUBLE and not any_precision:
         commands = "`topcli run`, `topcli compare` and topcli.simulate take another precision"
         raise ConfigError(document.message(("precision",), f"computed in doubles here; {commands}"))
-    return loaded
+    return loaded if crossings else loaded.of_all_steps()
 
 
 def load_named(

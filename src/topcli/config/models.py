@@ -303,6 +303,10 @@ class Experiment(BaseModel):
         """Build the scheme for the top with the options."""
         return self.scheme.build(self.top, self.options)
 
+    def of_all_steps(self) -> Experiment:
+        """Return the same experiment without its section."""
+        return self.model_copy(update={"section": None}) if self.section else self
+
     def renamed(self, name: str) -> Experiment:
         """Return the same experiment under another name."""
         return self.model_copy(update={"name": name})

@@ -91,11 +91,11 @@ def _by_code(code: Native, params: Array, h: float) -> PartSteps:
 
 def _one_by_one(loop: Loop, params: Array, h: float) -> PartSteps:
     def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
-        out = np.full_like(before, np.nan)
+        out = before.copy()
         for k, part in enumerate(theta.tolist()):
-            found = single_step(loop, before[k], params, part * h) if part else before[k]
-            if found is not None:
-                out[k] = found
+            if part:
+                found = single_step(loop, before[k], params, part * h)
+                out[k] = np.nan if found is None else found
         return out
 
     return part_steps

@@ -88,7 +88,7 @@ def simulate(
     """
     if config is None or isinstance(config, Mapping):
         config = {"name": "simulation", **(config or {})}
-    return trajectory_of(load_experiment(config, overrides, changes, any_precision=True))
+    return trajectory_of(load_experiment(config, overrides, changes, any_precision=True, crossings=True))
 
 
 MAX_NUMBERS = 5 * 10**8

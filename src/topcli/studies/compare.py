@@ -86,7 +86,7 @@ def measure(
         raise UsageError("compare: name at least one scheme, as in topcli.compare('hk', 'hybrid')")
     own, others = scheme_options(overrides)
     options = {**(options or {}), **own}
-    experiment = load(config, others, changes)
+    experiment = load(config, others, changes).of_all_steps()
     try:
         if isinstance(experiment, Experiment):
             watch.begin(experiment.name, experiment)
