@@ -211,6 +211,19 @@ def test_an_ensemble_records_the_crossings_of_each_trajectory(tmp_path: Path) ->
     assert result.report["message"].endswith(f"; {never} of 70 trajectories never crossed it")
 
 
+def test_each_group_of_an_ensemble_has_the_columns_of_its_top(tmp_path: Path) -> None:
+    base = {**EULER, "name": "groups", "scheme": "hk", "section": {"component": "omega2"}}
+    base["output"] = {"columns": ["t", "omega1", "modified_k12"], "quantities": {"moment": "A*omega1"}}
+    result = run_experiment(load({**base, "ensemble": {"grid": {"top.A": [3.0, 4.0], "omega1": [0.7]}}}), tmp_path)
+    rows = pd.read_parquet(result.stored.series)
+    for i, A in enumerate([3.0, 4.0]):
+        single = topcli.simulate({**base, "top": {**EULER["top"], "A": A}})
+        own = rows[rows["trajectory"] == i]
+        assert len(own) > 3
+        for name in ("t", "omega1", "modified_k12", "moment"):
+            assert np.array_equal(own[name], single[name])
+
+
 def test_a_section_that_is_never_crossed_is_reported(tmp_path: Path) -> None:
     never = {**RUN, "N": 100, "section": {"component": "gamma2", "value": 3.0}}
     result = run_experiment(load(never), tmp_path)

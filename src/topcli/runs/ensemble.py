@@ -122,7 +122,8 @@ class GroupRun(Generic[Kept]):
 
     def crossing_rows(self, found: Crossings) -> Columns:
         """Columns of crossings."""
-        table = crossing_columns(self.experiment.first, self.group.top, found, self.names)
+        one = self.experiment.first.model_copy(update={"top": self.group.top})
+        table = crossing_columns(one, found, self.names)
         return {"trajectory": found.which + self.offset, **table}
 
     def last_rows(self) -> Columns:

@@ -17,7 +17,7 @@ from topcli.analysis.crossings import Crossings
 from topcli.analysis.quantities import QuantityTally
 from topcli.analysis.tally import InvariantTally
 from topcli.config.models import SECTION_TALLY, Experiment
-from topcli.contracts import Array, Ending, Method, Top
+from topcli.contracts import Array, Ending, Method
 from topcli.engine.run import CHUNK_ROWS, Chunk, Position, Run
 from topcli.runs.report import left_motion
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
@@ -165,7 +165,7 @@ class Recorder:
         if len(n):
             self.quantities.add(observed)
         if found is not None:
-            return crossing_columns(self._experiment, top, found, self._names)
+            return crossing_columns(self._experiment, found, self._names)
         return columns(top, n, h, states, self._names, self._modified, values | observed | attitude)
 
     def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
@@ -193,20 +193,10 @@ def tallied_rows(n: NDArray[np.int64]) -> slice:
     return slice(-int(n[0]) % SECTION_TALLY, None, SECTION_TALLY)
 
 
-def crossing_columns(
-    experiment: Experiment, top: Top, found: Crossings, names: Sequence[str]
-) -> dict[str, NDArray[Any]]:
+def crossing_columns(experiment: Experiment, found: Crossings, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Columns of crossings: ``n`` is the number of whole steps before each, ``t`` its time."""
-    return columns(
-        top,
-        found.n + found.theta,
-        experiment.h,
-        found.states,
-        names,
-        experiment.modified,
-        {"n": found.n},
-        experiment.quantities,
-    )
+    n, h, modified = found.n + found.theta, experiment.h, experiment.modified
+    return columns(experiment.top, n, h, found.states, names, modified, {"n": found.n}, experiment.quantities)
 
 
 def run_of(
