@@ -224,7 +224,7 @@ def test_lines_are_the_numbers_that_they_name(name: str, tmp_path: Path, monkeyp
 def test_every_figure_of_the_catalogue_is_inspected() -> None:
     here = {"period", "roundoff", "stress", "compare", "heavy-drift"}
     spatial = {"sphere", "nutation", "polhodes", "body", "traces"}
-    motions = {"bifurcation", "torus", "torus-points", "catalogue"}
+    motions = {"chaos", "bifurcation", "torus", "torus-points", "catalogue"}
     assert set(FIGURES) == {*SCENES, *STUDIES, *here, *spatial, *motions}
 
 

@@ -202,8 +202,13 @@ def _expectation() -> Any:
     return expected_false
 
 
-_compiled: dict[tuple[object, ...], Any] = {}
-"""Kernels that this process has compiled, by their content and how: a composition has those of its base."""
+@cache
+def _compiled() -> dict[tuple[object, ...], Any]:
+    """Kernels that this process has compiled, by their content and how: a composition has those of its base.
+
+    A function, because the value of a global variable would enter the digests of all that compiles.
+    """
+    return {}
 
 
 class _Kernels(Copier):
@@ -216,9 +221,10 @@ class _Kernels(Copier):
         if inner is None or id(inner) in self.done or id(inner) in self.open:
             return super().compiled(value, names)
         key = fingerprint(inner), *self.kind
-        if key not in _compiled:
-            _compiled[key] = super().compiled(value, names)
-        return _compiled[key]
+        known = _compiled()
+        if key not in known:
+            known[key] = super().compiled(value, names)
+        return known[key]
 
 
 def _compile(function: Callable[..., Any], signature: str, inline: bool, duals: bool) -> Any:

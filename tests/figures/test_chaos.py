@@ -1,0 +1,63 @@
+"""The figure ``chaos``: shares with their errors, the map of exponents, and what the panels draw of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from topcli.analysis.lyapunov import Growth
+from topcli.figures import chaos
+from topcli.figures.picture import Grid, draw
+
+KINDS = {"chaotic": (60.0, 110.0), "regular": (8.0, 8.5), "undecided": (10.0, 13.8), "broke off": (np.nan, np.nan)}
+"""Growth at half of the time and at the end."""
+
+
+def growth(**counts: int) -> Growth:
+    pairs = [KINDS[kind.replace("_", " ")] for kind, count in counts.items() for _ in range(count)]
+    half, end = np.array(pairs).T
+    logs = np.array([np.zeros(len(pairs)), half, end])
+    return Growth(np.array([100, 500, 1000]), 1.0, logs, np.ones(len(pairs)))
+
+
+def test_share_of_chaotic_orbits_and_its_error() -> None:
+    """Among those with a verdict; the error is that of a binomial distribution, half an orbit at least."""
+    share, error = chaos.chaotic_share(growth(chaotic=30, regular=90, undecided=7, broke_off=3))
+    assert share == 0.25
+    assert error == pytest.approx(math.sqrt(0.25 * 0.75 / 120))
+    assert chaos.chaotic_share(growth(regular=50)) == (0.0, 0.01)
+    assert chaos.chaotic_share(growth(broke_off=5))[0] == 0.0
+
+
+def test_panels_draw_their_columns() -> None:
+    size = chaos.MAP_SIZE
+    h, omega = np.linspace(0.1, 0.2, size), np.linspace(1.0, 2.0, size)
+    exponent = np.random.default_rng(1).uniform(0.1, 0.2, size * size)
+    exponent[:size], exponent[size : 2 * size] = 0.0, np.nan
+    columns = {
+        "map:h": np.repeat(h, size),
+        "map:omega": np.tile(omega, size),
+        "map:exponent": exponent,
+        "angle": np.append([0.0, 45.0, 90.0], np.full(9, np.nan)),
+        "share:one": np.array([0.0, 0.2, 0.1]),
+        "error:one": np.array([0.01, 0.02, 0.03]),
+    }
+    panels = (chaos.ChaosMap("map"), chaos.SharePanel("angle", ["one"], "angle", "shares"))
+    figure = draw(panels, columns, Grid(figsize=(7.0, 3.0)))
+    plane, shares = figure.axes[:2]
+    chaotic, regular = (mesh.get_array().filled(np.nan).ravel() for mesh in plane.collections)
+    assert np.array_equal(np.isfinite(chaotic), exponent > 0.0)
+    assert np.array_equal(chaotic[np.isfinite(chaotic)], exponent[exponent > 0.0])
+    assert np.array_equal(np.isfinite(regular), exponent == 0.0)
+    (container,) = shares.containers
+    line, _, (bars,) = container
+    assert line.get_xydata().tolist() == [[0.0, 0.0], [45.0, 20.0], [90.0, 10.0]]
+    assert [path.vertices[:, 1].tolist() for path in bars.get_paths()] == [[-1.0, 1.0], [18.0, 22.0], [7.0, 13.0]]
+
+
+def test_random_orbits() -> None:
+    y = chaos.random_orbits(20_000)
+    assert np.linalg.norm(y[:, 3:], axis=1) == pytest.approx(1.0)
+    assert y[:, :3].std(axis=0) == pytest.approx([1.5] * 3, rel=0.03)
