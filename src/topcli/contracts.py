@@ -616,6 +616,8 @@ class Block:
         As in ``Stepper``.
     advice : callable, optional
         As in ``Stepper``.
+    tangent : callable, optional
+        ``tangent()`` returns the Block of the state and a tangent vector, of 2 d components. None if there is none.
     """
 
     text: Callable[[], str]
@@ -624,6 +626,7 @@ class Block:
     counters: tuple[str, ...] = ()
     iterative: bool = False
     advice: Callable[[Sequence[float], float], str] | None = None
+    tangent: Callable[[], Block] | None = None
 
 
 Method = Stepper | Sampler | Block

@@ -58,7 +58,7 @@ def test_command(cli) -> None:
     ("config", "overrides", "words"),
     [
         ("kowalevski_exact", [], "scheme 'exact' is a solution in closed form"),
-        ("heavy_taylor", [], "scheme 'taylor' chooses its steps"),
+        ("heavy_dop853", [], "scheme 'dop853' calls library functions"),
         ("kowalevski_hk", ["N=10"], "N = 10: too few steps for an exponent; take at least 1000"),
         ("kowalevski_ensemble", [], "a single one is needed"),
     ],

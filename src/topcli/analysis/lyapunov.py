@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Method, Scheme, Top, check_stop, stop_asked
 from topcli.engine.ensemble import default_threads, tile_of
-from topcli.engine.tangent import TangentCode, TangentRun, tangent_code
+from topcli.engine.tangent import BlockCode, BlockRun, TangentCode, TangentRun, tangent_code
 
 FEWEST_STEPS, MOST_STEPS = 8, 64
 """Steps from one renormalisation of the vectors to the next."""
@@ -158,7 +158,7 @@ def _rates(top: Top, states: Array, units: Array) -> Array:
         return _mean(speed)
 
 
-def _taken(run: TangentRun, steps: int, every: int, stop: Callable[[], bool]) -> bool:
+def _taken(run: TangentRun | BlockRun, steps: int, every: int, stop: Callable[[], bool]) -> bool:
     """Take ``steps`` steps with renormalisations every ``every``; False if asked to stop."""
     blocks = max(1, CALL_STEPS // (every * run.code.lanes))
     whole, rest = divmod(steps, every)
@@ -179,12 +179,18 @@ SMALLEST = 1e-8
 
 
 def _tile_growth(
-    code: TangentCode, top: Top, h: float, points: NDArray[np.int64], y: Array, seed: int, stop: Callable[[], bool]
+    code: TangentCode | BlockCode,
+    top: Top,
+    h: float,
+    points: NDArray[np.int64],
+    y: Array,
+    seed: int,
+    stop: Callable[[], bool],
 ) -> tuple[Array, Array]:
     """Growth (k, m) and rates (m,) of the orbits of a tile from ``y`` (m, d)."""
     first, every = np.random.default_rng(seed).normal(size=y.shape), interval(h, int(points[-1]))
     first *= _units(top, y[None])
-    run, states, done = TangentRun(code, h, y, first), [y], 0
+    run, states, done = code.run(h, y, first), [y], 0
     logs, vectors = np.full((len(points), len(y)), np.nan), np.full((len(points), *y.shape), np.nan)
     looked = set(np.linspace(0, len(points) - 1, STATES).round().astype(int).tolist())
     for k, n in enumerate(points.tolist()):
@@ -248,7 +254,7 @@ def spectrum_of(
     code = tangent_code(scheme, top, method, tile_of(d))
     vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(d, d)))[0]
     y = np.repeat(np.array([y0], dtype=float), d, axis=0)
-    run, every, points = TangentRun(code, h, y, vectors), interval(h, N), checkpoints(N)
+    run, every, points = code.run(h, y, vectors), interval(h, N), checkpoints(N)
     logs, total, states, done = np.full((len(points), d), np.nan), np.zeros(d), [y[:1]], 0
     for k, n in enumerate(points.tolist()):
         while done < n:

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from topcli.contracts import Array, Method, Sampler, Scheme, Stepper, Top, same_state
+from topcli.contracts import Array, Block, Method, Sampler, Scheme, Stepper, Top, same_state
 from topcli.engine.duals import dual, slope_of, value_of
+from topcli.engine.loop import Loop, loop_of
 from topcli.engine.native import CompileError, Native, native
 from topcli.engine.source import place_of, plain_function
 from topcli.errors import UsageError
@@ -133,10 +134,28 @@ class TangentCode:
     d: int
     lanes: int
 
+    def run(self, h: float, y: Array, vectors: Array) -> TangentRun:
+        """Orbits with steps of ``h`` from the states ``y`` (m, d) and ``vectors`` (m, d), m <= lanes."""
+        return TangentRun(self, h, y, vectors)
 
-def obstacle(scheme: Scheme, method: Method) -> str:
+
+@dataclass(frozen=True)
+class BlockCode:
+    """Time loop of a method that has its own, for the state and a tangent vector; orbits are computed one by one."""
+
+    loop: Loop
+    params: Array
+    d: int
+    lanes: int
+
+    def run(self, h: float, y: Array, vectors: Array) -> BlockRun:
+        """Orbits with steps of ``h`` from the states ``y`` (m, d) and ``vectors`` (m, d)."""
+        return BlockRun(self, h, y, vectors)
+
+
+def obstacle(method: Method) -> str:
     """Reason why a method has no tangent map, a verb phrase; empty if it has one."""
-    if isinstance(method, Stepper) and not method.plain:
+    if (isinstance(method, Stepper) and not method.plain) or (isinstance(method, Block) and method.tangent):
         return ""
     if isinstance(method, Sampler):
         return "is a solution in closed form, which is not differentiated"
@@ -145,16 +164,20 @@ def obstacle(scheme: Scheme, method: Method) -> str:
     return "chooses its steps by itself"
 
 
-def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> TangentCode:
+def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> TangentCode | BlockCode:
     """Machine code of the step of a ``method`` with its tangent map.
 
     Raises UsageError for a method that has none.
     """
-    reason = obstacle(scheme, method)
-    if reason or not isinstance(method, Stepper):
+    reason = obstacle(method)
+    if reason or isinstance(method, Sampler):
         raise UsageError(f"scheme {scheme.name!r} {reason}; use a scheme with steps of its own, such as hk or rk4")
+    d = len(top.components)
+    if isinstance(method, Block):
+        assert method.tangent  # otherwise it is refused above
+        return BlockCode(loop_of(method.tangent(), 2 * d, 0), np.array(top.constants()), d, lanes)
     given = method.tangent() if method.tangent else None
-    stepper, d = given or method, len(top.components)
+    stepper = given or method
     params = np.array(stepper.parameters(top))
     make = _template(stepper.width, d, len(params), given is not None, len(stepper.counters), lanes)
     try:
@@ -214,3 +237,32 @@ class TangentRun:
     def growth(self) -> Array:
         """Sum of the logarithms by which the vectors have grown (m,); nan for an orbit that broke off."""
         return self._out[-1, : self.count].copy()
+
+
+class BlockRun:
+    """As ``TangentRun``, by a method with its own time loop, which begins anew after each renormalisation."""
+
+    def __init__(self, code: BlockCode, h: float, y: Array, vectors: Array) -> None:
+        self.code, self.h = code, h
+        self.states, self.vectors = np.array(y, dtype=float), np.array(vectors, dtype=float)
+        self.growth = np.zeros(len(y))
+
+    def advance(self, blocks: int, every: int, renormalise: bool = True) -> None:
+        """As ``TangentRun.advance``."""
+        loop, params, d = self.code.loop, self.code.params, self.code.d
+        work, end = np.zeros(loop.width), np.empty(2 * d)
+        with np.errstate(all="ignore"):
+            for i in range(len(self.states)):
+                for _ in range(blocks):
+                    loop.enter(np.concatenate([self.states[i], self.vectors[i]]), work, params, self.h)
+                    if loop.drive(work, end, params, self.h, every, every, every) < 0:
+                        end[:] = np.nan
+                    self.states[i], self.vectors[i] = end[:d], end[d:]
+                    if renormalise:
+                        size = np.linalg.norm(end[d:])
+                        self.growth[i] += np.log(size)
+                        self.vectors[i] /= size
+
+    def restart(self, vectors: Array) -> None:
+        """As ``TangentRun.restart``."""
+        self.vectors = np.array(vectors)

@@ -36,7 +36,7 @@ from functools import lru_cache
 from itertools import islice
 from typing import Any, Generic, TypeVar
 
-from topcli.field.polynomial import Field, Polynomial, strongly_connected
+from topcli.field.polynomial import Field, Polynomial, strongly_connected, variational
 from topcli.field.straight_line import ONE, Graph, Sum, Term, is_power_of_two, minus
 
 HALF = Fraction(1, 2)
@@ -277,15 +277,6 @@ class KahanStep:
     def divisors(self) -> list[int]:
         """Nodes of all determinants, each followed by the sum of the magnitudes of its terms."""
         return [node for determinant in self._determinants for node in (determinant, self.graph.size(determinant))]
-
-
-def variational(field: Field) -> Field:
-    """The field (f(y), f'(y) v) of a state y and a tangent vector v, whose indices follow those of y."""
-    d = len(field)
-    tangent = (
-        sum((rate.derivative(j) * Polynomial.variable(d + j) for j in range(d)), start=Polynomial({})) for rate in field
-    )
-    return (*field, *tangent)
 
 
 class KahanTangent(KahanStep):

@@ -200,6 +200,15 @@ Field = tuple[Polynomial, ...]
 """Right-hand sides of the differential equations, one for each component of the state."""
 
 
+def variational(field: Field) -> Field:
+    """The field (f(y), f'(y) v) of a state y and a tangent vector v, whose indices follow those of y."""
+    d = len(field)
+    tangent = (
+        sum((rate.derivative(j) * Polynomial.variable(d + j) for j in range(d)), start=Polynomial({})) for rate in field
+    )
+    return (*field, *tangent)
+
+
 def strongly_connected(links: Sequence[Iterable[int]], nodes: Sequence[int]) -> list[tuple[int, ...]]:
     """Strongly connected components of the ``nodes``, where i depends on ``links[i]``, in the order of computation."""
     reached = {i: {i} for i in nodes}

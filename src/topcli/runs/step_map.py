@@ -13,7 +13,7 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
-from topcli.engine.tangent import TangentCode, TangentRun, tangent_code
+from topcli.engine.tangent import BlockCode, TangentCode, tangent_code
 from topcli.errors import UsageError
 
 
@@ -41,7 +41,7 @@ class StepMap:
         self.initial = np.array(experiment.y0, dtype=float)
         self._method = experiment.method()
         self._codes: dict[int, EnsembleCode] = {}
-        self._tangents: dict[int, TangentCode] = {}
+        self._tangents: dict[int, TangentCode | BlockCode] = {}
 
     def __repr__(self) -> str:
         experiment = self.experiment
@@ -110,7 +110,7 @@ class StepMap:
         found = np.full((2, *y.shape), np.nan)
         for first in range(0, len(y), lanes):
             part = slice(first, first + lanes)
-            run = TangentRun(self._tangents[lanes], self.h, y[part], v[part])
+            run = self._tangents[lanes].run(self.h, y[part], v[part])
             run.advance(1, steps, renormalise=False)
             found[0, part], found[1, part] = run.states, run.vectors
         found[:, ~np.isfinite(found).all(axis=(0, 2))] = np.nan

@@ -503,7 +503,7 @@ def counter(batch: Batch, name: str) -> Array:
 
 
 def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
-    reason = tangent_obstacle(scheme, scheme.build(top, scheme.options()))
+    reason = tangent_obstacle(scheme.build(top, scheme.options()))
     return reason and f"scheme {scheme.name!r} {reason}"
 
 

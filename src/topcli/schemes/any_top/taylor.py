@@ -20,7 +20,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.contracts import Array, Block, Top
-from topcli.field.polynomial import required_field
+from topcli.field.polynomial import Field as VectorField
+from topcli.field.polynomial import required_field, variational
 from topcli.field.units import NaturalUnits
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of, expand, taylor_increment
 from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, two_sum
@@ -316,9 +317,13 @@ def build(top: Top, options: Tolerance) -> Block:
     number of series. If a series reaches less than 1.5e-8 of h, so that one step would take 7e7 of them or more, the
     run ends as `no_convergence`.
     """
-    field = required_field(top, "scheme 'taylor'", exact=Fraction)
+    return series_block(required_field(top, "scheme 'taylor'", exact=Fraction), options.tol)
+
+
+def series_block(field: VectorField, tol: float) -> Block:
+    """Taylor series of any polynomial field to a tolerance; its tangent map is that of the variational field."""
     a = arrangement_of(tuple(tuple(sorted(rate.terms)) for rate in field))
-    order, level = order_for(options.tol), log2_tolerance(options.tol)
+    order, level = order_for(tol), log2_tolerance(tol)
     natural, base, d = NaturalUnits(field), 2 * a.lanes, len(field)
     tables: dict[tuple[int, ...], Array] = {}
 
@@ -342,4 +347,5 @@ def build(top: Top, options: Tolerance) -> Block:
         ("expansions",),
         iterative=True,
         advice=lambda work, h: f"a step of {h:g} would need {1.0 / SHORTEST_REACH:.0e} series or more",
+        tangent=lambda: series_block(variational(field), tol),
     )
