@@ -426,13 +426,15 @@ def _compared(top: Top) -> tuple[EulerPoisson, str]:
     if field is None:  # then the equations are all there is
         return equations, ""
     p, signs = tuple(map(float, top.constants())), np.array([equations.omega_sign] * 3 + [1.0] * 3)
+    (A, B, C), (x0, y0, z0) = (map(float, three) for three in (equations.moments, equations.gravity))
+    in_doubles = EulerPoisson((A, B, C), (x0, y0, z0))
     if d not in (3, 6):
         return equations, f"its state has {d} components; expected omega (3), or omega and gamma (6)"
     for probe in range(PROBES):
         direction = np.cos(np.arange(1.0, 7.0) + 6.0 * probe)  # in general position
         for omega, gamma in SIZES:
             y = np.concatenate([omega * direction[:3], (gamma if d == 6 else 0.0) * direction[3:]])
-            sized = [Sized.of(rate) for rate in equations.rates(tuple(map(Sized, (signs * y).tolist())))]
+            sized = [Sized.of(rate) for rate in in_doubles.rates(tuple(map(Sized, (signs * y).tolist())))]
             expected, terms = signs * [one.value for one in sized], np.array([one.size for one in sized])
             with np.errstate(all="ignore"):
                 rates = np.array(field(tuple(y[:d].tolist()), p), dtype=float)
