@@ -365,7 +365,7 @@ def test_a_ready_sweep_is_short_and_its_measures_fit(name: str) -> None:
     found = ready(name)
     assert found["name"] == name
     top = top_class(found["base"]["top"]).new()
-    for scheme in found["grid"]["scheme"]:
+    for scheme in found["grid"].get("scheme", [found["base"].get("scheme")]):
         measures = resolve_measures(found["measure"], top, find_scheme(scheme, top.form))
         assert [one.name for one in measures] == found["measure"]
 
