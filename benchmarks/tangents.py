@@ -54,7 +54,7 @@ def quadratic_forms() -> list[str]:
 
 
 def works(form: str) -> dict[str, tuple[Callable[[], Any], int]]:
-    """What is timed for a top, and its number of steps."""
+    """Calls that are timed for a top, each with its number of steps."""
     top, scheme = TOPS[form].new(), find_scheme("hk", form)
     method, d = scheme.build(top, scheme.options()), len(top.components)
     rng = np.random.default_rng(1)

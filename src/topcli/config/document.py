@@ -273,7 +273,7 @@ _EXPECTED = {
     "list": "a list",
     "dict": "a section with keys",
 }
-"""What a key must be, by the beginning of the name of pydantic's error."""
+"""Kinds of values that keys may need, by the beginning of the name of pydantic's error."""
 _BOUNDS = {
     "literal_error": "must be {expected}",
     "enum": "must be {expected}",

@@ -85,7 +85,7 @@ def turn_order(order: int | None, adaptive: bool) -> int:
 
 @cache
 def turns_of(top: type[Top], constants: int) -> Callable[..., int]:
-    """Function ``turns(states, out, c, h, order, steps)`` for a top with so many ``constants``.
+    """Function ``turns(states, out, c, h, order, steps)`` for a top with this number of ``constants``.
 
     It writes the turns of ``steps`` steps of h between successive rows of ``states``. ``c`` holds the constants, and
     then room for the extrapolation. State and quaternion are integrated together, by Gragg's method in 2, 4, 6, ...

@@ -17,7 +17,7 @@ from topcli.arithmetic.fused import unlikely
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, same_state
 from topcli.engine.native import CompileError, native, native_text
 from topcli.engine.setups import SetupTime, prepare
-from topcli.engine.source import place_of, plain_function
+from topcli.engine.source import place_of
 from topcli.errors import SchemeCodeError
 
 SIGNATURE = "pppdqqq"
@@ -189,10 +189,9 @@ class Loop:
 
 def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:
     """Error for a step that the compiler refuses, with its file and line."""
-    step = plain_function(method.step)
-    where = place_of(step) if step else repr(method.step)
     return SchemeCodeError(
-        f"{where}: the step cannot be compiled for a state of length {d} (working state {method.width}): {error}"
+        f"{place_of(method.step)}: the step cannot be compiled for a state of length {d} "
+        f"(working state {method.width}): {error}"
     )
 
 
@@ -203,9 +202,7 @@ def _checked_length(method: Stepper) -> Stepper:
     def step(s: Any, h: float, p: Any) -> Any:
         new = inner(s, h, p)
         if len(new) != len(s):
-            known = plain_function(inner)
-            where = place_of(known) if known else repr(inner)
-            raise SchemeCodeError(f"{where}: the step returns {len(new)} numbers; expected {len(s)}")
+            raise SchemeCodeError(f"{place_of(inner)}: the step returns {len(new)} numbers; expected {len(s)}")
         return new
 
     return replace(method, step=step)

@@ -147,7 +147,7 @@ class Arithmetic:
     root: Callable[[Any], Any]
     """Square root; raises NotRationalError if it is not rational."""
     purpose = "precision"
-    """What asks for the arithmetic, for messages."""
+    """Use of the arithmetic, for messages."""
 
     def __init__(self, name: str, bits: int, library: str) -> None:
         self.name, self.bits, self.library = name, bits, library

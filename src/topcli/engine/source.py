@@ -52,9 +52,10 @@ def plain_function(value: object) -> types.FunctionType | None:
     return value if isinstance(value, types.FunctionType) else None
 
 
-def place_of(function: types.FunctionType) -> str:
-    """File and line of a function, for messages."""
-    return f"{function.__code__.co_filename}:{function.__code__.co_firstlineno}"
+def place_of(function: Callable[..., Any]) -> str:
+    """File and line of a function, for messages; of another callable, its ``repr``."""
+    known = plain_function(function)
+    return f"{known.__code__.co_filename}:{known.__code__.co_firstlineno}" if known else repr(function)
 
 
 def _names(code: types.CodeType) -> Iterator[str]:

@@ -20,7 +20,7 @@ from topcli.contracts import Array, Block, Method, Sampler, Scheme, Stepper, Top
 from topcli.engine.duals import dual, slope_of, value_of
 from topcli.engine.loop import Loop, loop_of
 from topcli.engine.native import CompileError, Native, native
-from topcli.engine.source import place_of, plain_function
+from topcli.engine.source import place_of
 from topcli.errors import UsageError
 
 SIGNATURE = "pppdqqqq"
@@ -187,8 +187,7 @@ def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> Tangen
             duals=given is None,
         )
     except CompileError as error:
-        step = plain_function(stepper.step)
-        where = place_of(step) if step else repr(stepper.step)
+        where = place_of(stepper.step)
         raise UsageError(f"{where}: the step of {scheme.name!r} cannot be differentiated: {error}") from None
     return TangentCode(stepper, given is not None, code, params, d, lanes)
 

@@ -121,7 +121,7 @@ def printed(result: Result) -> Iterator[Table]:
 
 
 def notes(data: Data) -> Iterator[str]:
-    """What the constants mean."""
+    """Meaning of the constants."""
     if not data["constants"]:
         yield f"no polynomial up to degree {data['degree']} is constant within the tolerance {data['tolerance']:g}"
     elif len(data["sources"]) == 1:

@@ -177,7 +177,7 @@ TABLE = Table(
 
 
 def notes(data: Data) -> Iterator[str]:
-    """What the columns mean, and what the rows cannot show."""
+    """Meaning of the columns, and the limits of the rows."""
     if not data["completed"]:
         return
     yield (

@@ -142,7 +142,7 @@ def recomputed_tau(s: Floats, h: float, c: float) -> float:
 
 
 def of_any_length(tau: Tau, longest: int, advance: Advance) -> StepFunction:
-    """What ``advance`` makes of omega and gamma with the parameter ``tau``, and the status: nan for a step too long.
+    """Image of omega and gamma under ``advance`` with the parameter ``tau``, and the status: nan for a step too long.
 
     ``longest`` is the slot of the longest step.
     """
