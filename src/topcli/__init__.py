@@ -1,6 +1,6 @@
 """Numerical experiments on discrete spinning tops.
 
-The names of the Python interface are imported on first use, so that ``import topcli`` costs nothing::
+The names of the Python interface are imported on first use, so that ``import topcli`` takes almost no time::
 
     import topcli
 

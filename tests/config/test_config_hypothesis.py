@@ -255,7 +255,7 @@ def test_any_section_of_an_ensemble_is_refused_or_round_trips(section: dict[str,
     assert (first.digest, states.tobytes()) == (again.digest, others.tobytes())
 
 
-# Half a surrogate pair is no text that UTF-8 can hold.
+# Half a surrogate pair is not a text that UTF-8 can hold.
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
 SECTION_VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**18), 10**18) | numbers | TEXT,

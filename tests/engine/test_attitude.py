@@ -117,7 +117,7 @@ def test_taylor_turns_to_round_off(top: str, h: float) -> None:
 
 
 def test_a_top_of_formulas_turns_by_its_angular_velocity() -> None:
-    """One that is no polynomial, without a vertical: to the order of the scheme from the identity on."""
+    """One that is not a polynomial, without a vertical: to the order of the scheme from the identity on."""
     field = {"u": "sin(2*v)", "v": "-u*cos(u)"}
     top = {"kind": "custom", "components": ["u", "v"], "field": field, "angular_velocity": ["u*v", "exp(-v)", "k"]}
     made = {"name": "t", "top": top | {"parameters": {"k": 0.7}}, "initial": {"u": 0.8, "v": -0.3}, "output": OUTPUT}

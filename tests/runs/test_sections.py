@@ -63,7 +63,7 @@ def half_period(moments: tuple[float, float, float], omega: tuple[float, float, 
     ("direction", "which"), [("both", slice(0, None)), ("up", slice(0, None, 2)), ("down", slice(1, None, 2))]
 )
 def test_crossings_of_a_free_body_have_the_times_of_its_period(scheme: str, direction: str, which: slice) -> None:
-    """From omega2 = 0, which is no crossing, omega2 falls: (C - A) omega3 omega1 < 0."""
+    """From omega2 = 0, which is not a crossing, omega2 falls: (C - A) omega3 omega1 < 0."""
     expected = half_period((3.0, 2.0, 1.0), (0.7, 0.0, 1.3)) * np.arange(1, 100)
     expected = expected[expected < 50.0][which]
     found = topcli.simulate(EULER, scheme=scheme, section={"component": "omega2", "direction": direction})

@@ -303,7 +303,7 @@ def test_a_field_of_degree_six_is_solved_to_an_ulp() -> None:
 
 
 class Pendulum(Top):
-    """A field that is no polynomial."""
+    """A field that is not a polynomial."""
 
     kind = "pendulum"
     components = ("q", "p")

@@ -1,4 +1,4 @@
-"""Example of a scheme in a separate package: Bohlin's method with gamma by the BS scheme."""
+"""Example of a scheme in a separate package: Bohlin's method, with gamma by the Bobenko-Suris (BS) scheme."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from topcli.contracts import Floats, Stepper
 
 
 def rotated(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, float, float]:
-    """Rotated vector: solve g' - g = (g' + g) x a for g'."""
+    """Return the rotated vector g' that solves g' - g = (g' + g) x a."""
     b1 = fma(g2, a3, -(g3 * a2))
     b2 = fma(g3, a1, -(g1 * a3))
     b3 = fma(g1, a2, -(g2 * a1))
@@ -23,7 +23,7 @@ def rotated(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) ->
 
 
 def sinc_cosc(t: float) -> tuple[float, float]:
-    """Return sin(x)/x and (1 - cos(x))/x**2 for t = x**2, by the polynomials of fdlibm for a small angle."""
+    """Return sin(x)/x and (1 - cos(x))/x**2 for t = x**2; for small x, by the polynomials of the library fdlibm."""
     if t <= 0.6168502750680849:
         u = t * t
         low = fma(t, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
@@ -40,7 +40,7 @@ def sinc_cosc(t: float) -> tuple[float, float]:
 
 
 def nearest_root(x: float, y: float, p1: float, p2: float) -> tuple[float, float]:
-    """Square root of 2 (x + i y) nearest to p1 + i p2."""
+    """Return the square root of 2 (x + i y) that is nearest to p1 + i p2."""
     m = math.sqrt(x * x + y * y) + abs(x)
     ratio = y / (m + 1e-290)
     t = math.sqrt(m)
@@ -54,13 +54,13 @@ def nearest_root(x: float, y: float, p1: float, p2: float) -> tuple[float, float
 
 
 def step(s: Floats, h: float, p: Floats) -> Floats:
-    """One step of Bohlin's method with Method A."""
+    """Return the state after one step of Bohlin's method with Method A."""
     w1, w2, w3, g1, g2, g3 = s
     c = 0.5 * p[0]
     d = 0.5 * h
     f = h * c
     n1, n2, n3 = rotated(d * w1, d * w2, d * w3, g1, g2, g3)
-    # half of xi, which rotates by the angle -chi
+    # x + i y is half of xi; a step rotates it by the angle -chi
     x = 0.5 * ((w1 - w2) * (w1 + w2)) - c * g1
     y = w1 * w2 - c * g2
     chi = fma(-(d * f), n2, fma(-(d * f), g2, h * w3))
@@ -89,5 +89,5 @@ def step(s: Floats, h: float, p: Floats) -> Floats:
     equations="(A), Kxi, direct",
 )
 def build(top: object, options: object) -> Stepper:
-    """gamma by a Cayley rotation, omega by Bohlin's method, on the branch nearest to the prediction."""
+    """Advance gamma by a Cayley rotation and omega by Bohlin's method, on the branch nearest to a prediction."""
     return Stepper(step, 6)

@@ -1,4 +1,4 @@
-"""Declarations of a scheme or a top, measured: for the study ``check`` and for the tests of all schemes.
+"""Measurements that test the declarations of a scheme or top, for ``topcli check`` and the tests.
 
 The measures take a top and a method, whoever wrote them.
 """
@@ -58,7 +58,7 @@ def working_states(
 ) -> tuple[list[float], list[float], Array]:
     """Working state after N steps of the interpreter and of machine code; the recorded states of the interpreter.
 
-    Of a step that fails, the states up to it.
+    If a step fails, the states end before it.
     """
     start, p = np.array(y0, dtype=float), np.array(top.constants())
     enter, drive = plain_loop(method, len(start), len(p))
@@ -90,8 +90,8 @@ def rate_along(top: Top, value: Callable[[Array], Array], states: Array) -> floa
     """Largest rate of change of a function of the state along the field, by differences.
 
     It is relative to the length of the gradient times that of the field: the cosine of the angle between them.
-    Differences of order four with steps of 1e-3 have errors of about 1e-11; a function that is no integral has rates
-    of size one at most of the ``states`` (n, d).
+    Differences of order four with steps of 1e-3 have errors of about 1e-11; a function that is not an integral has
+    rates of size one at most of the ``states`` (n, d).
     """
     p, found = top.constants(), []
     for y in states:

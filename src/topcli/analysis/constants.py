@@ -1,4 +1,4 @@
-"""Polynomials of the state that stay constant along orbits, found from the orbits alone.
+"""Search for polynomials of the state that stay constant along given orbits.
 
 The monomials up to a degree, less their mean along each orbit, are the columns of a matrix. Its null space consists of
 the polynomials that are constant on every orbit, each orbit with a value of its own. It shows as a gap between singular

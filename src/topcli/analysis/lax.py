@@ -1,4 +1,4 @@
-"""Lax forms dL/dt = [M, L] of the tops, the constancy of their spectrum, and the integrals that it carries.
+"""Lax forms dL/dt = [M, L] of the tops, the constancy of their spectra, and the integrals in the spectra.
 
 L and M are matrices that depend on the state (omega, gamma), affinely, and on a spectral parameter lambda. Where
 dL/dt = [M, L] the spectrum of L is constant. A top's moments and gravity determine its forms:
@@ -360,9 +360,12 @@ def factors(form: LaxForm, states: Array, h: float, lam: complex) -> tuple[Matri
 
 
 def discrete_lax_defect(form: LaxForm, states: Array, h: float, lam: complex) -> float:
-    """Largest ||L' U - U L|| over consecutive ``states`` (n, 6) a step h apart, relative to the norms of the factors.
+    """Return the largest defect of the discrete Lax pair L' U = U L over consecutive states of a run.
 
-    ``form`` is that of the Kowalevski top. nan if a step has no dressing, or if a state is not finite.
+    L is the Lax matrix before a step, L' the Lax matrix after it. The defect of the step is ||L' U - U L||, divided by
+    the norms of L and of the two factors of U. ``form`` is the Lax form of the Kowalevski top, ``states``, shape (n,
+    6), are states one step h apart, and ``lam`` is the spectral parameter. The result is nan if a state is not finite,
+    or if no matrix U (the dressing matrix) exists for a step.
     """
     L = form.L(states, lam)
     with np.errstate(all="ignore"):

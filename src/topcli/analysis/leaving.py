@@ -1,4 +1,4 @@
-"""Runs whose state stays finite but leaves its energy surface: the outcome ``left_motion``.
+"""Test whether a run left its energy surface while its state stayed finite (outcome ``left_motion``).
 
 The energy of a top is the invariant that ``Top.energy`` names, or a multiple of it; a top without one is not judged.
 A trajectory has left the motion as soon as a recorded state's energy differs from the first one's by more than

@@ -175,7 +175,7 @@ def _taken(run: TangentRun | BlockRun, steps: int, every: int, stop: Callable[[]
 STATES = 8
 """States along an orbit from which its units are taken."""
 SMALLEST = 1e-8
-"""Size of a component relative to that of all below which it is no unit of its own."""
+"""Size of a component relative to that of all below which it is not a unit of its own."""
 
 
 def _tile_growth(

@@ -1,4 +1,4 @@
-"""Independent reference solution of the equations of motion, to an ulp of the state's size.
+"""Independent reference solution of the equations of motion, accurate to one ulp of the state's size.
 
 A Taylor series integrator of order 37 in double-double arithmetic with output at any time; it shares no code with the
 schemes that it judges but the polynomial of the field. Order and step follow Jorba and Zou, Experimental Mathematics
@@ -273,34 +273,35 @@ def distances(states: Array, reference: Array) -> Array:
 
 
 def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int = MAX_TAYLOR_STEPS) -> Array:
-    """Reference solution at given times; it heeds a request to stop (``contracts.check_stop``).
+    """Return the reference solution at given times, computed in double-double arithmetic.
 
-    Each state is within an ulp of its own size of the solution, as long as the motion's sensitivity has not amplified
-    the local error of 1e-31 to that.
+    Each state differs from the exact solution by at most one ulp (unit in the last place) of its size, unless the
+    motion amplifies the error of 1e-31 of a Taylor step beyond that. ``contracts.check_stop`` can stop the computation.
 
     Parameters
     ----------
     top : Top
-        Top whose equations are solved.
+        Top whose equations of motion are integrated.
     y0 : sequence of float, shape (d,)
         State at time zero, in the order of ``top.components``.
     times : ndarray, shape (m,)
-        Times, taken as exact numbers, leading away from zero: all forward (>= 0) or all backward (<= 0).
+        Times, taken as exact numbers. They are either all >= 0 and ascending, or all <= 0 and descending.
     max_steps : int, optional
-        Largest number of Taylor steps. A motion that surely needs more is refused before the first one, any other as
-        soon as its steps so far show it.
+        Largest number of Taylor steps. A motion that certainly needs more steps is refused before the first step;
+        another motion is refused as soon as its first steps show that it needs more.
 
     Returns
     -------
     ndarray, shape (m, d)
+        States at the times.
 
     Raises
     ------
     RunError
-        If the motion leaves the range of a double, its steps shrink below the resolution of time, or it needs too many
-        of them.
+        If the motion leaves the range of a double, if the steps become too short for the resolution of time, or if the
+        motion needs too many steps.
     ValueError
-        For times that do not lead away from zero.
+        If the times have different signs or are not ordered by magnitude.
     """
     field, y, t = _checked(top, y0, times)
     d = len(y)

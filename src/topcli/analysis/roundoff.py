@@ -1,4 +1,4 @@
-"""Growth of round-off: drifts at doubling numbers of steps, their exponent, and a verdict on its kind.
+"""Growth of round-off: drifts after 1, 2, 4, ... steps, the exponent of their growth, and its kind.
 
 Independent rounding errors add up as the square root of the number of steps (Brouwer 1937), biased ones in proportion
 to it. The deviation X of an invariant is averaged over blocks of steps, which takes out the rounding of its evaluation

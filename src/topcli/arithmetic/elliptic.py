@@ -1,4 +1,4 @@
-"""Elliptic integrals in decimal arithmetic, Jacobi elliptic functions in double precision, and oscillations in them.
+"""Elliptic integrals in decimal arithmetic, and Jacobi elliptic functions in double precision.
 
 A phase that grows with time loses no digits: its constants come from Carlson integrals in decimal arithmetic, the
 phase is reduced by its period in double-double arithmetic, and only the remainder is a double. The error of sn, cn and

@@ -1,4 +1,4 @@
-"""Unit quaternions (w, x, y, z), scalar part first: rotations that are composed without losing their unit length.
+"""Unit quaternions (w, x, y, z), scalar part first; composed rotations keep unit length.
 
 A quaternion q rotates the vector v to q v q*. Rotations near the identity are given as *turns*: the quaternion minus
 one, (w - 1, x, y, z), whose small parts keep all their digits. ``turned`` adds the change to q with a compensated sum,

@@ -1,4 +1,4 @@
-"""Numbers that carry the size of their terms: the scale of round-off in a sum.
+"""Numbers that carry the size of their terms, which is the scale of round-off in a sum.
 
 ``Sized(x, abs(x))`` in place of ``x`` in a formula gives the value of the formula and, in ``size``, the same formula
 with all terms positive. Round-off in the value is a few units in the last place of that size, however small the value.

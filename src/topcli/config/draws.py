@@ -1,4 +1,4 @@
-"""Random initial states: how a config says what is drawn, and the laws of the draws.
+"""Random initial states: their description in a config, and their distributions.
 
 Random states are made from ``numpy.random.Generator(PCG64(seed)).random``, uniform doubles, by arithmetic, square
 roots, sine and cosine only. Each candidate takes a fixed count of numbers, whether it is used or not, and the first

@@ -1,4 +1,4 @@
-"""Files of configs and sweeps: found by path or name, read as documents, changed by overrides such as ``h=0.01``."""
+"""Config and sweep files: search by path or name, reading, and overrides such as ``h=0.01``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers of a config for a precision other than double: as they are written, not as the nearest doubles.
+"""Numbers of a config as they are written, for precisions other than double.
 
 A number may have any number of digits, and may be a fraction such as 1/3. ``auto`` and ``normalize`` are carried out
 in the arithmetic of the run.
@@ -40,7 +40,7 @@ class WrittenNumbers:
     y0: tuple[Fraction, ...]
 
     def resolved(self, top: Top) -> dict[str, Any]:
-        """Return the sections h, top and initial of a config; numbers that are no short decimals are texts."""
+        """Return the sections h, top and initial of a config; numbers that are not short decimals are texts."""
         parameters = {name: plain(value) for name, value in self.parameters.items()}
         return {
             "h": plain(self.h),

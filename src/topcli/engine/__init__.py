@@ -1,1 +1,1 @@
-"""Compile a scheme's step (with a content-keyed cache) and iterate it: the one time loop."""
+"""Compilation of a scheme's step, with a cache, and the time loop that iterates it."""

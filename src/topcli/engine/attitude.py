@@ -1,4 +1,4 @@
-"""Attitude of the body, carried along the rows that the time loop records.
+"""Attitude of the body, computed along the rows that the time loop records.
 
 The time loop of a method is used as it is: it records every step into a buffer, and ``carry`` turns the attitude from
 row to row and passes on the rows that are wanted, each with its quaternion. States therefore have the bits of a run

@@ -1,4 +1,4 @@
-"""Object code and set-ups of closed forms on disk, used only if their owner alone can have written them.
+"""Cache of object code and set-ups on disk; files that another user could have written are not used.
 
 A user who can write a file here decides what later processes execute. The folder and each file are therefore opened
 without following a symbolic link at the end of the path, and used only if they are a folder and a regular file, owned

@@ -1,4 +1,4 @@
-"""Many trajectories of one scheme, side by side in tiles, so that one machine instruction steps several of them.
+"""Trajectories of one scheme from many initial states, stepped several at a time by vector instructions.
 
 A tile holds ``TILE`` working states as a structure of arrays. The loop over them is inside the loop over the steps, and
 the compiler vectorises it. The step is the function that single runs compile, and nothing in it is contracted or
@@ -91,7 +91,7 @@ def tile_of(count: int) -> int:
 class EnsembleCode:
     """Machine code of ``method`` for ``top``, which several runs may share: the loops over a tile and of single runs.
 
-    ``lanes`` is None without ``side_by_side`` and for a method that is no compiled step. ``seconds`` is the time to
+    ``lanes`` is None without ``side_by_side`` and for a method that is not a compiled step. ``seconds`` is the time to
     compile or load, ``cached`` is true if all code came from disk.
     """
 

@@ -1,4 +1,4 @@
-"""The one time loop: iterate a step, record every k-th state, stop at the first state that is not finite.
+"""Time loop: iterate a step, record every k-th state, stop at the first state that is not finite.
 
 numba needs tuples of known length, so the loop is a template for the lengths of the working state, the recorded state
 and the constants.

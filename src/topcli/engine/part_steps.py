@@ -1,4 +1,4 @@
-"""States between two steps: the scheme's own step of a fraction of h, or the closed form at the time between.
+"""States between two steps, by a shorter step of the scheme or by the closed form.
 
 A scheme is a family of maps, one for each length of the step. From the state y after a step, the states of the steps
 of length theta h, 0 <= theta <= 1, lead from y to the state after the next step.

@@ -1,4 +1,4 @@
-"""Arithmetic other than that of doubles: binary floating point of any precision (MPFR or mpmath), rational numbers.
+"""Arithmetics other than doubles: binary floating point of any precision (MPFR or mpmath), and rational numbers.
 
 A constant of the source code stands for what its author meant: 0.1 is one tenth, and 1/6, which Python's compiler
 replaces by the nearest double, is one sixth. A double that meets such a number later is accepted only if it is a short
@@ -61,7 +61,7 @@ def meaning(value: float) -> Fraction:
 
 
 class StrayDoubleError(UsageError):
-    """A double that is no short binary fraction met a number of another arithmetic (exit code 2)."""
+    """A double that is not a short binary fraction met a number of another arithmetic (exit code 2)."""
 
     def __init__(self, value: float) -> None:
         super().__init__(f"precision: the double {float(value)!r}, computed somewhere, has no exact meaning")

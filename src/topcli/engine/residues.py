@@ -1,4 +1,4 @@
-"""Numbers modulo a prime, many at once and with derivatives, on which rational steps run exactly and fast.
+"""Numbers modulo a prime, in arrays and with derivatives, for exact and fast runs of rational steps.
 
 A quantity that is a rational function of the state, such as one step of a scheme written with ``+ - * /``, has a value
 modulo a prime. There a number never grows and nothing is rounded, and what holds for random residues holds identically,
@@ -199,7 +199,7 @@ def rational_map(scheme: Scheme, top: Top, options: Any, h: Fraction, arithmetic
 
     In the ``arithmetic`` ``Modular()`` a state is a tuple of ``Jet``s, in ``Rationals()`` of rational numbers.
 
-    Raises UsageError, naming the scheme and the reason, if its step is no rational function.
+    Raises UsageError, naming the scheme and the reason, if its step is not a rational function.
     """
     parameters = {name: decimal(value) for name, value in dict(top).items() if isinstance(value, float)}
     exact = precise_top(top, parameters)
@@ -226,7 +226,7 @@ def rational_map(scheme: Scheme, top: Top, options: Any, h: Fraction, arithmetic
 def _is_decided(step: RationalMap) -> bool:
     """True if the state after two steps depends on comparisons; those of counters do not matter.
 
-    Raises NotRationalError for a state that is no function of the one before.
+    Raises NotRationalError for a state that is not a function of the one before.
     """
     y = [Jet(np.array([[PRIME // (i + 3)]])) for i in range(step.d)]
     found: list[list[int]] = []

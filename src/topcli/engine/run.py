@@ -1,4 +1,4 @@
-"""A run: a scheme iterated in chunks, with constant memory at any N and with progress and interruption between chunks.
+"""Run of a scheme in chunks of steps, in constant memory; progress and interruptions come between chunks.
 
 Times are t = n*h, never accumulated. The first row recorded is the initial state itself. The endings of many
 trajectories are arrays of a few bytes each; an ``Ending`` is made on access.

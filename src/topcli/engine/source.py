@@ -1,4 +1,4 @@
-"""Functions that a kernel can reach, and their copies for the compiler.
+"""Functions that a compiled step can call, and their copies for the compiler.
 
 Kernels are plain Python functions that call each other by a global or closed-over name, or as attributes of a module.
 ``fingerprint`` follows the same names.

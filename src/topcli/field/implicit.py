@@ -41,7 +41,7 @@ from topcli.field.straight_line import ONE, Graph, Sum, Term, is_power_of_two, m
 
 HALF = Fraction(1, 2)
 SMALLEST_PIVOT = HALF
-"""Constant entries below this size are no pivots."""
+"""Constant entries below this size are not pivots."""
 CORE, LARGEST_CORE = 2, 4
 """Unknowns that Cramer's rule solves for, and at most if no constant entry is left."""
 Matrix = dict[tuple[int, int], Sum]
@@ -49,7 +49,7 @@ Matrix = dict[tuple[int, int], Sum]
 
 @dataclass(frozen=True)
 class Solution:
-    """Unknowns of a linear system: each is ``known[i] + numerator[i]/divisor``."""
+    """Solution of a linear system: unknown i is ``known[i] + numerator[i]/divisor``."""
 
     known: Mapping[int, Sum]
     numerator: Mapping[int, Sum]
@@ -57,9 +57,9 @@ class Solution:
 
 
 class KahanStep:
-    """Kahan's step of a quadratic field, the new state: nodes ``outputs`` of the ``graph`` of its operations.
+    """Kahan's step of a quadratic field; nodes ``outputs`` of the ``graph`` of operations are the new state.
 
-    It reads its constants from the parameters that begin at ``p[first]``. ``factors`` are those of ``factors_of``.
+    The step reads its constants from ``p[first]`` on. ``factors`` are the results of ``factors_of``.
     """
 
     factor = 2
@@ -330,7 +330,7 @@ class NewtonStep(KahanStep):
     def factors_of(field: Field) -> tuple[Fraction, ...]:
         """For each component, one over the common denominator of its coefficients, times a power of two.
 
-        With it the largest coefficient is between one and two: the fewer sizes there are, the more tops share a step.
+        With this factor, the largest coefficient is between one and two. Tops with equal sizes can then share a step.
         """
 
         def factor(coefficients: Iterable[Fraction]) -> Fraction:
@@ -367,7 +367,7 @@ class NewtonStep(KahanStep):
 
 @dataclass(frozen=True)
 class Pattern:
-    """A field with typical coefficients, from which the step of all fields like it is generated, and its ``factors``.
+    """Field with typical coefficients, and its ``factors``; all fields of this pattern share one generated step.
 
     Powers of two are kept. Any other size is a power of two near the actual one times a prime of its own, so that each
     constant of the step tells by its factors which product of coefficients it is. ``ratios`` maps each prime to the
@@ -402,7 +402,7 @@ class Pattern:
         return cls(tuple(rates(*row) for row in rows), tuple(map(size, factors)), ratios)
 
     def actual(self, constant: Fraction) -> Fraction:
-        """The constant of the actual step in place of that of the typical one."""
+        """Return the constant of the actual step that replaces a constant of the typical step."""
         found, (above, below) = constant, constant.as_integer_ratio()
         for prime, ratio in self.ratios.items():
             found *= ratio ** (_multiplicity(prime, above) - _multiplicity(prime, below))

@@ -1,4 +1,4 @@
-"""Straight-line code of floating-point operations: a shared graph of sums and products, and its source.
+"""Straight-line code: a shared graph of floating-point sums and products, and its source.
 
 A *sum* is a tuple of terms ``(c, factors)``: an exact coefficient times the product of nodes of the graph. ``()`` is
 zero, ``ONE`` is one. A sum becomes a node when its value is needed: its products are formed so that factors that are

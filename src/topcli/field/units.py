@@ -1,4 +1,4 @@
-"""Units of time and of the components in which the rates of change of a field are about one.
+"""Units of time and of the components that make the rates of change of a field of order one.
 
 All units are powers of two, so that a change of units rounds nothing. Without it, coefficients of a Taylor series of
 order 37 overflow at an angular velocity of 1e8.
@@ -22,7 +22,7 @@ FREE = -(2**13)
 class NaturalUnits:
     """Units in which the rates of change of one ``field`` are at most about one.
 
-    Components that occur in each other's products have the same unit. The unit of time is the longest that there is.
+    Components that occur in each other's products have the same unit. The unit of time is the longest possible one.
     """
 
     def __init__(self, field: Field) -> None:
@@ -35,7 +35,7 @@ class NaturalUnits:
         """The field with time in units of 2^-k and component i in units of 2^units[i], exactly; ``k``; and ``units``.
 
         The components of the state ``y``, and their rates of change while they are of this size, are at most about one.
-        Terms with a component that is zero for ever are left out.
+        Terms with a component that stays zero are left out.
         """
         sizes = tuple(max(_exponent(float(y[j])) for j in group) for group in self.groups)
         if sizes not in self._known:

@@ -1,4 +1,4 @@
-"""Carry out the experiments of the ledger, and each kind of check on its positive control."""
+"""Experiments of the ledger of claims, and the control experiments of each kind of check."""
 
 from __future__ import annotations
 

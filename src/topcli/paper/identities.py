@@ -1,4 +1,4 @@
-"""Formulas of the ledger about the printed equations: differences that vanish, integrals, equations for a new state.
+"""Formulas that claims on the printed equations test: identities, integrals, equations for a new state.
 
 The parameters of a function name the variables of a random point, see ``Draws.point``. A *difference* returns left
 minus right sides of an identity, *integrals* some quantities of the state (w, c), and an *equation* its residual in

@@ -1,4 +1,4 @@
-"""The ledger of the paper's claims: reading ``ledger.yaml``, and the selection of claims by name."""
+"""Ledger of the paper's claims: ``ledger.yaml`` as data, and the selection of claims by name."""
 
 from __future__ import annotations
 

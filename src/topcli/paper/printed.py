@@ -1,4 +1,4 @@
-"""Equations of the paper as they are printed, for numbers of any kind. Names are the labels of its equations.
+"""Equations of the paper in their printed form, for numbers of any kind, named after their labels.
 
 No scheme of topcli uses them: the ledger compares these transcriptions with each other and with the schemes.
 ``moments`` are A, B, C; ``g`` is mg(x0, y0, z0); w and v are the old and new omega, c and e gamma, m and n the

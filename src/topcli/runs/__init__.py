@@ -1,1 +1,1 @@
-"""The life of a run: what is computed, what is recorded, what is reported."""
+"""Runs: decision, computation, recording and report."""

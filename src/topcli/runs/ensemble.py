@@ -1,4 +1,4 @@
-"""Run an ensemble into a run folder, block by block: the rows, the table of trajectories, the report."""
+"""Run of an ensemble into a run folder, block by block: rows, table of trajectories, report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Identity of a run: what it computes and the code that carries it out, each with its digest.
+"""Identity of a run: the digest of its computation, and the digest of the code that carries it out.
 
 What a run computes and records is its resolved config without the name and the format of the series: top and
 parameters, initial state or ensemble, scheme and options, h, N, recorded rows and columns. A name says where a run is

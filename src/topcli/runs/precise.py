@@ -1,4 +1,4 @@
-"""Runs in another precision than double: the invariants and their deviations are computed in that precision."""
+"""Runs in another precision than double, with invariants and deviations in that precision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Time loop, recorder and checkpoints of a run: rows leave the loop once, for the report and the series."""
+"""Recorder of a run: takes each row from the time loop once, for the report and the series."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ class Recorder:
         return columns(top, n, h, states, self._names, self._modified, values | observed | attitude)
 
     def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
-        """All that a checkpoint holds of the rows so far; with ``flush`` the series is flushed to the disk first."""
+        """Return the data of a checkpoint on the rows so far; with ``flush``, flush the series to the disk first."""
         sums = {**self.tally.state(), **self.quantities.state()}
         if self._search is not None:
             sums |= {"crossings": np.array([self.crossings]), "section": self._search.last.copy()}

@@ -1,8 +1,8 @@
-"""The reference behind errors, computed once for each top, initial state and time grid, and shared by all runs.
+"""Reference solutions behind errors, computed once for each top, initial state and time grid.
 
-It is a Taylor series (``analysis.reference``) or the closed form of the top (its scheme ``exact``). Comparisons name
-one of them, for sweeps ``reference_of`` chooses. A state of the reference at a time does not depend on the other
-times that are asked for, so that sharing changes no bit.
+A reference solution is a Taylor series (``analysis.reference``) or the closed form of the top (its scheme ``exact``).
+A comparison names one of them; for sweeps, ``reference_of`` chooses. All runs share the solutions. This changes no bit
+of the results, because a reference state does not depend on the other times at which the solution is computed.
 """
 
 from __future__ import annotations

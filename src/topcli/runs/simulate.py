@@ -1,4 +1,4 @@
-"""Python interface without a folder: from a config, a scene or keywords to a Trajectory or an Ensemble."""
+"""Simulations in memory: from a config, a scene or keywords to a Trajectory or an Ensemble."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from topcli.tops import CUSTOM, TOPS
 
 
 def trajectory_of(experiment: Experiment) -> Trajectory:
-    """Run an experiment in memory, in its precision."""
+    """Return the trajectory of an experiment, computed in memory and in the precision of the experiment."""
     if experiment.written is not None:
         from topcli.runs.precise import precise_run, precise_trajectory
 
@@ -47,11 +47,11 @@ def simulate(
     Parameters
     ----------
     config : path, str or mapping, optional
-        Config file (YAML or TOML), name of a packaged scene such as ``"kowalevski_hybrid"``, or the content of a
-        config as nested mappings.
+        Config file (YAML or TOML), name of a scene (a packaged config) such as ``"kowalevski_hybrid"``, or the content
+        of a config as nested mappings.
     overrides : sequence of str
-        Texts ``"key=value"`` as for ``--set`` on the command line, such as ``"output.every=10"``; applied after the
-        ``changes``.
+        Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line, such as
+        ``"output.every=10"``. They are applied after ``changes``.
     **changes
         Values that replace whole top-level keys of the config: ``top``, ``initial``, ``scheme``, ``h``,
         ``N`` or ``T``, ``output``.
@@ -59,15 +59,16 @@ def simulate(
     Returns
     -------
     Trajectory
-        Recorded states (m, d), one row for every ``output.every`` steps, starting with the initial state. A run that
-        fails is returned up to its last finite state; ``outcome`` and ``ending`` describe the failure.
+        Recorded states, shape (m, d): m rows of d components. The first row is the initial state, and a row follows
+        after every ``output.every`` steps. If a run fails, the rows end with its last finite state, and ``outcome`` and
+        ``ending`` describe the failure.
 
     Raises
     ------
     ConfigError
-        If the config cannot be read or has a fault; the message names the key and, in a file, the line.
+        If the config cannot be read or is invalid. The message names the key and, for a file, the line.
     UnknownNameError
-        If there is no such scene or scheme.
+        If no scene or scheme has the given name.
 
     Examples
     --------
@@ -80,7 +81,7 @@ def simulate(
     >>> bool(abs(trajectory["k_sq"] - trajectory["k_sq"][0]).max() < 1e-12)
     True
 
-    The same without a scene:
+    An experiment that keyword arguments describe completely, without a scene:
 
     >>> initial = {"omega": [2, 0, 0], "gamma": ["auto", 0, 1e-3]}
     >>> topcli.simulate(top="kowalevski", initial=initial, scheme="hk", h=1e-3, N=100).outcome.value
@@ -157,35 +158,37 @@ def simulate_ensemble(
 ) -> Ensemble:
     """Run one experiment from many initial states in memory.
 
-    A trajectory has the same bits as a single run from its initial state.
+    Each trajectory is identical to a single run from its initial state.
 
     Parameters
     ----------
     config : path, str or mapping, optional
-        Config file, name of a packaged scene, or the content of a config, as for ``topcli.simulate``.
+        Config file, name of a scene (a packaged config), or the content of a config, as for ``topcli.simulate``.
     states : array_like of float, shape (trajectories, d), optional
-        Initial states, with the components in the order of the top's. By default those of the config's ``ensemble``:
-        a list ``states``, a ``grid``, or ``random`` draws.
+        Initial states, in the order of ``top.components``. By default, the section ``ensemble`` of the config defines
+        them by a list ``states``, a ``grid``, or ``random`` draws.
     overrides : sequence of str
-        Texts ``"key=value"`` as for ``--set`` on the command line; applied after the ``changes``.
+        Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line. They are applied
+        after ``changes``.
     threads : int, optional
-        Number of threads, which does not change the results; all CPUs by default.
+        Number of threads, by default one per CPU. The results do not depend on this number.
     **changes
         Values that replace whole top-level keys of the config. ``ensemble={"store": "final"}`` keeps only the last
-        states, ``"statistics"`` only the deviations of the invariants.
+        states, and ``{"store": "statistics"}`` only the deviations of the invariants.
 
     Returns
     -------
     Ensemble
-        Recorded states (trajectories, m, d), initial and last states (trajectories, d), endings, and a table of the
-        deviations of all invariants. A trajectory that fails does not disturb the others.
+        Recorded states, shape (trajectories, m, d), initial and last states, shape (trajectories, d), endings (how each
+        trajectory ended), and a table of the deviations of all invariants. A trajectory that fails does not affect the
+        others.
 
     Raises
     ------
     ConfigError
-        If the config has a fault.
+        If the config is invalid.
     UsageError
-        If there are no initial states or unsuitable ones, or if the rows would not fit in memory.
+        If initial states are missing or unsuitable, or if the rows would not fit in memory.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The map of a scheme as a function of states, for analyses of one's own."""
+"""``topcli.step``: the step of a scheme as a function of arrays of states."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from topcli.errors import UsageError
 
 
 class StepMap:
-    """Compiled map of a scheme: a state, or an array of states, to those after one step.
+    """Compiled function that maps a state, or an array of states, to the states after a step.
 
-    The last axis of an array of states has the components. States are computed side by side, on all processors, with
-    the bits of ``topcli run``; a state from which a step fails becomes nan. Everything is dimensionless.
+    The last axis of an array contains the components of a state. All processors share the computation, and the new
+    states are identical to those of ``topcli run``. A state becomes nan if its step fails. All quantities are
+    dimensionless.
 
     Attributes
     ----------
@@ -48,7 +49,7 @@ class StepMap:
         return f"<map of {experiment.scheme.name} for {experiment.top.kind}, h = {self.h:g}>"
 
     def __call__(self, states: ArrayLike, steps: int = 1) -> Array:
-        """States after ``steps`` steps.
+        """Return the states after ``steps`` steps.
 
         Parameters
         ----------
@@ -65,7 +66,7 @@ class StepMap:
         Raises
         ------
         UsageError
-            For states of another length, and for less than one step.
+            If the states have another length, or if ``steps`` is less than one.
         """
         y, shape = self._rows(states, "states", steps)
         if not len(y):
@@ -80,12 +81,12 @@ class StepMap:
         return np.where((run.last_n == steps)[:, None], run.last, np.nan).reshape(shape)
 
     def tangent(self, states: ArrayLike, vectors: ArrayLike, steps: int = 1) -> tuple[Array, Array]:
-        """States after ``steps`` steps, and the images of tangent vectors.
+        """Return the states after ``steps`` steps, and the images of tangent vectors.
 
         Parameters
         ----------
         states, vectors : array_like, shape (..., d)
-            States, and a tangent vector at each; they are broadcast against each other.
+            States, and a tangent vector at each state. The two arrays are broadcast against each other.
         steps : int, optional
             Number of steps.
 
@@ -97,7 +98,7 @@ class StepMap:
         Raises
         ------
         UsageError
-            For a scheme without a tangent map, for arrays that do not fit, and for less than one step.
+            If the scheme has no tangent map, if the arrays do not fit, or if ``steps`` is less than one.
         """
         try:
             arrays = np.broadcast_arrays(np.asarray(states, dtype=float), np.asarray(vectors, dtype=float))
@@ -117,7 +118,10 @@ class StepMap:
         return found[0].reshape(shape), found[1].reshape(shape)
 
     def jacobian(self, states: ArrayLike, steps: int = 1) -> Array:
-        """Derivative of the new states with respect to the old ones, shape (..., d, d); raises as ``tangent``."""
+        """Return the derivative of the new states with respect to the old ones, shape (..., d, d).
+
+        Raises the same errors as ``tangent``.
+        """
         y = np.asarray(states, dtype=float)
         d = len(self.components)
         _, images = self.tangent(y[..., None, :], np.eye(d), steps)
@@ -136,24 +140,28 @@ class StepMap:
 
 
 def step(config: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) -> StepMap:
-    """Return the map of the scheme of a config as a compiled function of states.
+    """Return one step of a config's scheme as a compiled function of states.
 
     Parameters
     ----------
     config : path, str or mapping
-        Config file, name of a packaged scene, or its content; N and the output play no role.
+        Config file, name of a scene (a packaged config), or the content of a config. The keys ``N`` and ``output`` are
+        ignored.
     overrides : sequence of str, optional
-        Override a key of the config, e.g. ``"h=0.01"``.
+        Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line, such as
+        ``"h=0.01"``.
 
     Returns
     -------
     StepMap
-        ``f(states)`` takes one step, ``f(states, n)`` n steps, ``f.tangent(states, vectors)`` the tangent map too.
+        Function, called f here: ``f(states)`` returns the states after one step, ``f(states, n)`` those after n steps.
+        ``f.tangent(states, vectors)`` takes one step and applies the tangent map (the derivative of the step) to the
+        vectors.
 
     Raises
     ------
     ConfigError
-        For a config that cannot be loaded.
+        If the config cannot be loaded.
 
     Examples
     --------

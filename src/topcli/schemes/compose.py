@@ -1,4 +1,4 @@
-"""Symmetric compositions: several steps of a self-adjoint scheme whose step sizes cancel the leading errors.
+"""Symmetric compositions: a self-adjoint scheme takes several steps whose lengths cancel the leading errors.
 
 A self-adjoint step of order 2 is the flow of a vector field X1 + h² X3 + h⁴ X5 + ... With symmetric weights c, the
 stages c1 h, c2 h, ..., c1 h form a self-adjoint step, of order 4 if sum c = 1 and sum c³ = 0; orders 6 and 8 need two
@@ -97,7 +97,11 @@ COMPOSITIONS = {
 
 
 def find_composition(name: str) -> Composition:
-    """Return the composition called ``name`` (case-insensitive); raise UnknownNameError with the nearest names."""
+    """Return the composition called ``name`` (case-insensitive).
+
+    A composition makes a scheme of higher order from several steps of a self-adjoint scheme. Raises UnknownNameError,
+    with the nearest names, if there is no composition of this name.
+    """
     composition = COMPOSITIONS.get(name.lower())
     if composition is None:
         raise UnknownNameError(f"unknown composition {quoted(name)}; {nearest(name, COMPOSITIONS)}")

@@ -1,4 +1,4 @@
-"""Plugins: the tables that they extend, the modules beside a plugin file, and the line to name when they raise."""
+"""Plugins: the tables that they extend, the modules beside a plugin file, and the source line of their errors."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def file_of(value: Any) -> str:
 def sources_of(values: Iterable[Any]) -> dict[str, str]:
     """Source of the functions and classes of plugins, by the names under which a run keeps it.
 
-    Of a file that ``--plugin`` names, with the modules beside it that it imports; of a package, the module.
+    For a file that ``--plugin`` names, this includes the modules beside it that it imports; for a package, it is the
+    module.
     """
     content: dict[str, bytes] = {}
     for value in values:

@@ -1,4 +1,4 @@
-"""Registry of schemes: a decorator to register them, functions to look them up, plugins by entry point or file."""
+"""Registry of schemes: the decorator that registers them, and functions that find them, also in plugins."""
 
 from __future__ import annotations
 
@@ -65,53 +65,60 @@ def scheme(
 ) -> Callable[[Build], Build]:
     """Register the decorated function ``build(top, options)`` as a scheme.
 
-    The function returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block``
-    (own time loop) of ``topcli.contracts``. Its docstring is the description of the scheme. All traits are declared
-    here and checked by the tests. Times and states are dimensionless.
+    ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (own
+    time loop) of ``topcli.contracts``. The docstring of ``build`` is the description of the scheme. The other arguments
+    declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
     ----------
     name : str
-        Name of the scheme in configs, case-insensitive, without ``+``. Several tops may have schemes of the same name.
+        Name of the scheme in configs. It is case-insensitive and contains no ``+``. Schemes of different tops may have
+        the same name.
     top : str, iterable of str, or None
         Form or forms of tops (``Top.form``) that the scheme integrates; None for every top.
     title : str
-        Title for people, on one line.
+        Title on one line.
     order : int or None
         Order of convergence; None for an exact solution, or if the order follows from a tolerance.
     explicit : bool
         True if a step needs no iteration.
     self_adjoint : bool
-        True if a step with -h inverts a step with h. A self-adjoint scheme of order 2 can be composed.
+        True if a step with -h inverts a step with h. Steps of a self-adjoint scheme of order 2 can be composed to a
+        scheme of higher order.
     citation : str
         Source of the method.
     equations : str
-        Equations of the source, or the formula of the step.
+        Numbers of the equations in the source, or the formula of the step.
     conserves : iterable of str or callable, optional
-        Names of the invariants conserved to round-off for every h, or a function ``conserves(top)`` returning them.
+        Names of the invariants that the scheme conserves to round-off for every h, or a function ``conserves(top)``
+        that returns these names.
     options : type of BaseModel, optional
-        Pydantic model of the options; an instance is the second argument of ``build``.
+        Pydantic model of the options of the scheme; an instance is the second argument of ``build``.
     modified : callable, optional
-        ``modified(top, h, options)`` returns the integrals of the scheme itself, which depend on h, as a tuple of
-        ``Invariant``; their functions map states, shape (n, d), to values, shape (n,).
+        ``modified(top, h, options)`` returns the modified integrals of the scheme, which depend on h, as a tuple of
+        ``Invariant``. Their functions map states, shape (n, d), to values, shape (n,).
     adaptive : bool, optional
-        True if the method takes internal steps within each h, controlled by a tolerance.
+        True if the method divides each h into internal steps, controlled by a tolerance.
     limits : mapping of str to str or callable, optional
-        Conditions under which the scheme fails, each with the reason in a sentence, or a function ``limits(top)``
-        returning them. A key that names a hard case (``topcli stress``) is checked against the result of that case.
+        Conditions under which the scheme fails, each with the reason in a sentence, or a function ``limits(top)`` that
+        returns this mapping. A key may be the name of a hard case; ``topcli stress`` then tests that the scheme fails
+        this case.
     longest_step : callable, optional
         ``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from ``y0``. A
-        longer one is refused before the run. The step itself has to refuse it for a member of an ensemble.
+        single run with a larger one is refused before it starts. In an ensemble, ``step`` must return nan for such an
+        h.
     order_with : callable, optional
-        ``order_with(options)`` returns the order if it depends on the options; ``order`` is that of the defaults.
+        ``order_with(options)`` returns the order, if it depends on the options; ``order`` is the order with the
+        defaults.
     formula : str, optional
         Step in LaTeX for the documentation: display formulas without delimiters, separated by empty lines.
     integrable : Integrability or callable, optional
-        Lax pair and Poisson bracket of an integrable map, or a function ``integrable(top)`` returning them or None.
+        Lax pair and Poisson bracket if the step is an integrable map, or a function ``integrable(top)`` that returns
+        them, or None if the step is not integrable.
     later : callable, optional
-        ``later(top)`` is true if the scheme also integrates a top of the catalogue, or one that is registered later,
-        such as that of a user's file; otherwise it is false, or raises UsageError with the reason. With ``top=None``
-        and without ``later`` it integrates all of them.
+        ``later(top)`` returns True if the scheme also integrates ``top``, a top of the catalogue or a top registered
+        later, for example from a user's file. Otherwise it returns False or raises UsageError with the reason. With
+        ``top=None`` and without ``later``, the scheme integrates all tops of the catalogue and all later ones.
 
     Returns
     -------
@@ -121,8 +128,8 @@ def scheme(
     Raises
     ------
     ValueError
-        If the function has no docstring, the name contains ``+``, the options have a field ``compose``, the top is
-        unknown, or the name is already registered for the top.
+        If ``build`` has no docstring, if the name contains ``+``, if the options have a field ``compose``, if the top
+        is unknown, or if the name is already registered for the top.
 
     Examples
     --------
@@ -223,7 +230,7 @@ def _require_free(name: str, form: str, origin: str) -> None:
 
 
 def _require_invariants(name: str, form: str, conserved: Iterable[str]) -> None:
-    """Raise ValueError for a conserved quantity that is no invariant of the top."""
+    """Raise ValueError for a conserved quantity that is not an invariant of the top."""
     known = [invariant.name for invariant in TOPS[form].new().invariants()]
     for one in conserved:
         if one not in known:
@@ -319,7 +326,7 @@ def unload_plugin_files() -> None:
 
 @one_at_a_time
 def all_schemes() -> tuple[Scheme, ...]:
-    """Return all registered schemes, sorted by top and name, but for those of tops that configs declare."""
+    """Return all registered schemes, sorted by top and name, except those for tops that are defined in configs."""
     plugin_failures()
     for form in CATALOGUE:
         registry.complete(form)
@@ -341,10 +348,10 @@ def find_scheme(name: str, top: str) -> Scheme:
     Parameters
     ----------
     name : str
-        Name of the scheme, case-insensitive. ``base+composition``, such as ``hk+kahan-li8``, is the scheme ``base``
-        composed (see ``topcli.schemes.compose``).
+        Name of the scheme, case-insensitive. A name ``base+composition``, such as ``hk+kahan-li8``, is a composition of
+        the scheme ``base`` (see ``topcli.schemes.compose``).
     top : str
-        Form of the top (``Top.form``).
+        Name under which schemes are registered for the top (``Top.form``), such as ``euler`` or ``lagrange/inertial``.
 
     Returns
     -------
@@ -354,11 +361,11 @@ def find_scheme(name: str, top: str) -> Scheme:
     Raises
     ------
     UnknownNameError
-        If there is no such scheme; the message suggests the nearest names.
+        If there is no such scheme. The message suggests the nearest names.
     SchemeMisfitError
-        If the scheme exists but does not fit the top; the message names the tops it fits.
+        If the scheme exists but does not fit the top. The message names the tops that it fits.
     UsageError
-        If the scheme cannot be composed.
+        If the scheme ``base`` cannot be composed.
     """
     base, plus, composition = name.rpartition("+")
     if plus:

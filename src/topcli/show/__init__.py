@@ -1,1 +1,1 @@
-"""Python interface of the commands: functions that return results with a table, a plot, and files."""
+"""Python functions of the commands, which return results with a table, a plot and files."""

@@ -1,4 +1,4 @@
-"""Progress bars: a line on a terminal, the widget of a notebook."""
+"""Progress bars, on a terminal or in a notebook."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def progress_console() -> Any:
 
 
 class Progress(Watch):
-    """Progress of a function as a context manager, called with (done, total); silent where nobody would see it."""
+    """Progress of a function as a context manager, called with (done, total); silent if no one would see it."""
 
     def __init__(
         self, name: str, shown: bool = True, unit: str = "steps", clock: Callable[[], float] = time.monotonic

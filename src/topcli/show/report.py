@@ -1,7 +1,7 @@
-"""Results of commands in Python: a table, a plot on axes of the caller, files, and HTML for a notebook.
+"""Results of commands in Python: tables, plots on the caller's axes, files, and HTML for notebooks.
 
-The function of a study has the parameters of its ``measure`` and returns a ``StudyReport``. ``topcli.motion`` needs
-only a top and a state.
+The Python function of a study has the parameters of the study's ``measure`` and returns a ``StudyReport``.
+``topcli.motion`` needs only a top and a state.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ _WIDTH = (6.4, 3.6)
 
 
 class Report(ABC):
-    """Result of a command.
+    """Base class of the reports that ``topcli.run``, ``topcli.compare`` and the other commands return in Python.
 
     Attributes
     ----------
     table : pandas.DataFrame
-        The figures that the command prints, one row each, with all digits.
+        The main table of the command, with all digits of its numbers.
     """
 
     @property
     @abstractmethod
     def table(self) -> pd.DataFrame:
-        """The figures of the report as a DataFrame."""
+        """Main table of the report as a DataFrame."""
 
     @abstractmethod
     def as_dict(self) -> dict[str, Any]:
@@ -64,20 +64,23 @@ class Report(ABC):
 
     @abstractmethod
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the report into ``ax``, by default new axes, and return the axes."""
+        """Draw the report into ``ax`` and return the axes; without ``ax``, make new axes."""
 
     @abstractmethod
     def chapter(self, name: str | None) -> Chapter:
-        """Return the chapter of a page; ``name`` is unique within the page, None leaves out pictures."""
+        """Return the chapter of a page; ``name`` is unique within the page; with None, it has no pictures."""
 
     def save(self, path: str | Path) -> Path:
-        """Write the report to a file, whole or not at all; an existing file is overwritten.
+        """Write the report to a file; an existing file is overwritten.
+
+        If writing fails, no partial file is left, and an existing file stays as it was.
 
         Parameters
         ----------
         path : path or str
-            File whose ending chooses what is written: ``.html`` the page of ``topcli report``, ``.json`` the plain
-            data, ``.csv`` or ``.parquet`` the table, ``.png``, ``.pdf`` or ``.svg`` the plot.
+            Name of the file. Its ending chooses the content: ``.html`` gives the page that ``topcli report`` writes,
+            ``.json`` the plain data, ``.csv`` or ``.parquet`` the main table, and ``.png``, ``.pdf`` or ``.svg`` the
+            plot.
 
         Returns
         -------
@@ -87,7 +90,7 @@ class Report(ABC):
         Raises
         ------
         UsageError
-            If the name has another ending, or its folder cannot be written.
+            If the name has another ending, or if the folder of the file cannot be written to.
         RunError
             If writing fails.
         """
@@ -158,18 +161,19 @@ def draw_panel(panel: Drawable, data: Mapping[str, np.ndarray], ax: Axes | None)
 
 @dataclass(frozen=True, repr=False)
 class StudyReport(Report):
-    """Result of a study, as the function of its name returns it.
+    """Result of a study, as returned by ``topcli.compare``, ``topcli.order`` and the functions of other studies.
 
     Attributes
     ----------
     declaration : Study
-        Name, tables, notes and figure of the study.
+        Description of the study: its name, tables, notes and figure.
     result : Result
-        What was measured.
+        The measured data.
     study : dict
-        The same as ``as_dict()``.
+        The measured data as plain data, ready for JSON.
     table : pandas.DataFrame
-        The main table; further tables are attributes of their names, such as ``errors`` of ``topcli.order``.
+        The main table. Each further table is an attribute with its name, such as ``errors`` of a report of
+        ``topcli.order``.
     """
 
     declaration: Study
@@ -202,17 +206,17 @@ class StudyReport(Report):
         return next((table for table in tables if table.name == name), None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON; ``topcli report`` reads it."""
+        """Return plain data, ready for JSON, in the form that ``topcli report`` reads."""
         return self.declaration.as_dict(self.result)
 
     def chapter(self, name: str | None) -> Chapter:
-        """Return the chapter of a page; ``name`` is unique within the page, None leaves out pictures."""
+        """Return the chapter of a page; ``name`` is unique within the page; with None, it has no pictures."""
         from topcli.pages.studies import study_chapter
 
         return study_chapter(self.declaration, self.result, name)
 
     def plot(self, ax: Axes | None = None, **options: Any) -> Axes:
-        """Draw the result into ``ax``, by default new axes, and return the axes; some studies take ``options``."""
+        """Draw the result into ``ax`` and return the axes; without ``ax``, make new axes. Some studies take options."""
         if self.declaration.plotted:
             panel, data = imported(self.declaration.plotted)(self.result, **options)
             return draw_panel(panel, data, ax)
@@ -255,14 +259,14 @@ IRRELEVANT = {"scheme": "taylor", "h": 0.01}
 
 @dataclass(frozen=True, repr=False)
 class MotionReport(Motion, Report):
-    """Motion that an experiment starts, as ``topcli.motion`` returns it.
+    """Exact motion from an initial state, as returned by ``topcli.motion``.
 
     Attributes
     ----------
     experiment : Experiment
-        The experiment; only its top and its initial state matter.
+        Experiment of the config, of which only the top and the initial state matter.
     table : pandas.DataFrame
-        A row for each quantity, indexed by its name: value and meaning.
+        Value and meaning of each quantity, indexed by the name of the quantity.
     """
 
     experiment: Experiment = field(kw_only=True)
@@ -281,13 +285,15 @@ class MotionReport(Motion, Report):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the motion.
 
-        That of the Kowalevski top is a place in the bifurcation diagram, that of the Euler top a polhode on the energy
-        ellipsoid, that of the Lagrange top the trace of its axis on the sphere; other tops are drawn over time.
+        The picture depends on the top. For the Kowalevski top, the picture shows the place of the integrals of the
+        motion in the bifurcation diagram. For the Euler top, it shows the polhode (the path of omega in the body) on
+        the energy ellipsoid. For the Lagrange top, it shows the path of the symmetry axis on the unit sphere. For other
+        tops, it shows the components of the state over time.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Axes to draw into; new ones by default.
+            Axes to draw into. By default, new axes are made.
 
         Returns
         -------
@@ -297,7 +303,7 @@ class MotionReport(Motion, Report):
         Raises
         ------
         RunError
-            If the motion is too fast to be followed for its picture.
+            If the motion is too fast to be integrated for the picture.
         """
         from topcli.analysis.motion.of_top import closed_form_top
         from topcli.figures.motion import motion_drawn
@@ -308,34 +314,36 @@ class MotionReport(Motion, Report):
 def motion(
     config: str | Path | Mapping[str, Any] | None = None, *, overrides: Sequence[str] = (), **changes: Any
 ) -> MotionReport:
-    """Return class, frequencies and neighbourhood of the exact motion that an experiment starts.
+    """Return the class and the frequencies of an exact motion, and the critical motions nearest to it.
 
-    Everything follows from the closed form; nothing is integrated, and scheme, ``h`` and ``N`` do not matter. All
-    quantities are dimensionless, as in configs.
+    All results follow from the closed form of the motion. Nothing is integrated, so the scheme, ``h`` and ``N`` of the
+    config do not matter. All quantities are dimensionless, as in configs.
 
     Parameters
     ----------
     config : path, str or mapping, optional
-        Config file, name of a packaged scene, or the content of a config, as for ``topcli.simulate``;
-        ``top`` and ``initial`` are enough.
+        Config file, name of a scene (a packaged config), or the content of a config, as for ``topcli.simulate``. The
+        keys ``top`` and ``initial`` are enough.
     overrides : sequence of str
-        Texts ``"key=value"`` as for ``--set`` on the command line; applied after the ``changes``.
+        Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line. They are applied
+        after ``changes``.
     **changes
         Values that replace whole top-level keys of the config.
 
     Returns
     -------
     MotionReport
-        For the Kowalevski top the class of the torus, its frequencies, periods and actions, and the nearest critical
-        motions; for the Euler top the class and period of the polhode; for the Lagrange top nutation and precession.
-        For a heavy top without a closed form the integrals only.
+        For the Kowalevski top, the report gives the class of the torus, its frequencies, periods and actions, and the
+        nearest critical motions. For the Euler top, the report gives the class and the period of the polhode. For the
+        Lagrange top, it gives nutation and precession. For a heavy top without a closed form, the report gives
+        only the integrals.
 
     Raises
     ------
     ConfigError
-        If the config cannot be read, has a fault, or is an ensemble or a sweep.
+        If the config cannot be read, is invalid, or describes an ensemble or a sweep.
     UnknownNameError
-        If there is no such scene.
+        If no scene has the given name.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Checkpoints: the state of an unfinished run, exact to the bit, as named arrays and plain data in one file.
+"""Checkpoints: the exact state of an unfinished run, as named arrays and plain data in one file.
 
 ``checkpoint.npz`` is written atomically. Its last 32 bytes are the SHA-256 of its content, which reveals damage.
 """

@@ -1,4 +1,4 @@
-"""Rows of a long series that suffice to draw it: in each stretch, those where a column is smallest or largest."""
+"""Rows of a long series that suffice to draw it: the smallest and largest values in each stretch of time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Footer of a Parquet file that grows row group by row group and can be cut off after any of them.
+"""Footer of a Parquet file that grows by row groups and can be cut off after any of them.
 
 The footer of a Parquet file, at its end, holds the positions of the data: a file whose writer was killed is lost.
 Here every row group is therefore appended as a small Parquet file with its own footer, and one last footer lists all

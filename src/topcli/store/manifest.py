@@ -1,4 +1,4 @@
-"""Finished run folders: the manifest, validated before use, and the checksums of the files.
+"""Manifest of a finished run folder: its validation, and the checksums of the files.
 
 ``manifest.json`` lists every file of the run with its size and SHA-256. A run counts as up to date only if all sizes
 agree, and the checksums of files up to ``CHECKED_AT_ONCE`` bytes, which takes some hundredths of a second; so must the
@@ -26,7 +26,7 @@ CHECKED_AT_ONCE = 1 << 24
 """Largest file, in bytes, whose checksum is compared before a run counts as up to date."""
 REPORT = "report.json"
 SWEEP = "sweep"
-"""Entry ``kind`` of the manifest of a sweep, which is no run."""
+"""Entry ``kind`` of the manifest of a sweep, which is not a run."""
 MANIFEST_SEAL = "manifest_sha256"
 
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -190,7 +190,7 @@ def read_run(folder: Path) -> StoredRun | DamagedRun | None:
 
 
 def stored_sweep(folder: Path) -> StoredRun | None:
-    """Finished sweep in ``folder``, whose manifest lists its files as that of a run does; None if there is none."""
+    """Return the finished sweep in ``folder``; None if there is none."""
     try:
         manifest = read_json(folder / MANIFEST)
         _SweepManifest.model_validate(manifest)

@@ -1,4 +1,4 @@
-"""Part folders ``.<name>.part-<pid>-<random>``: runs in progress, and remains of killed processes.
+"""Folders ``.<name>.part-<pid>-<random>`` of unfinished runs, also of killed processes.
 
 A process holds an exclusive lock on the file ``lock`` in its part folder. The system releases the lock when the process
 ends for any reason, so a lock that can be taken has no owner. On file systems without locks the process number is used.
@@ -177,7 +177,7 @@ def release_reserve(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Part:
-    """A part folder, the content of its lock file, and True for ``alive`` if that process still works there."""
+    """Part folder with the content of its lock file; ``alive`` is True if the process of the file still runs."""
 
     folder: Path
     owner: dict[str, Any]

@@ -1,4 +1,4 @@
-"""Provenance of a result: versions, platform, CPU, commit."""
+"""Provenance of a result: versions, platform, CPU and commit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of what schemes and tops declare, each with a positive control: something known to fail it."""
+"""Checks of declared properties; each check is also applied to a control that is known to fail it."""
 
 from __future__ import annotations
 

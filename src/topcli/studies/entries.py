@@ -1,4 +1,4 @@
-"""Entries of a comparison: schemes with options and a step size of their own, such as ``hybrid:branch=sign,h=0.01``.
+"""Entries of a comparison: schemes with their own options and step size, such as ``hybrid:branch=sign,h=0.01``.
 
 All entries cover the same time. Entries with different steps are compared at times that all of them reach exactly.
 """

@@ -1,1 +1,1 @@
-"""Sweeps: a plan of many rows, evaluated in batches, with a journal from which every sweep resumes."""
+"""Sweeps: a plan of rows, which run in batches, and a journal from which an unfinished sweep continues."""

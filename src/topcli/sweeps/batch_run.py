@@ -1,4 +1,4 @@
-"""Running a batch: side by side or one by one, under a time limit, with what its measures need recorded."""
+"""Run of a batch, side by side or one by one, under a time limit, recording the data for its measures."""
 
 from __future__ import annotations
 

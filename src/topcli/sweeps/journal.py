@@ -1,4 +1,4 @@
-"""Journal of a sweep: finished rows, appended block by block; a killed process loses at most what it had not written.
+"""Journal of a sweep: finished rows, appended in blocks; a killed process loses only rows not yet written.
 
 Each line of ``journal.jsonl`` is a block: the CRC-32 of its text, and the text, a JSON object with the rows by columns.
 An incomplete last line, of a process that was killed while it wrote, is cut off when the journal is opened. Rows are

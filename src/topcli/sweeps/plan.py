@@ -1,4 +1,4 @@
-"""Plan of a sweep: which rows have to run and why, by comparison with its journal.
+"""Plan of a sweep: rows that must run, with the reason, found by comparison with the journal.
 
 A plan has 26 bytes for each row: digests and codes, no configs. The rows themselves are read again, one after the
 other, when they run.

@@ -1,4 +1,4 @@
-"""From rows of a sweep, as plain data, to their results, as columns: ``results_of_rows``, or ``Work`` as an object.
+"""Results of rows of a sweep, as columns, computed from the rows as plain data.
 
 It has no state besides caches, and its arguments and results can be sent to another process: the local sweep calls it
 in threads, another back end on its workers. The result of a row does not depend on the other rows of its batch, except

@@ -1,4 +1,4 @@
-"""The table of a sweep, ``rows.parquet``, written from its plan and journal, and the manifest beside it."""
+"""Table of a sweep, ``rows.parquet``, and its manifest, written from plan and journal."""
 
 from __future__ import annotations
 

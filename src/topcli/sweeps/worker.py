@@ -1,4 +1,4 @@
-"""Work on the workers of a Dask cluster: preparation, the check of versions, and the evaluation of batches."""
+"""Work on a worker of a Dask cluster: preparation, comparison of versions, evaluation of batches."""
 
 from __future__ import annotations
 

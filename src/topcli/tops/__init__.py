@@ -1,8 +1,8 @@
-"""Tops: parameters, equations of motion, integrals; one module per top.
+"""Tops: parameters, equations of motion and integrals; one module per top.
 
-``TOPS`` maps every form of every top to its class. A kind has several forms if its state can be written in several
-ways; the first of them is the default, and the vectors of the initial state choose among them. Here are also the
-state that several tops share, and integrals with the size of their terms.
+``TOPS`` maps every form of every top to its class. A kind of top has several forms if its state can be written in
+several ways. The first form is the default, and the vectors of the initial state choose among them. This module also
+contains the state that several tops share, and integrals together with the sizes of their terms.
 """
 
 from __future__ import annotations
@@ -122,9 +122,11 @@ def other_forms(top: Top | type[Top]) -> list[type[Top]]:
 
 
 def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
-    """Return the form of the top called ``name`` whose initial state has the ``vectors``; the default if none does.
+    """Return the class of the top called ``name`` that has the ``vectors`` in its initial state.
 
-    Raises UnknownNameError, with the nearest names, for an unknown kind.
+    If a top has several forms (choices of state variables), the names of the ``vectors``, such as omega and gamma,
+    choose one. If no form has these vectors, the default form is returned. Raises UnknownNameError, with the nearest
+    names, if there is no such top.
     """
     found = forms(name)
     return next((top for top in found if set(top.vectors) == set(vectors)), found[0])

@@ -1,4 +1,4 @@
-"""Tops that a config declares by formulas: the section ``top`` with ``kind: custom``.
+"""Tops that a config defines by formulas, in the section ``top`` with ``kind: custom``.
 
 Each set of components, names of parameters, field and invariants is a class of its own, whose form names a digest of
 them, so that results, machine code and schemes of different tops are kept apart. Its parameters are fields like those

@@ -36,10 +36,12 @@ def momentum(y: Floats, p: Floats) -> Floats:
 
 
 class Euler(Top):
-    """Euler top with moments (A, B, C) and no torque; dimensionless. The state is omega in the body frame.
+    """Euler top with moments of inertia (A, B, C) and no torque; dimensionless.
 
-    Moments that violate the triangle inequality cause a warning, not an error: no rigid body has them, but the
-    equations are still defined.
+    The state is the angular velocity omega in the body frame.
+
+    Moments that violate the triangle inequality, such as A > B + C, cause a warning, not an error: no rigid body has
+    such moments, but the equations are still defined.
     """
 
     kind = "euler"

@@ -45,12 +45,12 @@ def kirchhoff_omega(y: Floats, p: Floats) -> Floats:
 
 
 def p_sq(y: Floats, p: Floats) -> Any:
-    """Linear momentum, squared."""
+    """Linear momentum p of body and fluid, squared."""
     return y[3] ** 2 + y[4] ** 2 + y[5] ** 2
 
 
 def m_p(y: Floats, p: Floats) -> Any:
-    """Angular momentum along the linear momentum."""
+    """Scalar product of the angular momentum m and the linear momentum p."""
     return y[0] * y[3] + y[1] * y[4] + y[2] * y[5]
 
 
@@ -60,7 +60,7 @@ def clebsch_energy(y: Floats, p: Floats) -> Any:
 
 
 def second(y: Floats, p: Floats) -> Any:
-    """Clebsch's second quadratic integral."""
+    """Second quadratic integral of Clebsch, ½ Σ(ωᵢ mᵢ² - ωⱼ ωₖ pᵢ²)."""
     momenta = p[0] * y[0] ** 2 + p[1] * y[1] ** 2 + p[2] * y[2] ** 2
     return (momenta - p[1] * p[2] * y[3] ** 2 - p[2] * p[0] * y[4] ** 2 - p[0] * p[1] * y[5] ** 2) / 2
 
@@ -89,11 +89,13 @@ class InFluid(Top):
 
 
 class Clebsch(InFluid):
-    """Clebsch top (rigid body in an ideal fluid, first flow).
+    """Clebsch top (rigid body in an ideal fluid).
 
-    The motion has four quadratic integrals; where m·p = 0, it is that of Neumann's problem on the sphere. The HK map is
-    integrable too, and its degrees grow like n²: it conserves four functions, one of which is a simple quotient; the
-    others are quotients of the coefficients of an HK basis.
+    The state consists of the angular momentum m and the linear momentum p of body and fluid. The motion has four
+    quadratic integrals. If m·p = 0, p moves like the point in Neumann's problem (a point on a sphere in a quadratic
+    potential). The Hirota-Kimura (HK) map is integrable too, and the degrees of its iterates grow like n². The HK map
+    conserves four functions. One of them is a simple quotient; the others are quotients of the coefficients of an HK
+    basis (a set of linear relations between monomials along an orbit).
     """
 
     kind = "clebsch"
@@ -121,7 +123,7 @@ class Clebsch(InFluid):
         """Return p² over 1 - h²/4 (omega1 p1² + omega2 p2² + omega3 p3²), which the HK map conserves."""
 
         def modified_p_sq(y: Floats, p: Floats) -> Any:
-            """Linear momentum, squared, modified: conserved by the HK map."""
+            """Linear momentum, squared, modified so that the HK map conserves it."""
             terms = p[0] * y[3] ** 2 + p[1] * y[4] ** 2 + p[2] * y[5] ** 2
             return p_sq(y, p) / (1 - (h / 2) ** 2 * terms)
 
@@ -131,9 +133,11 @@ class Clebsch(InFluid):
 class Kirchhoff(InFluid):
     """Kirchhoff top (rigid body of revolution in an ideal fluid).
 
-    m3 and three quadratic integrals make the motion integrable by elliptic functions. The HK map keeps m3 exactly. It
-    is integrable too, and its degrees grow like n²: its three other integrals are quotients of coefficients of an HK
-    basis. Without the symmetry, and without Clebsch's condition, the degrees grow like 6^n.
+    The motion has three quadratic integrals and the integral m3, the angular momentum about the axis of revolution. The
+    motion is given by elliptic functions. The Hirota-Kimura (HK) map conserves m3 exactly. The HK map is integrable
+    too, and the degrees of its iterates grow like n². Its three other integrals are quotients of the coefficients of an
+    HK basis (a set of linear relations between monomials along an orbit). For a body that is neither a body of
+    revolution nor a Clebsch top, the degrees grow like 6^n.
     """
 
     kind = "kirchhoff"

@@ -40,16 +40,17 @@ def energy(y: Floats, p: Floats) -> Any:
 
 
 def total(y: Floats, p: Floats) -> Any:
-    """Total spin along the field."""
+    """Sum of the components of the spins along the field."""
     return y[2] + y[5]
 
 
 class Gaudin(Top):
     """Gaudin magnet (two spins of su(2) in a field along the third axis).
 
-    The rational Gaudin model: a and b turn about the field, with different strengths, and about each other. The HK map
-    is integrable, and its degrees grow like n². Two of its four integrals are polynomials: a₃ + b₃, and the energy plus
-    (a² + b²)/2 with a term of size h².
+    In the rational Gaudin model, the spins a and b turn about each other and about the field, which acts on each spin
+    with its own strength. The Hirota-Kimura (HK) map is integrable, and the degrees of its iterates grow like n². Two
+    of its four integrals are polynomials. One is a₃ + b₃, the other is the sum of the energy, (a² + b²)/2 and a term
+    of size h².
     """
 
     kind = "gaudin"
@@ -78,7 +79,7 @@ class Gaudin(Top):
         """Return H + (a² + b²)/2 - h²/8 |e3 x (lambda1 a + lambda2 b)|², which the HK map conserves."""
 
         def hk_energy(y: Floats, p: Floats) -> Any:
-            """Energy plus (a² + b²)/2, modified: conserved by the HK map."""
+            """Energy plus (a² + b²)/2, modified so that the HK map conserves it."""
             u, v = p[0] * y[0] + p[1] * y[3], p[0] * y[1] + p[1] * y[4]
             return energy(y, p) + (a_sq(y, p) + b_sq(y, p)) / 2 - h**2 / 8 * (u**2 + v**2)
 

@@ -30,12 +30,12 @@ PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
 
 def m_sq(y: Floats, p: Floats) -> Any:
-    """Angular momentum, squared."""
+    """Sum of the squares of the six components of the angular momentum."""
     return y[0] ** 2 + y[1] ** 2 + y[2] ** 2 + y[3] ** 2 + y[4] ** 2 + y[5] ** 2
 
 
 def pfaffian(y: Floats, p: Floats) -> Any:
-    """Pfaffian of the angular momentum."""
+    """Quadratic invariant m₁₂m₃₄ - m₁₃m₂₄ + m₁₄m₂₃, the Pfaffian of the angular momentum."""
     return y[0] * y[5] - y[1] * y[4] + y[2] * y[3]
 
 
@@ -45,16 +45,17 @@ def energy(y: Floats, p: Floats) -> Any:
 
 
 def manakov(y: Floats, p: Floats) -> Any:
-    """Manakov's integral."""
+    """Quadratic integral of Manakov."""
     return sum((p[i] ** 2 + p[j] ** 2) * m**2 for m, (i, j) in zip(y, PAIRS, strict=True))
 
 
 class So4(Top):
     """Euler top on so(4) (free rigid body in four dimensions).
 
-    M_ij = (J_i + J_j) Ω_ij, with the second moments J of the mass. All four integrals are quadratic. The HK map is
-    integrable, and its degrees grow like n²: its four integrals are quotients of the coefficients of HK bases, and no
-    simple form of them is known to us.
+    The angular momentum is M_ij = (J_i + J_j) Ω_ij, where Ω is the angular velocity and J_i the second moment of the
+    mass along axis i. All four integrals of the motion are quadratic. The Hirota-Kimura (HK) map is integrable, and the
+    degrees of its iterates grow like n². The four integrals of the map are quotients of the coefficients of HK bases
+    (sets of linear relations between monomials along an orbit); no simple form of them is known to us.
     """
 
     kind = "so4"

@@ -31,9 +31,10 @@ def energy(y: Floats, p: Floats) -> Any:
 class Suslov(Top):
     """Suslov's problem (rigid body that does not turn about its third axis).
 
-    A nonholonomic constraint holds omega3 at zero. The ellipse of constant energy consists of two motions from one
-    steady rotation, l = 0, to the opposite one. The HK map is integrable, with a modified energy; its degrees grow like
-    n.
+    A nonholonomic constraint keeps omega3 at zero. The ellipse of constant energy in the plane of omega1 and omega2
+    consists of two steady rotations, for which the angular momentum l about the third axis is 0, and of two motions
+    from one steady rotation to the other. The Hirota-Kimura (HK) map is integrable and conserves a modified energy. The
+    degrees of its iterates grow like n.
     """
 
     kind = "suslov"
@@ -61,7 +62,7 @@ I_1\dot\omega_1 = -\ell\,\omega_2, \qquad I_2\dot\omega_2 = \ell\,\omega_1, \qqu
         """Return E over 1 + h² l²/(4 I1 I2), which the HK map conserves."""
 
         def modified_energy(y: Floats, p: Floats) -> Any:
-            """Energy, modified: conserved by the HK map."""
+            """Energy, modified so that the HK map conserves it."""
             return energy(y, p) / (1 + (h / 2) ** 2 * (p[2] * y[0] + p[3] * y[1]) ** 2 / (p[0] * p[1]))
 
         return {"modified_energy": modified_energy} if scheme == "hk" else {}

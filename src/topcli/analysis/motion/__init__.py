@@ -1,4 +1,4 @@
-"""Class, periods, frequencies and neighbourhood of a motion from its closed form, without integrating."""
+"""Class, periods, frequencies and nearest critical motions of a motion, from its closed form."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from topcli.table import Column, Table, ten_digits
 
 
 class Quantity(NamedTuple):
-    """A number that belongs to a motion; ``value`` is infinite for the period of an asymptotic motion."""
+    """Number that characterizes a motion; the period of an asymptotic motion is infinite."""
 
     name: str
     value: float
@@ -21,11 +21,11 @@ class Quantity(NamedTuple):
 
 
 class Neighbour(NamedTuple):
-    """Nearest critical motion if one integral is changed and the others are kept.
+    """Nearest critical motion when one integral changes and the other integrals stay constant.
 
-    ``along`` is the name of that integral, ``value`` its critical value and ``distance`` the change that leads there.
-    ``kind`` is ``separatrix`` or ``pinch``, or ``periodic``, ``delone`` or ``bobylev-steklov``, where the torus shrinks
-    to a periodic motion.
+    ``along`` is the name of the integral that changes, ``value`` its critical value, and ``distance`` the change from
+    its present value. ``kind`` is ``separatrix``, ``pinch``, ``periodic``, ``delone`` or ``bobylev-steklov``. In the
+    last three cases, the torus shrinks to a periodic motion.
     """
 
     along: str
@@ -36,27 +36,31 @@ class Neighbour(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Motion:
-    """Class, periods and frequencies of one motion.
+    """Class, periods and frequencies of one exact motion of a top.
 
-    ``motion[name]`` is the value of a quantity such as ``frequency.s1``; ``name in motion`` is true if it has one.
+    ``motion[name]`` is the value of a quantity such as ``frequency.s1``. ``name in motion`` is true if the motion has
+    this quantity.
 
     Attributes
     ----------
     top : str
-        Form of the top whose closed form was used. A heavy top with the moments and the centre of gravity of another
-        top is treated as that one.
+        Name of the top (``Top.form``) whose closed-form solution was used. A heavy top with the moments and the centre
+        of gravity of, for example, the Kowalevski top is treated as a Kowalevski top.
     kind : str
-        Class of the motion, such as ``torus II``, ``separatrix`` or ``polhode about A``.
+        Class of the motion, such as ``torus II``, ``separatrix`` or ``polhode about A`` (about the axis of the moment
+        A); the page "Periods and frequencies" explains the classes.
     title : str
-        The class in words.
+        Class of the motion in words.
     state : tuple of float
         Initial state.
     quantities : tuple of Quantity
-        Integrals, frequencies, periods, actions and distances: ``name``, ``value`` and ``meaning`` of each.
+        Integrals, frequencies, periods and actions of the motion, and its distances from critical motions. Each
+        quantity has ``name``, ``value`` and ``meaning``.
     neighbours : tuple of Neighbour
-        Critical motions next to this one: ``along``, ``value``, ``distance`` and ``kind`` of each.
+        Critical motions that are nearest if only one integral changes. Each has ``along`` (the name of this integral),
+        ``value`` (its critical value), ``distance`` (its change) and ``kind``.
     notes : tuple of str
-        Sentences on what is not defined for this motion.
+        Sentences that explain which quantities are not defined for this motion, and why.
 
     Examples
     --------
@@ -64,7 +68,7 @@ class Motion:
     >>> motion = topcli.motion("kowalevski_hk")
     >>> motion.kind
     'torus II'
-    >>> round(motion["time_between_swings"], 4)
+    >>> round(motion["period.omega2"], 4)
     28.1716
     """
 

@@ -1,4 +1,4 @@
-"""The implicit midpoint rule of any polynomial field: Newton's method, whose step is generated (``field.implicit``).
+"""Implicit midpoint rule for any polynomial field, solved by a generated Newton step (``field.implicit``).
 
 The unknowns are *changes* of the state: their rounding errors are proportional to the change, and the one addition
 state + change rounds without bias. A step takes two iterations at h = 0.001, three at 0.01 and 0.1; one fewer would
@@ -173,11 +173,12 @@ def _midpoint_tangent(field: Field, top: Top, newton: Generated[NewtonStep]) -> 
     limits=lambda top: {"singular-step": LONG_NEWTON} if top.form == "heavy" else {},
 )
 def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
-    """Solved to round-off by Newton's method, whose step is generated from the field, a polynomial of any degree.
+    """An implicit step: Newton's method solves its equation, y' = y + h f((y + y')/2), to round-off.
 
-    If a step does not converge, the run ends as `no_convergence`. The step is self-adjoint. Every quadratic integral is
-    conserved exactly, for any top: gamma², m·gamma and the energy. Kowalevski's k², of degree four, is only
-    approximately conserved.
+    The step is self-adjoint. For any top the midpoint rule conserves every quadratic integral exactly, such as gamma²,
+    m·gamma and the energy of a heavy top. Kowalevski's integral k² has degree four and is conserved only approximately.
+    The code of the step is generated from the equations of motion. If a step does not converge, the run ends as
+    `no_convergence`.
     """
     field = required_field(top, NEEDED_BY)
     newton = generated(NewtonStep, field, len(top.constants()))

@@ -1,4 +1,4 @@
-"""Operations on vectors of floats, in terms of which the Taylor series is written, for floats and in LLVM IR.
+"""Vector operations of the Taylor series, implemented for floats and in LLVM IR.
 
 LLVM maps a vector of eight doubles to the registers of the processor: one of AVX-512, two of AVX2, four of NEON.
 """

@@ -1,4 +1,4 @@
-"""Constants of a step of ``backlund``: its parameter tau, which depends on h and the integrals alone, and its domain.
+"""Parameter tau of a step of ``backlund``, which depends only on h and the integrals, and its domain.
 
 With C = 1, F = 2 E, k = |xi|, and the step h, the following numbers of the scaled state are of size (h omega)²::
 

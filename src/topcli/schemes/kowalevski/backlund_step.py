@@ -1,4 +1,4 @@
-"""Bäcklund steps of the Kowalevski top: of one length, and of two lengths as one step without discretization error.
+"""Bäcklund steps of the Kowalevski top: with one parameter, and with two parameters as one exact step.
 
 **One length.** A step is a 3x3 linear system and a rotation. Two Bäcklund transformations of the 5x5 Lax matrix, at
 lambda = -2/h and its two eigenvalues near 4/h, are together a rational map. With a, b, n = -(h/2) (w1, w2, w3/2), d =

@@ -1,1 +1,1 @@
-"""Speed against error: ladders of settings, competitors, measurement, the front in words, the stored result."""
+"""``topcli bench``: computing time against error for schemes and other integrators."""

@@ -1,4 +1,4 @@
-"""Other integrators that benchmarks compare with, each in a process of its own, which answers requests.
+"""Other integrators in benchmarks (peers); each runs in its own process and answers requests.
 
 A peer has an entry in ``PEERS`` and a function of a problem that returns its variants: the ways to use it, each with a
 ladder of settings and a call for each setting. Its packages are imported only in its process, so that whatever they

@@ -1,1 +1,1 @@
-"""The hard cases of the tops, and how schemes fare in them."""
+"""Hard cases of the tops, and trials of schemes in them."""

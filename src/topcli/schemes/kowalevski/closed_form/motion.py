@@ -156,7 +156,7 @@ def _both(total: Any, difference: Any, product: complex | Array) -> tuple[Any, A
 
 @dataclass(frozen=True)
 class Pendulum:
-    """Motion with omega2 = 0 for ever: a pendulum (Bobylev 1896, Steklov 1896) with sin(theta/2) = size sn(``phase``).
+    """Motion with omega2 = 0: a pendulum (Bobylev 1896, Steklov 1896) with sin(theta/2) = size sn(``phase``).
 
     If omega2 = 0 and c gamma3 = omega1 omega3 at one time, they hold always and omega1 is constant. The argument theta
     of xi = omega1² - c (gamma1 + i gamma2) then satisfies theta' = -omega3, theta'' = -k sin theta, with k = |xi|

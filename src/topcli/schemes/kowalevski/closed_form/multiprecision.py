@@ -1,4 +1,4 @@
-"""Functions of mpmath in a context of their own: its precision is not shared with other code.
+"""Functions of mpmath in their own context, so that other code does not change their precision.
 
 Only what computes in multiprecision imports this module, because mpmath takes a while to import. The functions have no
 types here, because in mpmath's annotations every root is possibly complex.
