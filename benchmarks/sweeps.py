@@ -37,7 +37,7 @@ sys.path[:0] = [str(ROOT / "benchmarks"), str(ROOT / "src")]
 
 from ratios import quartiles  # noqa: E402
 
-MEASURES = ("deviation.energy", "drift.energy")
+MEASURES = ("max_deviation.energy", "drift.energy")
 GENERIC = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
 OWN = "topcli, two workers"
 

@@ -1,24 +1,31 @@
-"""Pages on one scheme or one top, from what is declared in the registry and counted on the step."""
+"""Pages on one scheme or one top, from declarations in the registry and operations counted on the step."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
 from pydantic import BaseModel
+from scheme_pictures import STEP, command
+from symbols import symbols_of
 
 from topcli.contracts import Invariant, Scheme, Top
+from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.studies.citations import Publication, works_in
 from topcli.studies.scheme_page import operations_of
 from topcli.tops import CATALOGUE, TOPS
 
-NOTATION = r"""
-A prime marks the new state, a bar the mean of the old and the new one; $f$ is the right-hand side of the equations of
-motion, $J$ holds the moments of inertia $I_i$, $m = J\omega$, and $r$ is the weight times the centre of gravity.
-"""
+NOTATION = {
+    "'": "A prime marks a value after the step.",
+    r"\\bar (?!\\?nabla)|\\bar\\(?!nabla)": "A bar marks the mean of the values before and after the step.",
+    r"\\dot |f[(\\]": "A dot marks the derivative with respect to time.",
+    r"\\(?:omega|gamma)_[123]|d_1": "The indices 1, 2, 3 number the components of vectors.",
+    r"\\(?:omega|alpha)_j|e_j": "The indices $i, j, k$ are 1, 2, 3 in cyclic order, except in sums.",
+}
+"""Explanations of the notation, each with a pattern of the formulas that need it."""
 WIDEST = 48
 """Width of a row of formulas, in letters."""
 HUGE = 1e15
@@ -49,12 +56,18 @@ def rows_of(formula: str) -> str:
     if width(formula) <= WIDEST or r"\\" in formula:
         return formula
     rows = [""]
-    for part in re.split(r",\s*\\qquad\s*", formula):
+    for part in re.split(r",\s*\\q?quad\s*", formula):
         if rows[-1] and width(rows[-1] + part) > WIDEST:
             rows.append("")
         rows[-1] += (r", \qquad " if rows[-1] else "") + part.strip()
     body = ",\\\\[4pt]\n".join(rows)
     return "\\begin{gathered}\n" + body + "\n\\end{gathered}" if len(rows) > 1 else formula
+
+
+def notation(formulas: Iterable[str]) -> str:
+    """Explanation of the notation of formulas."""
+    text = " ".join(formulas)
+    return " ".join(words for pattern, words in NOTATION.items() if re.search(pattern, text))
 
 
 def display(formula: str) -> Page:
@@ -114,11 +127,25 @@ def grouped() -> dict[str, list[Scheme]]:
     return groups
 
 
+def anchor(work: Publication) -> str:
+    """Name of the place of a work on the page of all works."""
+    return f"work-{work.key}"
+
+
+def linked(work: Publication) -> str:
+    """Reference of a work, in which its addresses are links."""
+    text = work.text
+    for name, address in work.addresses.items():
+        text = text.replace(name, f"[{name}]({address})")
+    return text
+
+
 def citations(works: Sequence[Publication], command: str) -> Page:
-    """References with their BibTeX."""
-    lines = ["## Cite", "", *(f"- {one.text}" for one in works), ""]
+    """References with their BibTeX, each linked to its place on the page of all works."""
+    lines = ["## Cite", ""]
+    lines += [f"- {linked(one)} ([bibliography](#{anchor(one)}))" for one in works]
     bibtex = "\n\n".join(one.bibtex for one in works)
-    return [*lines, f"`{command}` prints:", "", "```bibtex", bibtex, "```", ""]
+    return [*lines, "", f"`{command}` prints:", "", "```bibtex", bibtex, "```", ""]
 
 
 @cache
@@ -143,73 +170,145 @@ def distinct(schemes: Sequence[Scheme], text: Mapping[str, str]) -> Iterator[tup
         yield ("" if len(tops) == 1 else ", ".join(names)), shared
 
 
+def indexed(*entries: str) -> Page:
+    """Main entries of the index, which the search shows first."""
+    names = dict.fromkeys(entry.replace(",", "").replace(";", "") for entry in entries)
+    return ["```{index} " + ", ".join(f"! {name}" for name in names), "```", ""]
+
+
+def search_names(title: str) -> Iterator[str]:
+    """Names under which the search finds a scheme of this title: the title, its authors, a name in parentheses."""
+    yield title
+    if authors := re.match(r"(?:[A-Z][a-z]+ )?([A-Z]\w+-[A-Z]\w+)", title):
+        yield from (authors[1], authors[1].replace("-", " "))
+    for name in re.findall(r"\((.+?)\)", title):
+        yield from (name, name.replace("'s", ""), name.partition("'s")[0])
+
+
+def capitalized(text: str) -> str:
+    """Text with a capital at its start."""
+    return text[:1].upper() + text[1:]
+
+
+def shown_on(schemes: Sequence[Scheme]) -> Scheme:
+    """Form of a scheme that its page shows first: that of the Kowalevski top if there is one."""
+    return next((one for one in schemes if one.top == "kowalevski"), schemes[0])
+
+
+def symbol_table(formula: str, scheme: str = "", top: str = "") -> Page:
+    """Table of all symbols of a formula."""
+    return table(("symbol", "meaning"), [(f"${symbol}$", text) for symbol, text in symbols_of(formula, scheme, top)])
+
+
 def scheme_page(schemes: Sequence[Scheme]) -> Page:
     """Page of the schemes of one name, one for each top."""
     from topcli.studies.stress.cases import case_names
 
-    name, cases = schemes[0].name, case_names()
-    titles = list(dict.fromkeys(one.title for one in schemes))
-    lines = [f"# `{name}`: {titles[0]}" if len(titles) == 1 else f"# `{name}`", ""]
-    if len(titles) > 1:
-        for tops, title in distinct(schemes, {one.top: one.title for one in schemes}):
-            lines += [f"**{title[:1].upper()}{title[1:]}** ({tops}).", ""]
-    for tops, doc in distinct(schemes, {one.top: one.doc for one in schemes}):
-        lines += [f"**{tops}**", ""] if tops else []
-        lines += [prose(doc), ""]
-    lines += ["## Step", ""]
-    for tops, formula in distinct(schemes, {one.top: one.formula for one in schemes}):
-        lines += [f"For {tops}:", ""] if tops else []
+    name, cases, first = schemes[0].name, case_names(), shown_on(schemes)
+    shown = capitalized(display_name(name))
+    titles = list(dict.fromkeys(one.title for one in (first, *schemes)))
+    summary, *rest = first.doc.split("\n\n")
+    alike = len({one.doc for one in schemes}) == 1
+    words = "top" if len(schemes) == 1 else "tops"
+    tops = ", ".join(f"[`{one.top}`](../tops/{file_of(one.top)}.md)" for one in schemes)
+    lines = [
+        f"# {shown}",
+        "",
+        *indexed(name, shown, *(known for title in titles for known in search_names(title))),
+        f"*{capitalized(titles[0])}.*",
+        "",
+        prose(summary),
+        "",
+        *([prose("\n\n".join(rest)), ""] if alike and rest else []),
+        f"In configs and commands this scheme is called `{name}`. The scheme applies to the {words} {tops}.",
+        "",
+        "## Try it",
+        "",
+        "```sh",
+        command(first),
+        f"topcli show {name}",
+        "```",
+        "",
+        f"![Motion under {shown}, and deviations of the integrals]({name}.png)",
+        "",
+        f"The left panel shows a component of the state of the {TOPS[first.top].title} under the scheme {shown} with "
+        f"h = {STEP}; the exact motion is grey. The right panel shows the deviation of each integral from its first "
+        "value.",
+        "",
+        "## Step",
+        "",
+    ]
+    for group, formula in distinct(schemes, {one.top: one.formula for one in schemes}):
+        lines += [f"For {group}:", ""] if group else []
         lines += display(formula)
-    lines += [NOTATION]
+        lines += symbol_table(formula, name, group.partition(",")[0])
+    lines += [notation(one.formula for one in schemes), ""]
     lines += [
-        f"Equations: {equations}." + (f" ({tops})" if tops else "") + "\n"
-        for tops, equations in distinct(schemes, {one.top: one.equations for one in schemes})
+        f"Source of these equations: {equations}".replace("the paper", "[the paper](../../paper.md)", 1)
+        + f"{f' (for {group})' if group else ''}.\n"
+        for group, equations in distinct(schemes, {one.top: one.equations for one in schemes})
+        if "=" not in equations and "Sogo" in first.citation
     ]
     pages = {EXPLAINED[name, one.top]: one.top for one in schemes if (name, one.top) in EXPLAINED}
-    lines += [f"[Derivation]({page}) ({top}).\n" for page, top in pages.items()]
-    lines += ["## Properties", "", *properties(schemes)]
+    lines += [f"A page of its own [derives this step for the top `{top}`]({page}).\n" for page, top in pages.items()]
+    if not alike:
+        lines += ["## On each top", ""]
+        for group, doc in distinct(schemes, {one.top: one.doc for one in schemes}):
+            lines += [f"**{group}.** {prose(doc)}", ""]
+    lines += ["## Properties and cost", "", *properties(schemes)]
     lines += options_table(schemes[0].options)
     limits = {
         one.top: "\n".join(f"- {f'`{key}`' if key in cases else key}: {text}" for key, text in one.limits.items())
         for one in schemes
     }
+    lines += ["## Limits", ""]
     if any(limits.values()):
         lines += [
-            "## Where it breaks",
-            "",
-            "Names `like-this` are [hard cases](../../stress.md), checked in both directions.",
+            "A limit with a name such as `singular-step` says what happens in the [hard case](../../stress.md) of this "
+            "name, which `topcli stress` runs. The page [Hard cases](../../stress.md#counters-of-critical-events) also "
+            "explains counters such as `unmet` and outcomes such as `no_convergence`.",
             "",
         ]
-        for tops, text in distinct(schemes, limits):
-            lines += [f"**{tops}**", ""] if tops else []
-            lines += [text or "No limit is known.", ""]
+    for group, text in distinct(schemes, limits):
+        lines += [f"**{group}**", ""] if group else []
+        lines += [text or "No limit is known.", ""]
     if found := scenes_of(scheme=name):
         lines += ["## Scenes", "", *table(("scene", "content"), [(f"`{scene}`", about) for scene, about in found])]
     works = {work.key: work for one in schemes for work in works_in(one.citation)}
     return [*lines, *citations(list(works.values()), f"topcli cite {name}")]
 
 
+PROPERTIES: dict[str, Callable[[Scheme], str]] = {
+    "order": order,
+    "step": lambda one: "explicit" if one.explicit else "implicit",
+    "self-adjoint": lambda one: "yes" if one.self_adjoint else "no",
+    "conserved exactly": lambda one: kept(one) or "nothing",
+    "conserved in modified form": lambda one: symbols(own(one)) or "–",
+    "not conserved exactly": lambda one: kept(one, False) or "–",
+    "operations per step": lambda one: cost(one),
+    "Lax pair": lambda one: one.integrable.lax if one.integrable else "–",
+    "Poisson bracket": lambda one: one.integrable.poisson if one.integrable else "–",
+}
+"""Properties that a page of a scheme shows."""
+
+
 def properties(schemes: Sequence[Scheme]) -> Page:
-    """Table of the declared properties, a column for each top."""
-    rows: list[tuple[str, list[str]]] = [
-        ("order", [order(one) for one in schemes]),
-        ("step", ["explicit" if one.explicit else "implicit" for one in schemes]),
-        ("self-adjoint", ["yes" if one.self_adjoint else "no" for one in schemes]),
-        ("conserves exactly", [kept(one) or "nothing" for one in schemes]),
-        ("in modified form", [symbols(own(one)) or "–" for one in schemes]),
-        ("not exactly", [kept(one, False) or "–" for one in schemes]),
-        ("operations per step", [cost(one) for one in schemes]),
-    ]
-    if any(one.integrable for one in schemes):
-        rows.append(("Lax pair", [one.integrable.lax if one.integrable else "–" for one in schemes]))
-        rows.append(("Poisson", [one.integrable.poisson if one.integrable else "–" for one in schemes]))
-    header = ["", *(f"[{one.top}](../tops/{file_of(one.top)}.md)" for one in schemes)]
-    found = table(header, [(label, *cells) for label, cells in rows])
+    """Declared properties: first those that are the same for all tops, then a table with a row for each top."""
+    cells = {name: [value(one) for one in schemes] for name, value in PROPERTIES.items()}
+    if not any(one.integrable for one in schemes):
+        del cells["Lax pair"], cells["Poisson bracket"]
+    shared = {name: values[0] for name, values in cells.items() if len(set(values)) == 1}
+    differing = [name for name in cells if name not in shared]
+    lines = table(("property", "value" if len(schemes) == 1 else "on all tops"), list(shared.items()))
+    if differing:
+        rows = [(f"`{one.top}`", *(cells[name][at] for name in differing)) for at, one in enumerate(schemes)]
+        lines += table(("top", *differing), rows)
     return [
-        *found,
-        "Invariants conserved exactly deviate by round-off only; those in modified form depend on $h$ and are "
-        "conserved exactly in their place. Operations are counted with the default options at h = 0.01, iterations "
-        "and counters included; [Speed](../../speed.md) has times.",
+        *lines,
+        "An invariant that is conserved exactly deviates by round-off only. If an invariant is conserved in modified "
+        "form, a function near the invariant, which depends on $h$, is conserved exactly. The page of each top (linked "
+        "above) defines the invariants of the top. The operations of a step are counted with the default options at "
+        "h = 0.01, including iterations and counters; the page [Speed](../../speed.md) has measured times.",
         "",
     ]
 
@@ -263,35 +362,57 @@ def options_table(model: type[BaseModel]) -> Page:
     return ["## Options", "", *table(header, rows)] if rows else []
 
 
+def level(invariant: Invariant) -> str:
+    """Condition under which an invariant is conserved, after a semicolon; empty if it always is."""
+    if not invariant.on:
+        return ""
+    return "; conserved only by motions with " + " and ".join(
+        f"`{name}` = {value:g}" for name, value in invariant.on.items()
+    )
+
+
 def top_page(top: type[Top]) -> Page:
     """Page of one form of a top."""
     from topcli.studies.stress.cases import CASES
 
     made = top.new()
-    lines = [f"# {top.title[:1].upper()}{top.title[1:]}", "", prose(top.__doc__ or "").replace("\n    ", "\n"), ""]
+    short = re.sub(r" \([^)]*\)", "", capitalized(top.title))
+    lines = [f"# {short}", "", *indexed(top.form, short)]
+    lines += [f"*{capitalized(top.title)}.*", ""] if short != capitalized(top.title) else []
+    lines += [prose(top.__doc__ or "").replace("\n    ", "\n"), ""]
     if top.form in CATALOGUE:
-        picture = f"![Motions of its gentle and its hard scene](../../images/tops/{top.form}.png)"
+        picture = f"![Motions of the gentle and the hard scene of this top](../../images/tops/{top.form}.png)"
         scenes = " and ".join(f"`{top.form.replace('-', '_')}_{case}`" for case in ("gentle", "hard"))
-        lines += [picture, "", f"The exact motions of the scenes {scenes}.", ""]
-    lines += ["## Equations of motion", "", *display(top.formula)]
-    vectors = ", ".join(f"`{name}`" for name in top.vectors)
+        degrees = "[shows whether the map is integrable](../../catalogue.md#what-is-known-about-their-hk-maps)"
+        lines += [picture, "", f"The figure shows the exact motions of the scenes (packaged experiments) {scenes}.", ""]
+        lines += [
+            f"The n-th iterate of the HK map is a rational function of the state; the growth of its degree {degrees}."
+        ]
+        lines += [""]
+    lines += ["## Equations of motion", "", *display(top.formula), *symbol_table(top.formula, top=top.form)]
+    *most, last = [f"`{name}`" for name in top.vectors]
+    vectors = f"{', '.join(most)} and {last}" if most else last
     lines += [
-        f"In a config: `kind: {top.kind}`, with the initial vectors {vectors}"
+        f"In a config for this top, the section `top` has `kind: {top.kind}`, and the section `initial` gives {vectors}"
         + (f" ({', '.join(f'`{name}`' for name in top.unit_vectors)} of unit length)" if top.unit_vectors else "")
-        + f". Its state has the components {', '.join(f'`{name}`' for name in top.components)}.",
+        + f". The state has the components {', '.join(f'`{name}`' for name in top.components)}.",
         "",
     ]
     if rows := keys_of(top):
         lines += ["## Parameters", "", *table(("parameter", "type", "default", "meaning"), rows)]
     if top.step_constants:
         constants = ", ".join(f"`{one}`" for one in top.step_constants)
-        lines += [f"A step gets the constants of the equations of motion, p = ({constants}).", ""]
+        lines += [
+            "In the code of a scheme, the argument `p` of a step contains these constants of the equations of motion: "
+            f"{constants}.",
+            "",
+        ]
     lines += [
         "## Integrals",
         "",
         *table(
             ("integral", "column", "meaning"),
-            [(f"${one.tex}$", f"`{one.name}`", one.meaning) for one in made.invariants()],
+            [(f"${one.tex}$", f"`{one.name}`", one.meaning + level(one)) for one in made.invariants()],
         ),
     ]
     schemes = [one for group in grouped().values() for one in group if one.top == top.form]
@@ -299,7 +420,7 @@ def top_page(top: type[Top]) -> Page:
         "## Schemes",
         "",
         *table(
-            ("scheme", "", "order", "step", "self-adjoint", "conserves exactly", "operations per step"),
+            ("scheme", "title", "order", "step", "self-adjoint", "conserved exactly", "operations per step"),
             [
                 (
                     f"[`{one.name}`](../schemes/{one.name}.md)",

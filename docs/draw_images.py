@@ -30,7 +30,7 @@ PICTURES: dict[str, tuple[str, ...]] = {
     "bifurcation": ("plot", "bifurcation", "--format", "png"),
     "torus": ("plot", "torus", "--format", "png"),
     "body": ("plot", "body", "--format", "png"),
-    "compare": ("compare", *COMPARED, "--plot"),
+    "compare": ("compare", *COMPARED, "--plot", "--force"),
     "period": ("plot", "period", "--format", "png"),
     "swings": ("plot", "swings", "--format", "png"),
     "integrable": ("plot", "integrable", "--format", "png"),
@@ -96,7 +96,7 @@ def draw_portraits(data: Path) -> None:
             figure = Figure(figsize=(3.6, 2.8), layout="constrained")
             axes = figure.add_subplot()
             Portrait(form, plane).paint(axes, columns, None)
-            figure.legend(loc="outside lower center", ncols=2)
+            figure.legend(loc="outside lower center", ncols=3)
             figure.savefig(folder / f"{form}.drawn.png", dpi=200)
         _copy_small(folder / f"{form}.drawn.png", folder / f"{form}.png")
         (folder / f"{form}.drawn.png").unlink()

@@ -1,32 +1,42 @@
 """Pages of the reference that are written when the documentation is built, from the descriptors in the package.
 
-One page for each scheme and each top (``descriptor_pages``), the keys of a config, the gallery of figures, the
-integrable maps, and the bibliography. ``conf.py`` calls ``write_pages``; nothing that it writes is kept in the
-repository.
+One page for each scheme and each top (``descriptor_pages``), each figure and each object of the Python interface
+(``object_pages``), files of the root of the checkout, and the parts that pages in ``docs/`` include, such as the
+commands (``command_pages``). ``conf.py`` calls ``write_pages``; nothing that it writes is kept in the repository.
 """
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Sequence
+import tomllib
 from pathlib import Path
 
+from command_pages import commands_page
 from descriptor_pages import (
     Page,
+    anchor,
     cost,
     file_of,
     grouped,
+    indexed,
     kept,
     keys_of,
+    linked,
     order,
     own,
     scheme_page,
+    shown_on,
     spelled,
     symbols,
     table,
     top_page,
 )
+from glossary_page import quantities, words
+from object_pages import object_files, object_page, object_table
+from scheme_pictures import draw_if_old
 
+from topcli.figures.figure import Figure
 from topcli.studies.citations import bibliography, works_in
 from topcli.tops import TOPS
 
@@ -34,11 +44,8 @@ ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"
 DRAWN = ROOT / "results" / "figures"
 """Pictures that this checkout has drawn, for those that are not part of the documentation."""
-
-
-def index_page(title: str, text: str, names: Sequence[str], rows: Page) -> Page:
-    """Page that lists others."""
-    return [f"# {title}", "", text, "", *rows, "```{toctree}", ":hidden:", "", *names, "```", ""]
+LISTS = ("schemes", "tops", "which-scheme", "catalogue")
+"""Pages that list schemes."""
 
 
 def config_page() -> Page:
@@ -50,50 +57,48 @@ def config_page() -> Page:
     from topcli.config.ranges import Range
 
     header = ("key", "type", "default", "meaning")
-    lines = [
-        "# Keys of a config",
-        "",
-        "Generated from the models that read configs. A config is YAML or TOML; "
-        "`topcli init` writes a commented one, `topcli schema` prints the JSON Schema, and every key can be replaced "
-        "on the command line by `--set KEY=VALUE`. [Running experiments](../running.md) explains them by examples.",
-        "",
-        *table(header, keys_of(Config)),
-    ]
+    lines = table(header, keys_of(Config))
     lines += ["## `output`", "", *table(header, keys_of(Output))]
     lines += [
         "## `section`",
         "",
-        "One of `component` and `quantity`; see [Poincaré sections](../sections.md).",
+        "The keys of a Poincaré section ([Poincaré sections](sections.md)). Give either `component` or `quantity`.",
         "",
         *table(header, keys_of(PoincareSection)),
     ]
     lines += [
         "## `ensemble`",
         "",
-        "One of `states`, `grid` and `random`; see [Ensembles](../ensembles.md).",
+        "The keys of an ensemble ([Ensembles](ensembles.md)). Give one of `states`, `grid` and `random`.",
         "",
         *table(header, keys_of(Section)),
-        "A list of values in `grid` may be written as",
+        "In `grid`, evenly spaced values can be written as a range, a section with these keys:",
         "",
         *table(header, keys_of(Range)),
-        "and `random` holds the way each vector is drawn and",
+        "The section `random` has a key for each vector, which says how the vector is drawn, and these keys:",
         "",
         *table(header, keys_of(Random)),
     ]
-    lines += ["## `top`", "", "The kind alone, or a section with `kind` and these parameters:", ""]
+    lines += [
+        "## `top`",
+        "",
+        "Give the kind of the top alone, or a section with `kind` and the parameters of the top. The page of each top "
+        "([Tops](tops.md)) explains the parameters. The kinds and the default values of their parameters are:",
+        "",
+    ]
     for top in TOPS.values():
-        link = f"[{top.form}](tops/{file_of(top.form)}.md)"
         found = ", ".join(f"`{name}` = {spelled(field.default)}" for name, field in top.model_fields.items())
-        lines += [f"- {link}: {found or 'no parameters'}"]
+        lines += [f"- `{top.form}`: {found or 'no parameters'}"]
     lines += [
         "",
-        "The kind `custom` declares [a top of your own](../own-top.md) by these keys:",
+        "The kind `custom` declares [a top of your own](own-top.md). It has these keys:",
         "",
         *table(header, keys_of(CustomSection)),
         "## `scheme`",
         "",
-        "The name alone, or a section with `name`, `compose` (a composition, where the scheme "
-        "can be composed) and these options:",
+        "Give the name of the scheme alone, or a section with `name` and options. A scheme that can be composed also "
+        "takes the key `compose`, the name of a [composition](higher-order.md). The page of each scheme "
+        "([Schemes](schemes.md)) explains its options. These schemes have options (with their default values):",
         "",
     ]
     for name, schemes in grouped().items():
@@ -101,7 +106,7 @@ def config_page() -> Page:
             f"`{key}` = {spelled(field.default)}" for key, field in schemes[0].options.model_fields.items()
         )
         if found:
-            lines += [f"- [{name}](schemes/{name}.md): {found}"]
+            lines += [f"- `{name}`: {found}"]
     return [*lines, ""]
 
 
@@ -127,7 +132,7 @@ def integrable_table() -> Page:
                     works,
                 )
             )
-    return table(("map", "integrals", "Lax pair", "Poisson", "order", "operations per step", "citation"), rows)
+    return table(("map", "integrals", "Lax pair", "Poisson bracket", "order", "operations per step", "citation"), rows)
 
 
 def integrable_page() -> Page:
@@ -135,100 +140,154 @@ def integrable_page() -> Page:
     return [
         "# Integrable maps of topcli",
         "",
-        "Maps whose orbits lie on tori (or curves), as those of the continuous top do: they conserve as many "
-        "independent integrals, exactly or in modified form. Other schemes conserve fewer, or are not known to us to "
-        "be integrable: a projection or a discrete gradient keeps the energy and k² of the Kowalevski top, but no "
-        "Poisson bracket that we know of.",
+        "A step of a scheme is a map of states. The orbits of an integrable map lie on tori (or curves), like those "
+        "of the continuous top. Such a map conserves as many independent integrals as the top, exactly or in modified "
+        "form. Other schemes conserve fewer integrals, or we do not know whether they are integrable. A projection or "
+        "a discrete gradient, for example, conserves the energy and k² of the Kowalevski top, but no Poisson bracket "
+        "that we know of. In the table, a tilde marks the modified form of an integral. [HK with "
+        "gamma](../hk-gamma.md) defines K, J, G, $K_i$ and $\\alpha_k$; $\\kappa_{ij}$ is $(K_i/K_j - 1)$ divided by "
+        "$(h/2)^2\\alpha_k$. L is a Lax matrix before a step, and L' after it.",
         "",
         *integrable_table(),
-        "For the Kowalevski top `backlund` is such a map; we know of no earlier one. It follows the general recipe of "
-        "Kuznetsov and Vanhaecke (2000) with the Lax pair of Bobenko, Reyman and Semenov-Tian-Shansky (1989); "
-        "[its derivation](../backlund.md). `hk` is not integrable for the Kowalevski top.",
+        "For the Kowalevski top `backlund` is an integrable map; we know of no earlier one. [Its "
+        "derivation](../backlund.md) follows the general recipe of Kuznetsov and Vanhaecke (2000) with the Lax pair of "
+        "Bobenko, Reyman and Semenov-Tian-Shansky (1989). `hk` is not integrable for the Kowalevski top.",
         "",
-        "The brackets called Lie-Poisson are tested numerically for each of these schemes. Operations per step are "
-        "those of the default options at h = 0.01.",
+        "The tests of topcli check numerically that each of these schemes preserves the bracket that the table calls "
+        "Lie-Poisson. The operations per step are additions (+), multiplications (×) and divisions (÷), with the "
+        "default options and h = 0.01.",
         "",
     ]
 
 
-def gallery_page(folder: Path) -> Page:
-    """Every figure of the catalogue with the command that makes it; pictures are copied into ``folder``."""
+def picture_of(name: str) -> Path | None:
+    """Picture of a figure: the one that this checkout has drawn, or that of the documentation."""
+    return next((path for path in (DRAWN / f"{name}.png", IMAGES / f"{name}.png") if path.is_file()), None)
+
+
+def figure_page(name: str, figure: Figure) -> Page:
+    """Page of one figure of the catalogue."""
+    lines = [
+        f"# {name}",
+        "",
+        *indexed(f"figure {name}", name),
+        f"*{figure.title}.*",
+        "",
+        "```sh",
+        f"topcli plot {name}",
+        "```",
+        "",
+    ]
+    if picture_of(name):
+        lines += [f"![{figure.title}]({name}.png)", ""]
+    else:
+        lines += [f"This build of the documentation has no picture of it. `topcli plot {name}` draws it.", ""]
+    made = f"From `{figure.scene}`" if figure.scene.startswith("topcli ") else f"From the scene `{figure.scene}`"
+    return [*lines, f"{made}. [Figures](../../figures.md) explains the options of the command.", ""]
+
+
+def gallery(folder: Path) -> Page:
+    """Thumbnails and titles of all figures; pictures and thumbnails are written into ``folder``."""
+    from PIL import Image
+
     from topcli.figures.catalogue import FIGURES
 
-    lines = [
-        "# Gallery",
-        "",
-        "`topcli plot NAME` draws a figure and writes its data beside it; `make figures` draws all. "
-        "[Figures](../figures.md) explains the options.",
-        "",
-    ]
+    (folder / "figures").mkdir(exist_ok=True)
+    lines = ["````{container} gallery"]
     for name, figure in FIGURES.items():
-        lines += [f"## {name}", "", f"{figure.title}.", "", "```sh", f"topcli plot {name}", "```", ""]
-        source = next((path for path in (DRAWN / f"{name}.png", IMAGES / f"{name}.png") if path.is_file()), None)
-        if source is not None:
-            shutil.copyfile(source, folder / f"{name}.png")
-            lines += [f"![{figure.title}]({name}.png)", ""]
-        made = f"From `{figure.scene}`" if figure.scene.startswith("topcli ") else f"From the scene `{figure.scene}`"
-        lines += [f"{made}." + ("" if source else " The picture appears here once it is drawn: `make figures`."), ""]
+        lines += ["```{container} card"]
+        if source := picture_of(name):
+            shutil.copyfile(source, folder / "figures" / f"{name}.png")
+            with Image.open(source) as picture:
+                small = picture.convert("RGB")
+                small.thumbnail((480, 480))
+                small.save(folder / "figures" / f"{name}.small.png")
+            lines += [f"[![{figure.title}](reference/figures/{name}.small.png)](reference/figures/{name}.md)", ""]
+        lines += [f"[**{name}**](reference/figures/{name}.md) {figure.title}", "```"]
+    return [*lines, "````", ""]
+
+
+def bibliography_entries() -> Page:
+    """All works, with what cites them and what could not be checked."""
+    citing: dict[str, list[str]] = {}
+    for name, schemes in grouped().items():
+        for work in {work.key: work for one in schemes for work in works_in(one.citation)}.values():
+            citing.setdefault(work.key, []).append(name)
+    for top in TOPS.values():
+        for work in works_in(top.citation):
+            citing.setdefault(work.key, []).append(top.form)
+    lines: Page = []
+    for one in sorted(bibliography().values(), key=lambda one: (one.surnames, one.fields.get("year", ""))):
+        cited = ", ".join(f"`{name}`" for name in dict.fromkeys(citing.get(one.key, ())))
+        about = f"Cited by {cited}." if cited else "Cited on other pages of this documentation."
+        if "not checked" in one.fields.get("note", ""):
+            about += " **Not checked in full:** see the note."
+        lines += [f"({anchor(one)})=", f"{linked(one)}\\", about, ""]
     return lines
 
 
-def bibliography_page() -> Page:
-    """All works, with the command that prints their BibTeX."""
-    works = sorted(bibliography().values(), key=lambda one: (one.surnames, one.fields.get("year", "")))
+def root_page(name: str) -> Page:
+    """Page of a file in the root of the checkout; its links to pages lead there, other files are named."""
+    text = re.sub(r"\]\(docs/", "](../", (ROOT / name).read_text(encoding="utf-8"))
+    return [re.sub(r"\[([^\]]+)\]\((?!\.\./|https?:|#)([^)]+)\)", r"\1 (`\2`)", text)]
+
+
+def requirements() -> Page:
+    """Versions of Python and of packages that topcli needs, from the metadata of the project."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    versions = [one.rpartition(" ")[2] for one in project["classifiers"] if "Python :: 3." in one]
+    extras = [(f"`{name}`", ", ".join(found)) for name, found in project["optional-dependencies"].items()]
     return [
-        "# Bibliography",
+        f"Python {versions[0]} to {versions[-1]}. `pip install .` installs these packages:",
         "",
-        "`topcli cite` prints the BibTeX of topcli and of the paper, `topcli cite NAME` that of a scheme or a top.",
+        *(f"- {one}" for one in project["dependencies"]),
         "",
-        *(f"- {one.text}" for one in works),
+        "Extras such as `pip install '.[video]'` add packages:",
         "",
+        *table(("extra", "packages"), extras),
     ]
 
 
 def pages(folder: Path) -> dict[str, Page]:
     """Content of each page by its path in ``folder``."""
-    groups = grouped()
-    found = {f"schemes/{name}.md": scheme_page(schemes) for name, schemes in groups.items()}
+    from topcli.figures.catalogue import FIGURES
+
+    found = {f"schemes/{name}.md": scheme_page(schemes) for name, schemes in grouped().items()}
     found |= {f"tops/{file_of(form)}.md": top_page(top) for form, top in TOPS.items()}
-    rows = [
-        (
-            f"[`{name}`](schemes/{name}.md)",
-            schemes[0].title,
-            ", ".join(one.top for one in schemes),
-            ", ".join(dict.fromkeys(order(one) for one in schemes)),
-        )
-        for name, schemes in groups.items()
-    ]
-    found["schemes.md"] = index_page(
-        "Schemes, one page each",
-        "[Which scheme when](../which-scheme.md) helps to choose; [one page](../schemes.md) has them all.",
-        [f"schemes/{name}" for name in groups],
-        table(("scheme", "", "tops", "order"), rows),
-    )
-    rows = [
-        (f"[`{form}`](tops/{file_of(form)}.md)", top.title, symbols(top.new().invariants()))
-        for form, top in TOPS.items()
-    ]
-    found["tops.md"] = index_page(
-        "Tops, one page each",
-        "[Tops](../tops.md) introduces them.",
-        [f"tops/{file_of(form)}" for form in TOPS],
-        table(("top", "", "integrals"), rows),
-    )
-    found |= {
-        "config.md": config_page(),
+    found |= {f"figures/{name}.md": figure_page(name, figure) for name, figure in FIGURES.items()}
+    found |= {f"api/{file}.md": object_page(name) for name, file in object_files().items()}
+    return found | {
         "integrable.md": integrable_page(),
-        "gallery.md": gallery_page(folder),
-        "bibliography.md": bibliography_page(),
+        "changelog.md": root_page("CHANGELOG.md"),
+        "contributing.md": root_page("CONTRIBUTING.md"),
+        "parts/commands.md": commands_page(),
+        "parts/words.md": words(),
+        "parts/quantities.md": quantities(),
+        "parts/config.md": config_page(),
+        "parts/gallery.md": gallery(folder),
+        "parts/bibliography.md": bibliography_entries(),
+        "parts/api.md": object_table(),
+        "parts/requirements.md": requirements(),
     }
-    return found
+
+
+def named_pages(page: str) -> dict[str, str]:
+    """Pages of schemes, tops and objects of Python by their names, for links from ``page``.
+
+    ``exact`` is a verdict as well as a scheme, and a link only on pages that list schemes.
+    """
+    names = {f"topcli.{name}": f"reference/api/{file}" for name, file in object_files().items()}
+    names |= {form: f"reference/tops/{file_of(form)}" for form in TOPS}
+    names |= {name: f"reference/schemes/{name}" for name in grouped()}
+    if page not in LISTS and not page.startswith("reference/tops/"):
+        del names["exact"]
+    return names
 
 
 def write_pages(folder: Path) -> list[Path]:
-    """Write all pages into ``folder``, remove those that are no longer made, and return their paths.
+    """Write all pages and the pictures of schemes into ``folder``; remove pages that are no longer made.
 
-    A page whose text is unchanged is not written again, so that it is not built again.
+    Returns the paths of the pages. A page whose text is unchanged is not written again, so that it is not built again.
     """
     folder.mkdir(parents=True, exist_ok=True)
     written = []
@@ -243,3 +302,9 @@ def write_pages(folder: Path) -> list[Path]:
         if path not in written:
             path.unlink()
     return written
+
+
+def draw_schemes(folder: Path) -> None:
+    """Draw the pictures of the pages of schemes."""
+    for name, schemes in grouped().items():
+        draw_if_old(shown_on(schemes), folder / "schemes" / f"{name}.png")

@@ -4,9 +4,9 @@ All quantities are dimensionless, as in the paper: times, angular velocities and
 
 Rules for the author of a scheme:
 
-1. ``step(state, h, p) -> state`` takes and returns flat tuples of floats, has no side effects, and uses only float
-   arithmetic, functions of ``math``, and other functions of this kind. The engine can then compile it, and it also
-   runs as plain Python. It raises nothing: a step that fails returns nan.
+1. ``step(state, h, p) -> state`` takes and returns flat tuples of floats and has no side effects. It uses only float
+   arithmetic, functions of ``math``, and other functions of this kind, so that the engine can compile it. It also runs
+   as plain Python. It raises no exceptions: a step that fails returns nan.
 2. ``p`` is ``top.constants()``; ``h`` may be negative, and N = 1 is allowed.
 3. Every declared trait (order, self-adjointness, exact invariants) is checked by the tests.
 """
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from topcli.arithmetic.sized import Sized
-from topcli.errors import UsageError
+from topcli.errors import UsageError, counted
 
 Floats = tuple[float, ...]
 Array = NDArray[np.floating[Any]]
@@ -35,22 +35,22 @@ StepFunction = Callable[[Floats, float, Floats], Floats]
 
 
 stop_asked: ContextVar[Callable[[], bool]] = ContextVar("stop_asked", default=lambda: False)
-"""True as soon as the work at hand is to stop; set by ``stopping_when``."""
+"""Function that returns True as soon as the current work must stop; set by ``stopping_when``."""
 
 
 class StopAsked(Exception):  # noqa: N818 (no error)
-    """Raised within work that is not worth finishing; a step counts as not taken."""
+    """Raised to abandon the current work; a step during which it is raised counts as not taken."""
 
 
 def check_stop() -> None:
-    """Give up a plain step that takes long if the run is to stop; to be called every few milliseconds."""
+    """Abandon a long plain step if the run must stop; a long step calls this function every few milliseconds."""
     if stop_asked.get()():
         raise StopAsked
 
 
 @contextmanager
 def stopping_when(stop: Callable[[], bool]) -> Iterator[None]:
-    """Let ``check_stop`` ask ``stop`` within the block, besides what it asks outside."""
+    """Within the block, let ``check_stop`` also stop the work if ``stop()`` is true."""
     outer = stop_asked.get()
     token = stop_asked.set(lambda: stop() or outer())
     try:
@@ -74,13 +74,13 @@ class Invariant:
     meaning : str
         Description in a few words, for example ``"length of the vertical, squared"``.
     value : callable
-        Maps states, shape (n, d), to the values of the invariant, shape (n,).
+        ``value(states)`` returns the values of the invariant, shape (n,), for n states with d components, shape (n, d).
     scale : callable
-        Maps states, shape (n, d), to the sum of the magnitudes of the terms that ``value`` adds, shape (n,).
-        Round-off is measured relative to this scale, because a value near zero may be a difference of large terms.
+        ``scale(states)`` returns the sum of the magnitudes of the terms that ``value`` adds, shape (n,). Round-off is
+        measured relative to this scale, because a value near zero may be a difference of large terms.
     on : mapping of str to float, optional
-        Values of invariants, this one perhaps among them, that the motion must have for this one to be conserved:
-        ``{"m_gamma": 0.0}``. Empty if every motion conserves it.
+        Values of other invariants, by name, that a motion must have to conserve this one: with ``{"m_gamma": 0.0}``,
+        only motions with m_gamma = 0 conserve it. Empty if every motion conserves the invariant.
     """
 
     name: str
@@ -103,9 +103,10 @@ def invariant_of(
     symbols: tuple[str, str] | None = None,
     on: Mapping[str, float] | None = None,
 ) -> Invariant:
-    """Invariant of a formula, which is evaluated with the components as columns; its docstring is the meaning.
+    """Return the invariant with the formula ``integral``, which is evaluated with the components as columns.
 
-    ``symbols`` are those for terminals and in LaTeX, by default the name.
+    The docstring of the formula is the meaning of the invariant. ``symbols`` contains a symbol for terminals and one in
+    LaTeX; by default, both are made from the name.
     """
 
     def value(y: Array) -> Array:
@@ -121,16 +122,17 @@ def invariant_of(
 
 @dataclass(frozen=True)
 class EulerPoisson:
-    """Coefficients of the general Euler-Poisson equations (Sogo, Discrete Spinning Tops, section 1.1).
+    """Coefficients of the Euler-Poisson equations of a heavy rigid body (Sogo, Discrete Spinning Tops, section 1.1).
 
     Parameters
     ----------
     moments : tuple of float
         Principal moments of inertia (A, B, C), positive.
     gravity : tuple of float
-        Weight times centre of gravity, mg(x0, y0, z0).
+        Weight mg times the coordinates (x0, y0, z0) of the centre of gravity on the principal axes.
     omega_sign : float, optional
-        The first three components of the state are omega times this sign (+1 or -1); the others are gamma.
+        Sign +1 or -1. The first three components of the state are the angular velocity omega times this sign; the
+        others are the vertical gamma.
     """
 
     moments: tuple[float, float, float]
@@ -138,7 +140,7 @@ class EulerPoisson:
     omega_sign: float = 1.0
 
     def rates(self, y: Sequence[Any]) -> tuple[Any, ...]:
-        """Rates of change of omega and gamma, the six numbers ``y``, in their arithmetic."""
+        """Return the rates of change of the six numbers ``y`` = (omega, gamma), in the arithmetic of these numbers."""
         (A, B, C), (x0, y0, z0), (w1, w2, w3, g1, g2, g3) = self.moments, self.gravity, y
         return (
             ((B * w2 * w3 - C * w3 * w2) + (g2 * z0 - g3 * y0)) / A,
@@ -153,10 +155,10 @@ class EulerPoisson:
 class Top(BaseModel):
     """Base class of the tops.
 
-    A subclass declares the parameters of the top as pydantic fields and sets ``kind``, ``components``, ``field``,
-    ``integrals`` and, where the defaults do not do, the other class attributes below. It may implement ``constants``,
-    ``invariants`` and, where the top is a case of the Euler-Poisson equations, ``euler_poisson``. See
-    ``topcli.tops.heavy`` for a complete example.
+    A subclass declares the parameters of the top as pydantic fields and sets ``kind``, ``components``, ``field`` and
+    ``integrals``. The other class attributes have defaults. A subclass may also implement ``constants``, ``invariants``
+    and, if the top is a heavy rigid body (Euler-Poisson equations), ``euler_poisson``. The module ``topcli.tops.heavy``
+    is a complete example.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -164,47 +166,48 @@ class Top(BaseModel):
     kind: ClassVar[str]
     """Name of the top in configs."""
     form: ClassVar[str]
-    """Key that schemes are registered for: the kind, extended by the form of the state if there are several forms."""
+    """Name under which schemes are registered for the top. It is the kind, extended if the state has several forms."""
     title: ClassVar[str]
-    """Title for people, on one line; by default the first line of the docstring."""
+    """Title on one line; by default the first line of the docstring."""
     citation: ClassVar[str] = ""
     """Source of the equations of motion."""
     formula: ClassVar[str] = ""
-    """Equations of motion in LaTeX: display formulas without delimiters, separated by empty lines."""
+    """Equations of motion as display formulas in LaTeX, without delimiters, separated by empty lines."""
     components: ClassVar[tuple[str, ...]]
     """Names of the components of the state, in order."""
     vectors: ClassVar[Mapping[str, tuple[int, int]]]
-    """Vectors of the initial state and their index ranges in the state, for example ``{"omega": (0, 3)}``; by default
-    each component is given by itself."""
+    """Vectors of the initial state and their index ranges in the state, for example ``{"omega": (0, 3)}``. By default,
+    a config gives each component by itself."""
     unit_vectors: ClassVar[tuple[str, ...]] = ()
-    """Names of those ``vectors`` that must have unit length."""
+    """Names of the ``vectors`` that must have unit length."""
     energy: ClassVar[str] = "energy"
-    """Name of the invariant that is the energy or a multiple of it (``analysis.columns``). A run far off its energy
-    surface has the outcome ``left_motion``, and ensembles draw states of a given energy; neither works for a top
-    without an invariant of this name."""
+    """Name of the invariant that is the energy or a multiple of the energy. The outcome ``left_motion`` (far off the
+    energy surface) and ensembles of a given energy need it. Both are unavailable for a top without an invariant of this
+    name."""
     energy_factor: ClassVar[float] = 1.0
-    """Energy divided by the invariant ``energy``, for example 0.5 if that is twice the energy."""
+    """Energy divided by the invariant that ``energy`` names, for example 0.5 if the invariant is twice the energy."""
     step_constants: ClassVar[tuple[str, ...]] = ()
-    """Each number of ``constants``, the last argument ``p`` of a step, as the name of a parameter or a formula of
-    parameters such as "c = c0/C"; for people. By default the names of the parameters."""
+    """Description of each number in ``constants``, the last argument ``p`` of a step, for help texts. A description is
+    the name of a parameter or a formula such as "c = c0/C". By default, these are the names of the parameters."""
     in_space: ClassVar[bool] = False
-    """True if the state is given in the frame fixed in space, as angular momentum and axis, not in the body's frame."""
+    """True if the state is given in the frame fixed in space, as angular momentum and axis, not in the body's."""
     swing: ClassVar[str]
     """Component whose deep minima mark the swings of the top; by default the first one."""
     field: ClassVar[Callable[[Floats, Floats], Floats]]
-    """Right-hand side ``field(state, constants)`` of the equations of motion, on flat tuples; must be compilable."""
+    """Right-hand side ``field(state, constants)`` of the equations of motion. It works on flat tuples and must be
+    compilable."""
     integrals: ClassVar[Mapping[str, Integral]] = {}
-    """Integrals of the motion by name, each a function ``integral(state, constants)`` of flat tuples."""
+    """Integrals of the motion by name. Each is a function ``integral(state, constants)`` of flat tuples."""
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {}
     """Symbols of ``integrals`` for terminals and in LaTeX, for example ``{"energy": ("E", "E")}``."""
     holds_on: ClassVar[Mapping[str, Mapping[str, float]]] = {}
-    """For ``integrals`` that only some motions conserve, ``Invariant.on``."""
+    """Levels of the ``integrals`` that only some motions conserve, by name; see ``on`` of ``Invariant``."""
     angular_velocity: ClassVar[Callable[[Floats, Floats], Floats] | None] = None
-    """Angular velocity in the body's frame, ``angular_velocity(state, constants)``, three numbers, on flat tuples; for
-    the attitude of a top that turns like a body. Must be compilable."""
+    """Function ``angular_velocity(state, constants)`` that returns the angular velocity in the body's frame as three
+    numbers. A top that turns like a body needs it for its attitude. It must be compilable."""
     vertical: ClassVar[Callable[[Floats, Floats], Floats] | None] = None
-    """Vector in the body's frame, as ``angular_velocity``, whose direction is fixed in space and is shown upright;
-    None for a top without one."""
+    """Function ``vertical(state, constants)`` that returns a vector in the body's frame whose direction is fixed in
+    space. Pictures show this direction upright. None for a top without one."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **options: Any) -> None:
@@ -230,7 +233,8 @@ class Top(BaseModel):
         Returns
         -------
         tuple of float
-            Last argument of ``field`` and of every step; dimensionless. By default the parameters, in their order.
+            Constants, the last argument of ``field`` and of every step of a scheme, dimensionless. By default, they are
+            the values of the parameters of the top, in their order.
         """
         return tuple(getattr(self, name) for name in type(self).model_fields)
 
@@ -240,12 +244,12 @@ class Top(BaseModel):
         Returns
         -------
         tuple of Invariant
-            In the order of the report. By default those of ``integrals``.
+            Invariants in the order in which reports list them. By default, the invariants are made from ``integrals``.
         """
         return self._invariants(self.integrals)
 
     def integrals_of(self, scheme: str, h: float) -> Mapping[str, Integral]:
-        """Return the integrals of a scheme's map for this top, its modified integrals.
+        """Return the modified integrals of a scheme for this top, that is, the integrals of its map.
 
         Parameters
         ----------
@@ -257,8 +261,8 @@ class Top(BaseModel):
         Returns
         -------
         mapping of str to callable
-            Functions ``integral(state, constants)`` by name, which the map conserves exactly; at h = 0 they are
-            integrals of the motion. By default there are none. The same symbols and levels apply as to ``integrals``.
+            Functions ``integral(state, constants)`` by name, which the map conserves exactly. At h = 0 they are
+            integrals of the motion. By default there are none. ``symbols`` and ``holds_on`` apply to them too.
         """
         return {}
 
@@ -279,8 +283,8 @@ class Top(BaseModel):
         Returns
         -------
         EulerPoisson
-            Of a rigid body without a rotor: for schemes and Lax forms that need its moments. ``checked_equations``
-            compares it with ``field`` before it is used.
+            Coefficients for a rigid body without a rotor. Schemes and Lax pairs that need the moments of inertia use
+            these coefficients, after ``checked_equations`` has compared the equations with ``field``.
         """
         raise NotImplementedError
 
@@ -290,7 +294,8 @@ class Top(BaseModel):
         Returns
         -------
         tuple of str
-            One line each. By default there is at most one, for moments of inertia that violate the triangle inequality.
+            One line for each warning. By default, the only warning is about moments of inertia that violate the
+            triangle inequality (each is at most the sum of the other two).
         """
         try:
             moments = checked_equations(self, "the check of the moments").moments
@@ -342,8 +347,8 @@ MOVED = 1e-6
 def checked_rotation(top: Top, needed_by: str) -> None:
     """Check that ``top`` gives its angular velocity, and that its ``vertical`` is fixed in space.
 
-    The rate of change of the vertical in the body's frame is vertical x angular velocity; it is compared at several
-    states. ``needed_by`` is that of ``checked_equations``.
+    In the body's frame, the rate of change of the vertical must be vertical x angular velocity. This is tested at
+    several states. ``needed_by`` has the same meaning as in ``checked_equations``.
 
     Raises
     ------
@@ -398,20 +403,20 @@ def checked_equations(top: Top, needed_by: str) -> EulerPoisson:
     top : Top
         Any top, also one from a user's file.
     needed_by : str
-        What is about to use the equations, for the message: "scheme 'taylor'".
+        User of the equations, for the error message, such as "scheme 'taylor'".
 
     Raises
     ------
     UsageError
-        If the top gives no Euler-Poisson equations, or if they are not those of its field; the message names the
-        component that differs.
+        If the top gives no Euler-Poisson equations, or if they differ from its field. The message names the component
+        that differs.
     """
     try:
         equations, fault = _compared(top)
     except NotImplementedError:
         other = "use a scheme that needs the field alone, such as rk4, or " if needed_by.startswith("scheme") else ""
         raise UsageError(
-            f"top {top.kind!r}: {needed_by} needs its Euler-Poisson equations, which it does not give; "
+            f"top {top.kind!r}: {needed_by} needs its Euler-Poisson equations, which it does not define; "
             f"{other}define euler_poisson()"
         ) from None
     if fault:
@@ -467,52 +472,58 @@ def same_state(state: Any, h: float, p: Any) -> Any:
 
 @dataclass(frozen=True)
 class Stepper:
-    """Step of a scheme, built for one top; the engine compiles and iterates it.
+    """Step of a scheme for one top; the engine compiles and iterates it.
 
-    The step may work on another form of the state: scaled by h, in a stereographic coordinate, or extended by carried
-    quantities such as a compensation term. ``enter`` converts the physical state to this working state and ``leave``
-    converts it back; only the result of ``leave`` is recorded.
+    The step may work on another form of the state, the *working state*. For example, it may be scaled by h, use a
+    stereographic coordinate, or have additional numbers such as the compensation terms of sums. ``enter`` converts the
+    physical state to the working state, and ``leave`` converts it back. Only the result of ``leave`` is recorded.
 
     Parameters
     ----------
     step : callable
-        ``step(state, h, p) -> state`` on working states, flat tuples of ``width`` floats; ``p`` is ``top.constants()``.
+        ``step(state, h, p)`` returns the working state after one step. A working state is a flat tuple of ``width``
+        floats; ``p`` contains the constants of the top, ``top.constants()``.
     width : int
         Length of the working state.
     enter : callable, optional
-        ``enter(y, h, p)``: working state from the physical state. None if they are the same.
-    leave : callable, optional
-        ``leave(state, h, p)``: physical state from the working state. None if they are the same.
-    counters : tuple of str, optional
-        Names of the trailing slots of the working state, which count events. They are reported and never affect the
+        ``enter(y, h, p)`` returns the working state for the physical state ``y``. None if the working state is the
         physical state.
+    leave : callable, optional
+        ``leave(state, h, p)`` returns the physical state for a working state. None if the working state is the physical
+        state.
+    counters : tuple of str, optional
+        Names of the last numbers of the working state if these numbers count events of the scheme. The counts are
+        reported and never affect the physical state.
     plain : bool, optional
-        True if the step calls functions that cannot be compiled; it then runs in the interpreter. A step that may take
-        seconds calls ``check_stop`` on the way.
+        True if the step calls functions that cannot be compiled. It then runs in the Python interpreter. A plain step
+        that may take seconds must call ``check_stop`` every few milliseconds.
     iterative : bool, optional
-        True if the slot before the counters is a status: 0.0, or nan if the iteration did not converge. The run then
-        ends as ``no_convergence``.
+        True if the last number of the working state before the counters is the status of an iteration. The status is
+        0.0, or nan if the iteration did not converge; a run with status nan ends as ``no_convergence``.
     checked : int, optional
-        Number of leading slots tested for finiteness; a run ends as ``blew_up`` at the first value that is not finite.
-        0 tests all slots. A slot need not be tested if its non-finite values reach the tested ones.
+        How many numbers of the working state, from the first one on, are tested after each step. A run ends as
+        ``blew_up`` if a tested number is not finite. 0 tests all numbers. A number needs no test if its non-finite
+        values spread to tested numbers.
     advice : callable, optional
-        ``advice(work, h)``: hint for the user of a run that ended as ``no_convergence``, from the working state that
-        the failed step left.
+        ``advice(work, h)`` returns a hint for the user of a run that ended as ``no_convergence``. ``work`` is the
+        working state after the failed step.
     stages : tuple, optional
-        For a composition: the base step and the fractions of h of its stages, in order. The composition stops after
-        the first stage whose state is not finite. Ensembles then advance by one stage at a time.
+        For a composition, which takes several steps (stages) of a base scheme in each step: the step of the base
+        scheme, and the lengths of the stages as fractions of h, in order. The composition stops after the first stage
+        whose state is not finite. Ensembles advance by one stage at a time.
     constants : tuple of Fraction, optional
-        Constants of the step, exactly. They follow those of the top in its ``p``; ``enter`` and ``leave`` do not need
-        them.
+        Constants of the step as exact fractions. In the argument ``p`` of the step, they follow the constants of the
+        top. ``enter`` and ``leave`` do not need them.
     source : callable, optional
-        ``source()`` returns the source of code that is made from the top's field; None for a step that is written out.
-        A step that is made is made again, from fractions, in other arithmetics.
+        ``source()`` returns the source code of a step that is generated from the top's field. None for a step written
+        by hand. For a run in another precision than double, the code is generated again from exact constants.
     composable : Stepper, optional
-        The same method on a working state that does not depend on h, for compositions and substeps. None if this
-        working state does not depend on h either, or if there is no such form.
+        The same method with a working state that does not depend on h, for methods that change the step size within one
+        step. None if the working state of this Stepper does not depend on h, or if there is no such method.
     tangent : callable, optional
-        ``tangent()`` returns the Stepper of the state and a tangent vector, in this order the first 2 d slots of its
-        working state. None if the tangent map is the step, differentiated by the compiler.
+        ``tangent()`` returns a Stepper for a state together with a tangent vector. The first 2 d numbers of its working
+        state are the d components of the state, then those of the vector. None if the compiler can differentiate the
+        step.
     """
 
     step: StepFunction
@@ -531,22 +542,22 @@ class Stepper:
     tangent: Callable[[], Stepper] | None = None
 
     def parameters(self, top: Top) -> Floats:
-        """``p`` of the step for ``top``: its constants, then those of the step."""
+        """Return the argument ``p`` of the step: the constants of ``top``, then those of the step."""
         return (*top.constants(), *map(float, self.constants))
 
 
 class Setup(Protocol):
-    """Part of a closed form that depends on the initial state and the top alone; the engine keeps it on disk.
+    """Part of a closed form that depends only on the initial state and the top; the engine stores it on disk.
 
-    ``y0`` is an initial state, shape (d,), ``p`` the constants of the top. A class of topcli whose objects need no
-    arguments is also used in other processes.
+    ``y0`` is an initial state, shape (d,), and ``p`` the constants of the top. If the class belongs to topcli and its
+    objects need no arguments, other processes use it too.
     """
 
     seconds: float
     """Typical time to compute the set-up of one initial state."""
 
     def needed(self, y0: Array, p: Floats) -> bool:
-        """True if the motion has a set-up, and this process does not have it yet."""
+        """True if the motion needs a set-up that this process does not have yet."""
         ...
 
     def compute(self, y0: Array, p: Floats) -> bytes:
@@ -558,7 +569,7 @@ class Setup(Protocol):
         ...
 
     def code(self) -> str:
-        """Text that changes with everything on which the set-up depends besides ``y0`` and ``p``."""
+        """Text that changes with everything that the set-up depends on, apart from ``y0`` and ``p``."""
         ...
 
 
@@ -575,21 +586,23 @@ class Accuracy(NamedTuple):
 
 @dataclass(frozen=True)
 class Sampler:
-    """Closed-form solution, evaluated at the times of the steps instead of being iterated.
+    """Scheme that evaluates a closed-form solution at the times of the steps, instead of iterating a step.
 
     Parameters
     ----------
     states : callable
         ``states(y0, h, n, p)`` takes the initial state, shape (d,), the step size, the step numbers, shape (m,), and
-        the constants of the top; it returns the states after these numbers of steps, shape (m, d). A section asks for
-        states between two steps too: ``n`` are then floats.
+        the constants of the top. It returns the states after these numbers of steps, shape (m, d). For a Poincaré
+        section, the numbers ``n`` may be fractions, because the section needs states between two steps.
     setup : Setup, optional
-        Work done once for each initial state, if it takes time. ``states`` does it by itself where nobody else has.
+        Slow work that ``states`` needs once for each initial state. If this work has not been done before, ``states``
+        does it.
     accuracy : callable, optional
-        ``accuracy(y0, h, n, p)`` returns the limits of the accuracy over the steps ``n`` (m,).
+        ``accuracy(y0, h, n, p)`` returns the limits of the accuracy of the states after ``n`` steps, shape (m,).
     attitude : callable, optional
-        ``attitude(y0, q0, h, n, p)`` returns the quaternions of the attitude, shape (m, 4), which at the start is
-        ``q0``, shape (4,). None if the attitude has no closed form; it is then summed up over the steps.
+        ``attitude(y0, q0, h, n, p)`` returns the attitude (the rotation from the body's frame to space) as quaternions,
+        shape (m, 4). ``q0``, shape (4,), is the quaternion at the start. None if the attitude has no closed form and is
+        computed step by step instead.
     """
 
     states: Callable[[Array, float, Any, Floats], Array]
@@ -600,18 +613,19 @@ class Sampler:
 
 @dataclass(frozen=True)
 class Block:
-    """Method with its own time loop, which advances many steps per call.
+    """Scheme with its own time loop, which advances many steps per call.
 
     Parameters
     ----------
     text : callable
         ``text()`` returns a module in LLVM IR that defines ``advance(work, out, p, h, steps, every, until_record)``,
-        the signature of the engine's time loop. The function advances at most ``steps`` steps of ``h``, writes the
-        requested states to ``out``, and returns the number of steps taken, or minus the number of the failed step.
+        the signature of the engine's time loop. The function takes at most ``steps`` steps of ``h``. It writes the
+        state to ``out`` after ``until_record`` steps, and again after every ``every`` steps. It returns the number of
+        steps taken or, if a step failed, minus the number of that step.
     enter : callable
         ``enter(y, work, p, h)`` fills ``work`` from the physical state ``y``, shape (d,).
     width : int
-        Length of ``work``, which holds everything the loop needs to continue.
+        Length of ``work``, which contains everything that the loop needs to continue.
     counters : tuple of str, optional
         As in ``Stepper``.
     iterative : bool, optional
@@ -619,7 +633,8 @@ class Block:
     advice : callable, optional
         As in ``Stepper``.
     tangent : callable, optional
-        ``tangent()`` returns the Block of the state and a tangent vector, of 2 d components. None if there is none.
+        ``tangent()`` returns a Block that advances a state together with a tangent vector, 2 d numbers in all. None if
+        there is no such Block.
     """
 
     text: Callable[[], str]
@@ -639,17 +654,17 @@ UNKNOWN = "none known to us"
 
 @dataclass(frozen=True)
 class Integrability:
-    """Structure of a scheme that is an integrable map, beside its integrals.
+    """Lax pair and Poisson bracket of a scheme that is an integrable map.
 
     Parameters
     ----------
     lax : str
-        Discrete Lax pair in a few words, or ``UNKNOWN``.
+        Description of the discrete Lax pair in a few words, or ``UNKNOWN``.
     poisson : str
-        Poisson bracket that the map preserves, in a few words, or ``UNKNOWN``.
+        Description of the Poisson bracket that the map preserves, in a few words, or ``UNKNOWN``.
     bracket : str, optional
-        ``"lie-poisson"`` if it is the bracket of the moment m and, if the state has one, of the vertical or the axis.
-        The tests check it.
+        ``"lie-poisson"`` if the map preserves the Lie-Poisson bracket of the angular momentum m and of the other vector
+        in the state (the vertical or the axis of the top), if there is one. The tests check this declaration.
     """
 
     lax: str
@@ -659,17 +674,19 @@ class Integrability:
 
 @dataclass(frozen=True)
 class Scheme:
-    """Time discretization of one form of a top, with its declared traits.
+    """Numerical scheme for one form of a top (one choice of state variables), with its declared properties.
 
-    Schemes are created by the decorator ``topcli.scheme``, whose documentation explains the parameters.
+    The decorator ``topcli.scheme`` creates schemes. Its parameters, which the page of ``topcli.scheme`` explains,
+    become attributes of the scheme.
     """
 
     name: str
     """Name in configs, lower case."""
     top: str
-    """Form of the top (``Top.form``)."""
+    """Name under which schemes are registered for the top (``Top.form``), such as ``euler`` or
+    ``lagrange/inertial``."""
     title: str
-    """Title for people, on one line."""
+    """Title on one line."""
     order: int | None
     """Order of convergence; None for an exact solution, or if the order follows from a tolerance."""
     explicit: bool
@@ -685,46 +702,55 @@ class Scheme:
     build: Callable[[Any, Any], Method]
     """``build(top, options)`` returns a Stepper, a Sampler (closed-form solution) or a Block."""
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None
-    """``modified(top, h, options)`` returns the integrals of the scheme itself: they depend on h and are conserved
+    """``modified(top, h, options)`` returns the modified integrals of the scheme, which depend on h and are conserved
     exactly."""
     options: type[BaseModel] = NoOptions
-    """Pydantic model of the options."""
+    """Pydantic model of the options of the scheme."""
     adaptive: bool = False
-    """True if the method takes internal steps within each h, controlled by a tolerance. ``order`` is then the order of
-    the formula, which is observed only if the tolerance is loose enough for one internal step per h."""
+    """True if the method divides each h into internal steps, controlled by a tolerance. ``order`` is then the order of
+    one internal step. Runs show this order only if the tolerance is so loose that each h is one internal step."""
     limits: Mapping[str, str] = field(default_factory=dict, hash=False)
-    """Conditions under which the scheme fails, each with the reason in a sentence. A key that names a hard case
-    (``topcli stress``) is checked against the result of that case in both directions; any other key is a condition in
-    words."""
+    """Conditions under which the scheme fails, each with the reason in a sentence. A key may be the name of a hard case
+    of ``topcli stress``. The scheme must fail the hard cases that are keys, and it must not fail other hard cases. Any
+    other key describes a condition in words."""
     longest_step: Callable[[Any, Floats, Any], float] | None = None
     """``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from the state
-    ``y0``; a longer one is refused before the run. None if every h can be tried."""
+    ``y0``. A run with a longer step is refused before it starts. None if the scheme has no longest step."""
     doc: str = ""
     """Description, from the docstring of ``build``."""
     origin: str = "topcli"
-    """Distribution or file that registered the scheme."""
+    """Installed Python package or file that registered the scheme."""
     order_with: Callable[[Any], int | None] | None = None
-    """``order_with(options)``: order with these options, if it depends on them; ``order`` is that of the defaults."""
+    """``order_with(options)`` returns the order, if it depends on the options; ``order`` is the order with the
+    defaults."""
     formula: str = ""
-    """Step in LaTeX: display formulas without delimiters, separated by empty lines. A prime marks the new state, a bar
-    the mean of both, f is the right-hand side of the equations of motion."""
+    """Step as display formulas in LaTeX, without delimiters, separated by empty lines. A prime marks the new state, a
+    bar marks the mean of the old and the new state, and f is the right-hand side of the equations of motion."""
     integrable: Integrability | None = None
-    """Structure of an integrable map; None for other schemes."""
+    """Lax pair and Poisson bracket of an integrable map; None for other schemes."""
 
     def order_for(self, options: Any) -> int | None:
-        """Order of convergence with ``options``."""
+        """Order of convergence if the scheme has these ``options``."""
         return self.order if self.order_with is None else self.order_with(options)
 
 
 class Outcome(StrEnum):
-    """Result of a run."""
+    """Way in which a run ended."""
 
     COMPLETED = "completed"
+    """The run took all its steps."""
     LEFT_MOTION = "left_motion"
+    """The run took all its steps, but its state moved far off the energy surface (the states with the initial
+    energy)."""
     BLEW_UP = "blew_up"
+    """A component of the state is no longer finite."""
     NO_CONVERGENCE = "no_convergence"
+    """The iteration of an implicit step did not converge."""
     INTERRUPTED = "interrupted"
+    """The run was stopped before its end."""
     DIGIT_LIMIT = "digit_limit"
+    """In a run with exact fractions, the components of the state have more digits than ``max_digits`` in the config
+    allows."""
 
 
 @dataclass(frozen=True)
@@ -734,18 +760,18 @@ class Ending:
     Parameters
     ----------
     outcome : Outcome
-        Result of the run.
+        Way in which the run ended.
     step : int
         Number of the last step taken, or of the failed step.
     t : float
-        Time of ``step``, dimensionless.
+        Time t of that step, dimensionless.
     counters : mapping of str to int, optional
-        Final values of the counters of the scheme.
+        Number of events of each kind that the scheme counted, by the name of the counter.
     left : int, optional
-        First recorded step at which the state was far off its energy surface, None for never. The run goes on; if
-        nothing else ends it, its outcome is ``left_motion``.
+        First recorded step at which the energy differed much from its first value; None if there is no such step. The
+        run goes on after this step. If it takes all its steps, its outcome is ``left_motion``.
     left_t : float, optional
-        Time of ``left``, dimensionless.
+        Time t of the step ``left``, dimensionless.
     advice : str, optional
         Hint for the user of a run that did not converge.
     """
@@ -759,7 +785,7 @@ class Ending:
     advice: str = ""
 
     def with_left(self, step: int | None, h: float) -> Ending:
-        """The same ending of a run with steps of ``h`` that left its energy surface at ``step``; None for never."""
+        """Return this ending for a run with step size ``h`` that left its energy surface at ``step`` (None: never)."""
         if step is None:
             return self
         outcome = Outcome.LEFT_MOTION if self.outcome is Outcome.COMPLETED else self.outcome
@@ -769,7 +795,7 @@ class Ending:
     def message(self) -> str:
         """Description of the ending, one line."""
         where = f"at step {self.step} (t = {self.t:.6g})"
-        completed = f"completed {self.step} step{'s' * (self.step != 1)} (t = {self.t:.6g})"
+        completed = f"completed {counted(self.step, 'step')} (t = {self.t:.6g})"
         left = "" if self.left is None else f"left its energy surface at step {self.left} (t = {self.left_t:.6g})"
         message = {
             Outcome.COMPLETED: completed,

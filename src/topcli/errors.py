@@ -1,7 +1,7 @@
-"""Errors of a user and failures of a run: messages without tracebacks, safe to print.
+"""Errors made by the user and failures of runs, with messages that are safe to print.
 
-Every error has a message of one to three lines: what is wrong, where, and what would be right. The command line prints
-the message and exits with the error's ``ExitCode``.
+Every error has a message of one to three lines, which says what is wrong, where, and what would be right. The command
+line prints the message without a traceback and exits with the error's ``ExitCode``.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from collections.abc import Iterable
 from enum import IntEnum
 
 NAME_LENGTH = 60
-"""Longest name or value that a message repeats."""
+"""Length at which messages cut a name or value."""
 LIST_LENGTH = 300
-"""Longest list of names in a message that could name the command that lists them."""
+"""Longest list of names in a message; instead of a longer one, the message names the command that lists them."""
 MESSAGE_LENGTH = 900
-"""Longest message; with the prefix of a command it has less than 1,000 characters."""
+"""Length of the longest message. With the prefix of a command, it stays below 1,000 characters."""
 
 
 class ExitCode(IntEnum):
-    """Exit codes of the commands, with their ``meaning`` as the help of ``topcli`` lists it.
+    """Exit codes of the commands, each with its ``meaning`` in the help of ``topcli``.
 
-    A closed pipe (``topcli ... | head -1``) changes none of these: the command continues without printing. On Windows,
-    which topcli does not support, every command exits with 2.
+    A closed pipe (``topcli ... | head -1``) does not change the exit code: the command continues without printing. On
+    Windows, which topcli does not support, every command exits with 2.
     """
 
     meaning: str
@@ -36,8 +36,8 @@ class ExitCode(IntEnum):
     SUCCESS = 0, "success"
     FAILED = 1, "a run failed"
     WRONG_USAGE = 2, "wrong usage or config"
-    PARTLY_FAILED = 3, "part of several runs failed"
-    VIOLATED = 4, "a stated tolerance or claim was violated"
+    PARTLY_FAILED = 3, "only some of several runs failed"
+    VIOLATED = 4, "a tolerance is exceeded, or a declaration or claim is false"
     BUG = 70, "an internal error"
     INTERRUPTED = 130, "interrupted"
 
@@ -58,13 +58,19 @@ def shortened(text: str, length: int = NAME_LENGTH) -> str:
     return text if len(text) <= length else text[: length - 3] + "..."
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun, such as "1 row", "2 rows" and "3 copies"."""
+    several = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{count} {noun if count == 1 else several}"
+
+
 def quoted(name: str) -> str:
-    """Return a name given by the user as messages repeat it: quoted, short and printable."""
+    """Return a name given by the user in the form for messages: quoted, short and printable."""
     return repr(shortened(name))
 
 
 def clipped(text: str, length: int = MESSAGE_LENGTH) -> str:
-    """Return ``text`` without its middle if it is longer than ``length``; place and reason are at its ends."""
+    """Return ``text``, without its middle if it is longer than ``length``. Place and reason are at its ends."""
     if len(text) <= length:
         return text
     tail = (length - 5) // 2
@@ -72,7 +78,11 @@ def clipped(text: str, length: int = MESSAGE_LENGTH) -> str:
 
 
 class TopcliError(Exception):
-    """Failure reported in a few printable ``lines`` of bounded length; ``exit_code`` is that of the process."""
+    """Base class of topcli's errors.
+
+    The message consists of a few printable ``lines`` of bounded length. ``exit_code`` is the exit code of a command
+    that ends with this error.
+    """
 
     exit_code = ExitCode.FAILED
 
@@ -87,39 +97,39 @@ class TopcliError(Exception):
 
 
 class UsageError(TopcliError):
-    """Wrong argument, file or value (exit code 2)."""
+    """Wrong argument, file or value; the exit code is 2."""
 
     exit_code = ExitCode.WRONG_USAGE
 
     def _render_traceback_(self) -> list[str]:
-        """Lines that IPython and notebooks show in place of a traceback through topcli."""
+        """Return the lines that IPython and notebooks show instead of a traceback."""
         return [f"{type(self).__name__}: {self}"]
 
 
 class ConfigError(UsageError):
-    """Error in a config; the message names file, line and key (exit code 2)."""
+    """Error in a config; the message names file, line and key, and the exit code is 2."""
 
 
 class StepTooLongError(ConfigError):
-    """Step size beyond the domain of the scheme; the message names the longest admissible one (exit code 2)."""
+    """Step size too long for the scheme; the message gives the longest one allowed, and the exit code is 2."""
 
 
 class UnknownNameError(UsageError):
-    """Unknown scheme, top or figure; the message names the nearest ones (exit code 2)."""
+    """Unknown name of a scheme, top, figure and so on; the message gives the nearest names, and the exit code is 2."""
 
 
 class SchemeCodeError(UsageError):
-    """Code of a scheme or top that raises, or cannot be compiled or identified (exit code 2)."""
+    """Code of a scheme or top that raises an exception or cannot be compiled or identified; the exit code is 2."""
 
 
 class RunError(TopcliError):
-    """Run that could not be carried out or written (exit code 1)."""
+    """Run that could not be computed or stored; the exit code is 1."""
 
 
 def nearest(name: str, known: Iterable[str], listed_by: str = "") -> str:
-    """Return a hint for a misspelt ``name``: the nearest of the ``known`` names, or all of them.
+    """Return a hint for a misspelt ``name``: the nearest of the ``known`` names or, if none is near, all of them.
 
-    Instead of more names than fit on a few lines, the command ``listed_by`` is named if it is given.
+    If ``listed_by`` is given and the list is long, the hint names this command instead.
 
     >>> nearest("hkk", ["hk", "hybrid"])
     "did you mean 'hk'?"

@@ -90,7 +90,7 @@ def damage_run(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
         else:
             name = _swapped(draw, scenes, scene, box, case) if kind < 0.85 else _whole_folder(draw, scene, box, case)
     planted = box.planted
-    said = box.call("list", "runs", "--out", "out", *(["--json"] if draw.random() < 0.3 else []))
+    said = box.call("list", "runs", "--results", "out", *(["--json"] if draw.random() < 0.3 else []))
     if said.code not in (0, 1) or OTHER not in said.out:
         box.fault("lost", f"list runs exits with {said.code} and does not name the whole run beside it")
     verify(scene, box, name)

@@ -172,7 +172,7 @@ def look(box: Sandbox, said: Said, how: str) -> None:
             box.fault("exit code", f"on a full disk it exits with {said.code}")
     elif said.code != KILLED:
         box.fault("kill", f"exits with {said.code}: {said.err[:300]}")
-    box.call("list", "runs", "--out", "out")
+    box.call("list", "runs", "--results", "out")
     left = sorted(path for path in box.out.iterdir() if path.is_dir())
     said = box.call("verify", *(f"out/{path.name}" for path in left)) if left else said
     torn = how == "power" or "journal.jsonl: damaged: 1 damaged lines" in said.err  # an incomplete last line

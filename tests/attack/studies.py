@@ -23,7 +23,7 @@ DATA: dict[str, Any] = {
     "base": {key: value for key, value in BASE.items() if key != "scheme"},
     "grid": {"scheme": ["hk", "rk4"], "h": [0.002 * k for k in range(1, 11)]},
     "include": [{"scheme": "rk2", "h": 1e150}],
-    "measure": ["deviation.energy", "drift.k_sq"],
+    "measure": ["max_deviation.energy", "drift.k_sq"],
 }
 """Twenty rows, and one that blows up."""
 

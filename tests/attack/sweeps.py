@@ -65,7 +65,7 @@ def damaged(scenes: Scenes, draw: random.Random, box: Sandbox) -> None:
 
 def read(scene: SweepScene, box: Sandbox, intact: bool) -> None:
     """A table and a page are made of the right rows or refused."""
-    words = ["--rows", "scheme", "--columns", "h", "--value", "deviation.energy", "--json"]
+    words = ["--rows", "scheme", "--columns", "h", "--value", "max_deviation.energy", "--json"]
     said = box.call("table", f"out/{SWEEP}", *words)
     if said.code == 0:
         whole = call(["table", str(scene.whole), *words], box.folder, [])
@@ -127,7 +127,7 @@ H = DATA["grid"]["h"]
 EDITS: tuple[dict[str, Any], ...] = (
     {"grid": {**DATA["grid"], "h": [*H[1:8:2], 0.03]}},
     {"measure": ["drift.k_sq"]},
-    {"measure": ["deviation.energy", "deviation.k_sq", "swings"]},
+    {"measure": ["max_deviation.energy", "max_deviation.k_sq", "swings"]},
     {"base": {**DATA["base"], "N": 61}},
     {"grid": {"h": H[:3], "scheme": ["rk4", "rk2", "hk"]}},
     {"include": None, "exclude": [{"scheme": "hk", "h": 0.002}]},

@@ -83,7 +83,9 @@ def test_a_run_is_written_and_reported(cli, in_tmp: Path) -> None:
 
 
 def test_several_runs_have_titles_and_one_document(cli) -> None:
-    titles = [line for line in cli("run", HK, HYBRID, "--set", "N=100").out.splitlines() if line[:1] == "k"]
+    titles = [
+        line for line in cli("run", HK, HYBRID, "--set", "N=100").out.splitlines() if line.startswith("kowalevski")
+    ]
     document = cli("run", HK, HYBRID, "--set", "N=100", "--json").json()
     assert document["schema_version"] == 1
     names = [run["name"] for run in document["runs"]]
@@ -262,7 +264,7 @@ def spin(path: str, omega3: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 def test_a_csv_file_is_analysed_and_drawn(cli: Callable[..., Any]) -> None:
     t = spin("mine.csv", 1.3 + 1e-6 * np.linspace(0.0, 1.0, 200))
-    command = ("analyse", "mine.csv", "--config", "euler_hk", "--columns", COLUMNS, "--plot", "--out", "pictures")
+    command = ("analyse", "mine.csv", "--config", "euler_hk", "--rename", COLUMNS, "--plot", "--out", "pictures")
     said = cli(*command, "--json")
     found = said.json()
     assert (said.code, said.err) == (0, "")
@@ -271,7 +273,7 @@ def test_a_csv_file_is_analysed_and_drawn(cli: Callable[..., Any]) -> None:
     assert found["files"] == [f"pictures/analyse_euler_hk_mine.{suffix}" for suffix in ("png", "pdf", "parquet")]
     drawn = pq.read_table(found["files"][-1])
     np.testing.assert_allclose(drawn.column("t").to_numpy(), t, rtol=1e-15)
-    assert drawn.column("error").to_numpy()[-1] == found["end_error"]
+    assert drawn.column("error").to_numpy()[-1] == found["final_error"]
     assert all(Path(file).is_file() for file in found["files"])
     plain = cli(*command)
     assert plain.err.splitlines() == [f"wrote {file}" for file in found["files"]]
@@ -297,4 +299,4 @@ def test_a_missing_reference_is_said_and_shown(cli: Callable[..., Any]) -> None:
     assert said.code == 0
     assert said.err.startswith("warning: no error: the reference would need at least 5e+11 Taylor steps ")
     shown = {line[:18].strip(): line[18:].strip() for line in said.out.splitlines()}
-    assert (shown["reference from"], shown["max error"], shown["error at the end"]) == ("none", "–", "–")
+    assert (shown["reference from"], shown["max error"], shown["final error"]) == ("none", "–", "–")

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 SWEEP = """\
 base: v.yaml
 grid: {top.k: [0.0, 0.5], scheme: [hk, rk4], h: [0.01, 0.02]}
-measure: [error.max, deviation.energy, max.w3, swings]
+measure: [max_error, max_deviation.energy, max.w3, swings]
 """
 
 
@@ -49,7 +49,7 @@ def test_runs_and_comparisons_agree_with_an_independent_integration(cli, config:
         series = read_series(Path("results") / scheme["scheme"] / "series.parquet")
         last = np.array([series[name][-1] for name in ("w1", "w2", "w3")])
         error = np.linalg.norm(last - exact(4.0))
-        assert scheme["end_error"] == pytest.approx(error, rel=1e-3)
+        assert scheme["final_error"] == pytest.approx(error, rel=1e-3)
     assert [scheme["invariants"][0]["verdict"] for scheme in found][1] == "exact"
 
 
@@ -84,11 +84,11 @@ def test_sweeps_tables_pictures_and_pages(cli, config: Path) -> None:
     assert (
         "0.02"
         in cli(
-            "table", "results/s", "--rows", "h", "--columns", "scheme", "--value", "error.max", "--where", "top.k=0.5"
+            "table", "results/s", "--rows", "h", "--columns", "scheme", "--value", "max_error", "--where", "top.k=0.5"
         ).out
     )
     assert (
-        cli("plot", "sweep", "results/s", "--x", "h", "--y", "error.max", "--by", "scheme", "--where", "top.k=0.5").code
+        cli("plot", "sweep", "results/s", "--x", "h", "--y", "max_error", "--by", "scheme", "--where", "top.k=0.5").code
         == 0
     )
     row = cli("show", "results/s", "--row", "3", "--json").json()["config"]
@@ -127,4 +127,4 @@ def test_a_page_on_a_study_needs_no_config(cli, config: Path) -> None:
     code = "import sys; from topcli.__main__ import entry; sys.argv[1:] = sys.argv[1].split(); entry()"
     made = subprocess.run([sys.executable, "-c", code, "report s.json --out s.html"], capture_output=True, text=True)
     assert (made.returncode, made.stderr) == (0, "wrote s.html\n")
-    assert "scheme hk: Kahan 1993" in Path("s.html").read_text()
+    assert "HK: Kahan 1993" in Path("s.html").read_text()

@@ -27,7 +27,7 @@ SWEEP = """\
 base: {top: kowalevski, initial: {omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}, scheme: hk, N: 50}
 grid:
   h: {from: 1e-9, to: 1e-8, count: 40}
-measure: [deviation.energy]
+measure: [max_deviation.energy]
 """
 STOPS = [signal.SIGINT, signal.SIGTERM]
 

@@ -181,8 +181,8 @@ def test_the_tutorial_works_on_a_bare_machine(bare: tuple[Path, dict[str, str]],
     for name, text in page.files().items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     commands = [one for block in page.blocks if block.language == "console" for one in sessions(block)]
-    assert [command.split()[1] for command, _ in commands] == ["run", "compare", "plot"]
-    for command, shown in commands:
+    assert [command.split()[1] for command, _ in commands] == ["install", "run", "report", "run", "compare", "plot"]
+    for command, shown in commands[1:]:  # it is installed
         code, printed = run(command, tmp_path, scripts, environment)
         assert code == 0, (command, printed)
         assert not difference(shown, printed), command

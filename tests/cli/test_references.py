@@ -12,8 +12,11 @@ from types import ModuleType
 import pytest
 from ruamel.yaml import YAML
 
+import topcli
 from conftest import ROOT
 from topcli import __version__
+from topcli.cli.app import all_commands
+from topcli.cli.commands import examples_of
 from topcli.config.models import Config, Output
 from topcli.figures.catalogue import FIGURES
 from topcli.schemes.compose import COMPOSITIONS
@@ -51,9 +54,9 @@ def test_every_clause_of_a_citation_names_a_work() -> None:
 
 
 def sources() -> str:
-    """Sources and pages, without the bibliography and what is generated from citations."""
+    """Sources and pages, without the bibliography."""
     files = [*(ROOT / "src").rglob("*.py"), *(ROOT / "docs").glob("*.md")]
-    return " ".join(re.sub(r"\s+", " ", one.read_text(encoding="utf-8")) for one in files if one.name != "schemes.md")
+    return " ".join(re.sub(r"\s+", " ", one.read_text(encoding="utf-8")) for one in files)
 
 
 @pytest.mark.slow
@@ -87,6 +90,20 @@ def test_works_are_complete(key: str) -> None:
     assert entry.bibtex.isascii()
     assert not set("{}\\") & set(entry.text)
     assert keys(entry.bibtex) == [key]
+
+
+def test_addresses_of_a_work_are_those_of_its_bibtex() -> None:
+    works = bibliography()
+    assert works["bellon1999"].addresses == {
+        "doi:10.1007/s002200050652": "https://doi.org/10.1007/s002200050652",
+        "arXiv:chao-dyn/9805006": "https://arxiv.org/abs/chao-dyn/9805006",
+    }
+    assert set(works["hairer2006dmv"].addresses.values()) == {works["hairer2006dmv"].fields["url"]}
+    assert works["kahan1993"].addresses == {}
+    for one in works.values():
+        assert ("eprint" in one.fields) == ("archiveprefix" in one.fields)
+        assert re.fullmatch(r"10\.\d{4}/\S+", one.fields.get("doi", "10.1000/none"))
+        assert all(name in one.text for name in one.addresses)
 
 
 def test_a_work_is_named_by_all_its_authors() -> None:
@@ -168,6 +185,30 @@ def rows(page: str) -> dict[str, list[str]]:
     return {row[0].strip(): row[1:] for row in cells}
 
 
+def test_the_page_of_commands_has_all_options(made: Path) -> None:
+    """Each option with its help, its default and its bounds; examples; exit codes."""
+    page = text(made, "parts/commands")
+    sections = dict(re.findall(r"^#{3,4} topcli ([^\n]+)\n(.*?)(?=^##|\Z)", page, re.MULTILINE | re.DOTALL))
+    contexts = all_commands()
+    assert list(sections) == list(contexts)
+    for name, context in contexts.items():
+        shown = {cell.strip("`").split(" ")[0].strip(","): rest for cell, rest in rows(sections[name]).items()}
+        for parameter in context.command.params:
+            if parameter.param_type_name != "option" or "--plugin" in parameter.opts:
+                continue
+            first = min(parameter.opts, key=len)
+            meaning, extra = shown[first]
+            assert meaning.replace("`", "").replace("\\", "").strip() == parameter.help
+            assert ("repeatable" in extra) == parameter.multiple
+            if isinstance(parameter.show_default, str):
+                assert parameter.show_default in extra.replace("\\", "").replace("`", "")
+        assert "\n".join(examples_of(name)) in sections[name]
+    assert "besides 0, 2, 70 and 130: 1 (a file is damaged).\n" in sections["verify"]
+    assert "Exit codes" not in sections["cite"]
+    assert "[default" not in page
+    assert "\n--" not in page.replace("| ---", "")
+
+
 def test_types_of_keys_are_in_words(maker: ModuleType) -> None:
     assert maker.keys_of(Output)[1][:3] == ("`every`", "whole number ≥ 1, ≤ 1e+12", "`1`")
     assert maker.table(("a", "b"), [("x|y", "z")])[2] == r"| x\|y | z |"
@@ -190,26 +231,76 @@ def test_there_is_a_page_for_each_scheme_and_top(made: Path) -> None:
     for name in {one.name for one in all_schemes()}:
         page = text(made, f"schemes/{name}")
         for scheme in (one for one in all_schemes() if one.name == name):
-            assert all(part.strip() in page for part in re.split(r", \\qquad|\n\n", scheme.formula))
+            assert all(part.strip() in page for part in re.split(r",\s*\\q?quad|\n\n", scheme.formula))
             assert all(limit in page for limit in scheme.limits.values())
             assert all(f"| `{key}` |" in page for key in scheme.options.model_fields)
+            assert f"`{scheme.top}`" in page
+            assert all(part in page for part in scheme.doc.replace("``", "`").split("\n\n"))
         assert page.count("$$") % 2 == 0
+        assert f"```{{index}} ! {name}," in page
+
+
+@pytest.mark.parametrize(
+    ("title", "names"),
+    [
+        (
+            "Hirota-Kimura scheme (Kahan's method)",
+            ["Hirota-Kimura", "Hirota Kimura", "Kahan's method", "Kahan method", "Kahan"],
+        ),
+        ("Classical Runge-Kutta method", ["Runge-Kutta", "Runge Kutta"]),
+        ("Closed-form solution of the Hirota-Kimura map", []),
+    ],
+)
+def test_the_search_finds_a_scheme_by_its_authors(maker: ModuleType, title: str, names: list[str]) -> None:
+    found = dict.fromkeys(sys.modules["descriptor_pages"].search_names(title))
+    assert list(found) == [title, *names]
+
+
+def test_every_symbol_of_a_formula_is_defined(maker: ModuleType) -> None:
+    """``symbols_of`` raises KeyError for a symbol without a meaning; each row shows a symbol of the formula."""
+    pages = sys.modules["descriptor_pages"]
+    for name, schemes in pages.grouped().items():
+        for tops, formula in pages.distinct(schemes, {one.top: one.formula for one in schemes}):
+            assert pages.symbols_of(formula, name, tops.partition(",")[0]), name
+    for top in TOPS.values():
+        assert pages.symbols_of(top.formula, top=top.form)
+    assert pages.symbols_of(r"\dot y = f(y)") == [
+        ("y", pages.symbols_of("y")[0][1]),
+        ("f", r"right-hand side of the equations of motion, $\dot y = f(y)$"),
+    ]
+    with pytest.raises(KeyError, match=r"no meaning of \\+chi in"):
+        pages.symbols_of(r"y' = y + h\,\chi_1(y)")
+
+
+def test_every_symbol_with_a_meaning_occurs(maker: ModuleType) -> None:
+    pages, symbols = sys.modules["descriptor_pages"], sys.modules["symbols"]
+    used = set()
+    for name, schemes in pages.grouped().items():
+        for tops, formula in pages.distinct(schemes, {one.top: one.formula for one in schemes}):
+            first = tops.partition(",")[0]
+            used |= {(name, first if (name, first) in symbols.OWN else ""), ("", "")}
+            shown = {symbol for symbol, _ in pages.symbols_of(formula, name, first)}
+            own = symbols.OWN.get((name, first)) or symbols.OWN.get((name, ""), {})
+            assert {f"{key}i" if key.endswith("_") else key.rstrip("^(") for key in own} <= shown, name
+    assert set(symbols.OWN) <= used | {("", form) for form in TOPS}
 
 
 @pytest.mark.slow
 def test_properties_are_those_declared(made: Path) -> None:
-    found = rows(text(made, "schemes/hk"))
     tops = sorted(one.top for one in all_schemes() if one.name == "hk")
-    assert [re.sub(r"\[(.*)\].*", r"\1", cell) for cell in found[""]] == tops
-    assert (found["order"], found["self-adjoint"]) == (["2"] * len(tops), ["yes"] * len(tops))
-    hk = {key: dict(zip(tops, cells, strict=True)) for key, cells in found.items() if len(cells) == len(tops)}
-    assert hk["conserves exactly"]["lagrange"] == r"$m\cdot e_3$"
-    assert hk["conserves exactly"]["kowalevski"] == "nothing"
-    assert hk["not exactly"]["kowalevski"] == r"$\gamma^2$, $2\ell$, $E$, $k^2$"
-    assert r"\kappa_{12}" in hk["in modified form"]["euler"]
+    found = rows(text(made, "schemes/hk"))
+    assert (found["order"], found["self-adjoint"]) == (["2"], ["yes"])
+    lines = text(made, "schemes/hk").splitlines()
+    head = next(line for line in lines if line.startswith("| top |")).strip("| ").split(" | ")[1:]
+    hk = {top: dict(zip(head, found[f"`{top}`"], strict=True)) for top in tops}
+    assert hk["lagrange"]["conserved exactly"] == r"$m\cdot e_3$"
+    assert hk["kowalevski"]["conserved exactly"] == "nothing"
+    assert hk["kowalevski"]["not conserved exactly"] == r"$\gamma^2$, $2\ell$, $E$, $k^2$"
+    assert r"\kappa_{12}" in hk["euler"]["conserved in modified form"]
     bohlin = rows(text(made, "schemes/bohlin-a"))
     assert (bohlin["order"], bohlin["self-adjoint"], bohlin["step"]) == (["1"], ["no"], ["explicit"])
-    assert (bohlin["conserves exactly"], bohlin["not exactly"]) == ([r"$\gamma^2$, $k^2$"], [r"$2\ell$, $E$"])
+    assert bohlin["conserved exactly"] == [r"$\gamma^2$, $k^2$"]
+    assert bohlin["not conserved exactly"] == [r"$2\ell$, $E$"]
 
 
 @pytest.mark.slow
@@ -242,7 +333,7 @@ def test_the_table_of_integrable_maps_is_that_of_the_registry(made: Path) -> Non
 
 @pytest.mark.slow
 def test_every_key_of_a_config_is_listed(made: Path) -> None:
-    found = rows(text(made, "config"))
+    found = rows(text(made, "parts/config"))
     assert {f"`{name}`" for name in Config.model_fields} <= set(found)
     assert found["`every`"][:2] == ["whole number ≥ 1, ≤ 1e+12", "`1`"]
     assert found["`format`"][:2] == ["`parquet` or `csv`", "`parquet`"]
@@ -251,12 +342,63 @@ def test_every_key_of_a_config_is_listed(made: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_gallery_has_every_figure_with_its_command(made: Path) -> None:
-    page = text(made, "gallery")
-    assert re.findall(r"^topcli plot (\S+)$", page, re.MULTILINE) == list(FIGURES)
-    assert all(f"## {name}\n\n{figure.title}.\n" in page for name, figure in FIGURES.items())
-    assert all((made / name).is_file() for name in re.findall(r"\]\((\S+\.png)\)", page))
-    assert "](fig1.png)" in page
+def test_the_gallery_has_every_figure_with_its_page_and_command(made: Path) -> None:
+    page = text(made, "parts/gallery")
+    assert re.findall(r"\[\*\*(.+?)\*\*\]\(reference/figures/\1\.md\) (.+)", page) == [
+        (name, figure.title) for name, figure in FIGURES.items()
+    ]
+    thumbnails = re.findall(r"\]\(reference/(figures/\S+\.small\.png)\)", page)
+    assert "figures/fig1.small.png" in thumbnails
+    assert all((made / name).is_file() for name in thumbnails)
+    for name, figure in FIGURES.items():
+        shown = text(made, f"figures/{name}")
+        assert f"\ntopcli plot {name}\n" in shown
+        assert figure.title in shown
+        assert (f"]({name}.png)" in shown) == (made / "figures" / f"{name}.png").is_file()
+
+
+@pytest.mark.slow
+def test_the_bibliography_lists_all_works_and_marks_those_not_checked(made: Path) -> None:
+    page = text(made, "parts/bibliography")
+    assert re.findall(r"^\(work-(.+)\)=$", page, re.MULTILINE) == [
+        one.key for one in sorted(bibliography().values(), key=lambda one: (one.surnames, one.fields.get("year", "")))
+    ]
+    marked = [key for key in bibliography() if "**Not checked" in page.split(f"(work-{key})=")[1].split("(work-")[0]]
+    assert marked == [key for key, one in bibliography().items() if "not checked" in str(one.fields)]
+    assert "`hk`" in page.split("(work-kahan1993)=")[1].split("(work-")[0]
+    for one in bibliography().values():
+        shown = page.split(f"(work-{one.key})=")[1].split("(work-")[0]
+        for name, address in one.addresses.items():
+            assert shown.count(f"[{name}]({address})") == 1
+            assert shown.count(name) == (2 if name == address else 1), "not repeated outside its link"
+
+
+@pytest.mark.slow
+def test_names_in_code_lead_to_pages_that_exist(maker: ModuleType, made: Path) -> None:
+    found = maker.named_pages("schemes")
+    assert {one.name for one in all_schemes()} | set(TOPS) | {"topcli.run", "topcli.contracts.Stepper"} <= set(found)
+    assert all((made / f"{page.removeprefix('reference/')}.md").is_file() for page in found.values())
+    assert set(found) - set(maker.named_pages("reports")) == {"exact"}  # a verdict there
+
+
+@pytest.mark.slow
+def test_every_public_object_has_a_page(made: Path) -> None:
+    page = text(made, "parts/api")
+    for name in set(topcli.__all__) - {"__version__"}:
+        assert f"[`topcli.{name}`](reference/api/" in page
+    for file in re.findall(r"reference/(api/.+?)\.md", page):
+        assert "{eval-rst}" in text(made, file)
+    assert len({path.name.lower() for path in (made / "api").iterdir()}) == len(list((made / "api").iterdir()))
+
+
+@pytest.mark.slow
+def test_files_of_the_root_are_pages_whose_links_lead_somewhere(made: Path) -> None:
+    for name, first in (("changelog", "# Changelog"), ("contributing", "# Contributing to topcli")):
+        page = text(made, name)
+        assert page.startswith(first)
+        for target in re.findall(r"\]\(([^)#:]+)", page):
+            assert (ROOT / "docs" / "reference" / target).resolve().is_file(), target
+    assert "\n- numba>=" in text(made, "parts/requirements")
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ name: study
 base: {top: kowalevski, initial: {omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}, scheme: rk4, h: 0.01, N: 50}
 grid:
   h: [0.01, 0.02]
-measure: [deviation.energy]
+measure: [max_deviation.energy]
 """
 SCHEME = """\
 import topcli
@@ -84,6 +84,14 @@ run
     error: missing argument 'CONFIG' (see topcli run --help)
 run kowalevski_hk --thread 2
     error: no such option: --thread; did you mean --threads? (see topcli run --help)
+run kowalevski_hk --sett h=1
+    error: no such option: --sett; did you mean --set? (see topcli run --help)
+list scheems
+    error: no such command 'scheems'; did you mean 'schemes' or 'scenes' or 'sweeps'? (see topcli list --help)
+animate euler_attitude --out a.gif
+    no such file or folder, and no run of this name in results; run it first: topcli run euler_attitude
+table heavy_drift --rows scheme --value drift.energy
+    run it first: topcli sweep heavy_drift
 run kowalevski_hk --out
     error: option '--out' requires an argument
 schema x
@@ -95,7 +103,7 @@ run kowalevski_hkk
 run zzz
     `topcli list scenes` lists them
 run results/mine
-    that of this run is results/mine/config.yaml
+    its config is results/mine/config.yaml
 run kowalevski_hk --set scheme=hkk
     did you mean 'hk'
 run kowalevski_hk --set top.kind=kowalewski
@@ -109,6 +117,10 @@ run kowalevski_hk --set h=0
 run kowalevski_hk --format xlsx
     format
     parquet
+run minee --resume
+    no run of this name in results; did you mean 'mine'?
+run minee.yaml --resume
+    minee.yaml: no such file
 run kowalevski_hk --resume --force
     --resume continues a run and --force repeats it
 run kowalevski_hk --checkpoint-every nan
@@ -116,7 +128,7 @@ run kowalevski_hk --checkpoint-every nan
 run kowalevski_hk --name ""
     error: --name must not be empty
 run kowalevski_hk euler_hk --name ""
-    error: --name '': names one run, and 2 configs are given
+    error: --name '': names a single run, but 2 configs are given
 run kowalevski_hk --plugin nowhere.py
     nowhere.py
     no such file
@@ -145,7 +157,7 @@ compare hk hybrid --set scheme.brunch=sign
     brunch
     branch
 compare hk kowalevski_hk
-    with: topcli compare hk hybrid --config kowalevski_hk
+    topcli compare hk hybrid --config kowalevski_hk
 compare results/mine/config.yaml
     hk hybrid --config results/mine/config.yaml
 compare hk --plot --out file.txt
@@ -173,8 +185,8 @@ plot kowalevski_hk
     is a config, not a figure; run it with `topcli run kowalevski_hk`
 plot swept
     with: topcli plot sweep results/swept --x KEY --y MEASURE
-plot sweep swept
-    no sweep is stored here (rows.parquet is missing); did you mean results/swept?
+plot sweep results/swpt
+    no such file or folder, and no run of this name in results; did you mean 'swept'?
 show mine
     show its config with: topcli show results/mine
 show swept
@@ -193,23 +205,23 @@ show zzz
 show kowalevski_hk --set scheme=hkk
     unknown scheme 'hkk'; did you mean 'hk'?
 show kowalevski_ensemble --motion
-    this is an ensemble of 1000 trajectories, and a single one is needed here
+    this is an ensemble of 1000 trajectories, but a single trajectory is needed here
 show study.yaml --motion
-    this is a sweep, and an experiment is needed here
+    this is a sweep, but an experiment is needed here
 show . --motion
     --motion: needs a single experiment, not a sweep
 show results
-    results: holds no sweep
+    results: is not the folder of a sweep
 show results --row 0
-    results: holds no sweep
+    results: is not the folder of a sweep
 show results/swept --row 6
     has no row 6; its rows are 0 to 5
 show results/swept --row -1
     has no row -1; its rows are 0 to 5
 list schemes --top kovalevski
     kowalevski
-list runs --out nowhere
-    error: --out nowhere: no such folder
+list runs --results nowhere
+    error: --results nowhere: no such folder
 init x.ini
     x.ini
     .yaml
@@ -222,7 +234,7 @@ claims hybrid-reversable
 claims qqq
     topcli claims --fast lists the claims
 claims --json --markdown
-    exclude each other
+    cannot be used together
 order heun --top gyrostat --plugin gyrostat.py
     --top: no scene for the top 'gyrostat'
 order hk --h 0.1,0.05
@@ -256,49 +268,49 @@ stress --case sleeping --top gyrostat --plugin gyrostat.py
 stress heun --case delone --plugin gyrostat.py
     none of the schemes heun has one of the cases; see topcli list cases
 analyse mine.csv --config euler_hk
-    mine.csv: no columns t, omega1, omega2, omega3; known: time, w_x, w_y, w_z; --columns t=COLUMN names it
-analyse mine.csv --config euler_hk --columns t=time,omega1=w_x,omega2=w_y,omega3=w_z,omega4=x
+    mine.csv: no columns t, omega1, omega2, omega3; known: time, w_x, w_y, w_z; --rename t=COLUMN names it
+analyse mine.csv --config euler_hk --rename t=time,omega1=w_x,omega2=w_y,omega3=w_z,omega4=x
     unknown name 'omega4'; did you mean
 analyse mine.csv --config euler_hk --steps 0
-    '--steps'
+    error: --steps 0: must be a whole number from 1, such as 1e6
 analyse mine.csv --config euler_ensemble
     ensemble
-sweep study.yaml --set measure=[deviation.l]
-    error: --set measure=[deviation.l]: measure: measure 'deviation.l'
+sweep study.yaml --set measure=[max_deviation.l]
+    error: --set measure=[max_deviation.l]: measure: measure 'max_deviation.l'
 sweep study.yaml --dask local:2 --threads 3
-    error: --threads does not go with --dask: each worker has its own number
+    error: --threads cannot be used with --dask; each worker has its own number
 sweep study.yaml --dask nowhere
     error: --dask 'nowhere': neither a number of workers nor the address of a scheduler
 sweep study.yaml --time-limit -1
     error: --time-limit -1: must be a number of seconds, at least 0
 sweep study.yaml --set "grid.h={from: 0.001, to: 0.01, count: 100001}"
     error: study.yaml:3: 100001 rows; a sweep of more than 100000 needs --yes
-table swept --rows h --value error.max
-    no sweep is stored here (rows.parquet is missing); did you mean results/swept?
-table results/swpt --rows h --value error.max
-    error: results/swpt: no sweep is stored here (rows.parquet is missing); did you mean 'swept'?
+table swept --results nowhere --rows h --value max_error
+    no such file or folder, and no run of this name in nowhere; did you mean results/swept?
+table results/swpt --rows h --value max_error
+    error: 'results/swpt': no such file or folder, and no run of this name in results; did you mean 'swept'?
 table results/swept --rows h --value error
-    error: --value: unknown measure 'error'; did you mean 'error.max'?
-table results/swept --rows schem --value error.max
+    error: --value: unknown measure 'error'; did you mean 'max_error'?
+table results/swept --rows schem --value max_error
     error: --rows: unknown key 'schem'; did you mean 'scheme'?
-table results/swept --rows h --columns schemes --value error.max
+table results/swept --rows h --columns schemes --value max_error
     error: --columns: unknown key 'schemes'; did you mean 'scheme'?
-table results/swept --rows h --value error.max --aggregate avg
+table results/swept --rows h --value max_error --aggregate avg
     error: --aggregate 'avg': unknown aggregate; known: max, mean, median, order
-table results/swept --rows h --value error.max --format latx
+table results/swept --rows h --value max_error --format latx
     error: --format 'latx': unknown format; did you mean 'latex'?
-table results/swept --rows scheme --value error.max --where h=7
+table results/swept --rows scheme --value max_error --where h=7
     error: --where 'h=7': no row has this value; h is one of: 0.04, 0.02, 0.01
-table results/swept --rows h --value error.max
+table results/swept --rows h --value max_error
     error: up to 2 values fall into one cell, because scheme still varies
-table results/swept --rows h --columns scheme --value error.max --out file.txt
+table results/swept --rows h --columns scheme --value max_error --out file.txt
     exists already
-table results/swept --rows h --columns scheme --value error.max --out bare
+table results/swept --rows h --columns scheme --value max_error --out bare
     --out
 report minee --out page.html
     error: 'minee': no such file or folder, and no run of this name in results; did you mean 'mine'?
 report results --out page.html
-    error: results: no run, sweep or study is stored here; name what is in it, such as results/
+    error: results: no run, sweep or study is stored here; give one of the results in it, such as results/
 report bare --out page.html
     error: bare: no run, sweep or study is stored here
 report file.txt --out page.html
@@ -311,16 +323,16 @@ report mine --out page.pdf
     error: --out page.pdf: unknown type of page; use a name ending in .html
 report mine --out bare --force
     .html
-table results/swept --rows h --value error.max --value deviation.energy --columns scheme
-    one --value fills the columns; 2 are given
-table results/swept --rows h --columns h --value error.max
+table results/swept --rows h --value max_error --value max_deviation.energy --columns scheme
+    the columns show a single --value; 2 are given
+table results/swept --rows h --columns h --value max_error
     key 'h' is named twice
-table results/swept --rows h --value error.max --value error.max
+table results/swept --rows h --value max_error --value max_error
     a measure is named twice
-table results/swept --rows error.max --columns h --value deviation.energy
-    error: --rows: 'error.max' is a measure; give a varied key: h, scheme
+table results/swept --rows max_error --columns h --value max_deviation.energy
+    error: --rows: 'max_error' is a measure; give a varied key: h, scheme
 table results/swept --rows scheme --value h
-    error: --value: 'h' is a key; give a measure: deviation.energy
+    error: --value: 'h' is a key; give a measure: max_deviation.energy
 init new.yaml --scheme hybird
     did you mean 'hybrid'
 init new.yaml --top kowalewski
@@ -338,9 +350,9 @@ sweep study.yaml --set base.output.attitude=quaternion
 run kowalevski_hk --set name=x --name y
     --name 'y': --set name=x names the run too; keep one of them
 run kowalevski_hk --name a/b
-    --name must not hold a path separator: 'a/b'
+    --name must not contain a path separator: 'a/b'
 report mine --out old.html
-    error: --out old.html: exists already; choose another file, or use --force to overwrite it
+    error: --out old.html: exists already; choose another name or folder, or use --force to replace it
 report mine --out bare.html --force
     is a folder; name a file
 cite kowalevsky
@@ -350,7 +362,7 @@ cite bohlin-d
 cite hk+kahan
     did you mean 'kahan-li
 discover results/nin
-    results/nin: no run is stored here
+    'results/nin': no such file or folder, and no run of this name in results
 integrability kowalevsky
     did you mean 'kowalevski'
 integrability euler midpoint

@@ -32,7 +32,7 @@ def test_a_run_is_found_by_name_by_folder_and_by_a_file_in_it(cli: Cli, stored: 
         assert (chapter.title, chapter.state) == ("one", "completed")
     said = cli("report", "one", "one", "--out", "page.html")
     assert (said.code, said.out, said.err) == (0, "", "wrote page.html\n")
-    assert [heading.text for heading in read_html((stored / "page.html").read_text()).all("h2")] == ["one"]
+    assert [heading.text for heading in read_html((stored / "page.html").read_text()).all("h1")] == ["one"]
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_c
     page = read_html((in_tmp / "page.html").read_text())
     assert page.with_class("outcome")[0].text == "unfinished"
     (box,) = page.with_class("missing")
-    assert "of 5000, its last checkpoint; topcli run with --resume continues from there" in box.text
+    assert "of 5000, the last checkpoint; topcli run with --resume continues from there" in box.text
     assert "name: long" in section_of(page, "Resolved config").text
     assert cli("report", str(part), "--out", "part.html").code == 0
     assert "unfinished" in (in_tmp / "part.html").read_text()
@@ -98,4 +98,4 @@ def test_a_stored_comparison_is_reported_with_pictures(cli: Cli, in_tmp: Path) -
     assert len(page.all("svg")) == 2
     figures = json.loads((in_tmp / "c.json").read_text())
     assert len(figures["series"]["t"]) == 201
-    assert "unknown type of file" in cli(*arguments[:-1], "c.csv").err
+    assert "unknown type of file" in cli(*arguments[:-1], "c.yaml").err

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from conftest import Said
+from topcli.schemes.registry import all_schemes
 from topcli.tops import BUILT_IN, TOPS
 
 
@@ -14,9 +17,9 @@ def test_a_top_is_described_by_what_it_declares_and_what_its_field_says(cli: Cal
     said = cli("show", "weierstrass").out
     for line in (
         "  v' = 6*x**2 - 1.5",
-        "degree: 2",
-        "divergence: 0 (preserves volume)",
-        "reversed in time by: the signs of v",
+        "degree of the equations: 2",
+        "divergence: 0 (the flow preserves volume)",
+        "time reversal: change the signs of v",
     ):
         assert line in said.splitlines()
     shown = cli("show", "Euler", "--json").json()["tops"]
@@ -28,7 +31,7 @@ def test_a_top_is_described_by_what_it_declares_and_what_its_field_says(cli: Cal
 
 
 def test_integrals_that_hold_on_a_level_are_listed_with_it(cli: Callable[..., Said]) -> None:
-    assert "; where m_gamma = 0" in " ".join(cli("show", "goryachev-chaplygin").out.split())
+    assert "; conserved where m_gamma = 0" in " ".join(cli("show", "goryachev-chaplygin").out.split())
 
 
 def test_generated_code_can_be_read_and_run(cli: Callable[..., Said]) -> None:
@@ -57,3 +60,41 @@ def test_what_has_no_code_is_refused(cli: Callable[..., Said], arguments: tuple[
     said = cli("show", *arguments)
     assert said.code == 2
     assert words in said.err
+
+
+@pytest.mark.slow
+def test_a_scheme_of_many_tops_is_described_once_for_those_that_it_is_the_same_for(cli: Callable[..., Said]) -> None:
+    paragraphs = [part for part in cli("show", "hk").out.split("\n\n") if len(part) > 100]
+    assert len(set(paragraphs)) > 0.7 * len(paragraphs)
+    shown = " ".join(cli("show", "hk").out.split())
+    for form in (scheme.top for scheme in all_schemes() if scheme.name == "hk"):
+        assert re.search(rf"\bhk \([^)]*(?<![\w+/-]){re.escape(form)}[,)]", shown), form
+    assert "compensated (default false)" in shown
+
+
+@pytest.mark.slow
+def test_runs_are_listed_with_sweeps_also_unfinished_ones(cli: Callable[..., Said]) -> None:
+    cli("run", "euler_hk", "--set", "N=50", "--name", "one", "--quiet")
+    cli(
+        "sweep",
+        "heavy_drift",
+        "--set",
+        "random.count=2",
+        "--set",
+        "base.N=100",
+        "--set",
+        "exclude=[{scheme: rk4}]",
+        "--quiet",
+    )
+    whole = {item["name"]: item for item in cli("list", "runs", "--json").json()["runs"]}
+    keys = ("kind", "outcome", "step", "N", "resumable")
+    assert [whole["one"][key] for key in keys] == ["run", "completed", 50, 50, False]
+    assert [whole["heavy_drift"][key] for key in keys] == ["sweep", "completed", 8, 8, False]
+    Path("results/heavy_drift/manifest.json").unlink()
+    journal = Path("results/heavy_drift/journal.jsonl")
+    lines = journal.read_text(encoding="utf-8").splitlines(keepends=True)
+    journal.write_text("".join(lines[:1]), encoding="utf-8")
+    item = {item["name"]: item for item in cli("list", "runs", "--json").json()["runs"]}["heavy_drift"]
+    assert [item[key] for key in ("outcome", "N", "resumable")] == ["unfinished", 8, True]
+    assert 0 < item["step"] <= 8
+    assert re.search(r"^heavy_drift +sweep +unfinished +\d+ +yes +8 ", cli("list", "runs").out, re.MULTILINE)

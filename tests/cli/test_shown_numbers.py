@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -19,6 +21,7 @@ import topcli
 from conftest import Said
 from shown import STRESS_TRIALS, cells_of, cells_under, distinct, field, named_differently, shows
 from stored_results import BASE
+from terminal import in_terminal
 from topcli.config.files import scene_files, sweep_files
 from topcli.figures.catalogue import FIGURES
 from topcli.runs.report import INVARIANTS, ensemble_table, report_markdown
@@ -79,13 +82,13 @@ def distinct_data(data: Any) -> Any:
 def compared(data: Any) -> Iterator[Expected]:
     """A line for each figure, a column for each entry."""
     schemes, first, reference = data["schemes"], data["schemes"][0], data["reference"]
-    columns = columns_of(": label\noutcome: outcome\nmax error: max_error\nerror at the end: end_error")
+    columns = columns_of(": label\noutcome: outcome\nmax error: max_error\nfinal error: final_error")
     figures = columns_of("""
-%s max deviation: max_deviation
-%s drift per unit time: drift
-  its standard error: drift_error
-  model: model
-  verdict: verdict
+max deviation of %s: max_deviation
+drift of %s per unit time: drift
+standard error of the drift of %s: drift_error
+model of %s: model
+verdict of %s: verdict
 """)
     for i, row in enumerate(first["invariants"]):
         columns += [(head.replace("%s", row["symbol"]), f"invariants.{i}.{key}") for head, key in figures]
@@ -101,15 +104,14 @@ def compared(data: Any) -> Iterator[Expected]:
             size, coefficient, power = (of(scheme, f"correction.{key}")[0] for key in ("size", "coefficient", "power"))
             return [size, coefficient, {1: "h", 2: "h²"}.get(power, f"h^{power}")]
 
-        columns.append((f"{known['symbol']} max deviation", lambda scheme, of=of: of(scheme, "max_deviation")))
-        columns.append(("  verdict", lambda scheme, of=of: of(scheme, "verdict")))
+        columns.append((f"max deviation of {known['symbol']}", lambda scheme, of=of: of(scheme, "max_deviation")))
+        columns.append((f"verdict of {known['symbol']}", lambda scheme, of=of: of(scheme, "verdict")))
         if "correction" in known:
-            columns.append((f"  less {known['correction']['of']}, at most", correction))
-    spacing = "" if reference["swing_spacing"] is None else f" (reference {reference['swing_spacing']:.4f})"
+            columns.append((f"{known['symbol']} less {known['correction']['of']}, at most", correction))
     closed = ", of a closed form per state" if any(scheme["closed_form"] for scheme in schemes) else ""
-    columns.append((f"reversal defect at h = {first['h']:g}", "reversal.defect"))
-    columns.append(("  its order in h", lambda scheme: [scheme["reversal"]["order"] or "round-off"]))
-    columns.append((f"spacing of {reference['swing']} minima{spacing}", "swing_spacing"))
+    columns.append((f"reversal defect at h = {first['h']:g}", "reversal_defect"))
+    columns.append(("order of the reversal defect", lambda scheme: [scheme["reversal_order"] or "round-off"]))
+    columns.append((f"first swing spacing of {reference['swing']}", "first_swing_spacing"))
     columns.append((f"ns per step{closed}", "nanoseconds_per_step"))
     columns.append(("compile or load, s", "compile_seconds"))
     yield schemes, [*columns, ("set-up, s", "setup_seconds")] if closed else columns
@@ -163,10 +165,10 @@ def orders(data: Any) -> Iterator[Expected]:
         rows,
         columns_of("""
 scheme: scheme
-order: declared_order
+declared order: declared_order
 observed: order
 verdict: verdict
-fitted over h: fit end
+h of the fit: fit end
 round-off: plateau
 from h: onset
 smallest error: error
@@ -219,7 +221,8 @@ def test_every_cell_of_a_study_is_the_value_of_its_field(case: str) -> None:
 def test_a_command_prints_the_tables_and_the_data_of_its_study(cli: Cli) -> None:
     command = ("lax", "euler", "hk", "--set", "N=40")
     report = topcli.lax("euler", "hk", overrides=["N=40"])
-    printed = [line.split() for line in cli(*command).out.splitlines()]
+    long = in_terminal([sys.executable, "-m", "topcli", *command, "-v"], Path.cwd(), 300)[1]
+    printed = [line.split() for line in long.splitlines()]
     for table in find_study("lax").tables_of(report.as_dict()):
         texts = table.cells(report.as_dict())
         assert all(" ".join(line).split() in printed for line in (texts.header, *texts.lines))
@@ -228,18 +231,18 @@ def test_a_command_prints_the_tables_and_the_data_of_its_study(cli: Cli) -> None
 
 INVARIANT_COLUMNS = columns_of("""
 invariant: symbol
-first: first
+first value: first
 min: min
 max: max
 max deviation: max_deviation
-relative: max_deviation_relative
+max deviation, relative: max_deviation_relative
 rms deviation: rms_deviation
-relative: rms_deviation_relative
+rms deviation, relative: rms_deviation_relative
 drift per unit time: drift
-± standard error: drift_error
-over the run: drift_over_run
+standard error of the drift: drift_error
+95 % bound of the drift: drift_bound
+drift over the run: drift_over_run
 model: model
-scatter: scatter
 round-off bound: round_off_bound
 verdict: verdict
 """)
@@ -250,6 +253,10 @@ def test_runs_and_ensembles_show_the_report_that_they_stored(tmp_path: Path) -> 
     assert_shows(INVARIANTS, run, run["invariants"], INVARIANT_COLUMNS)
     header, ruler, *marked = (line for line in report_markdown(run).splitlines() if line.startswith("|"))
     assert set(ruler) <= set("| -")
+    before_table = report_markdown(run).partition("\n|")[0]
+    assert [line for line in before_table.splitlines() if line.startswith("- ")] == [
+        f"- {row['symbol']}: **{row['statement']}**" for row in run["invariants"]
+    ]
     texts = INVARIANTS.cells(run)
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (header, *marked)]
     assert cells == [list(texts.header), *map(list, texts.lines)]
@@ -262,7 +269,7 @@ def test_runs_and_ensembles_show_the_report_that_they_stored(tmp_path: Path) -> 
     for cell, row in zip(within[1:], invariants, strict=True):
         assert shows(cell, row["within_round_off"], row["judged"])
     titles = {"max deviation": "max_deviation", "rms deviation": "rms_deviation"}
-    titles["deviation at the end"] = "final_deviation"
+    titles["final deviation"] = "final_deviation"
     shown = [(titles[line[0].partition(", ")[0]], line[0].partition(", ")[2]) for line in lines]
     every = [(title, quantile) for title in titles.values() for quantile in invariants[0]["max_deviation"]]
     assert shown == [(title, q) for title, q in every if title == "max_deviation" or q in ("median", "max")]
@@ -286,9 +293,9 @@ def test_an_analysis_shows_what_it_measured(tmp_path: Path, swings: int) -> None
     listed, _, more = texts.pop(f"minima of {swing['component']}").partition(" and ")
     assert [float(time) for time in listed.split(", ")] == swing["times"][:5]
     assert more == ("2 more" if swings == 7 else "")
-    assert shows(texts.pop("their spacing"), swing["spacing"], swing["reference_spacing"])
+    assert shows(texts.pop("their first spacing"), swing["first_swing_spacing"], swing["reference_first_swing_spacing"])
     expected = {"rows": data["rows"], "reference from": "the config's initial state", "max error": data["max_error"]}
-    expected |= {"first row − config": data["reference"]["difference"], "error at the end": data["end_error"]}
+    expected |= {"first row − config": data["reference"]["difference"], "final error": data["final_error"]}
     assert all(shows(texts.pop(head), value) for head, value in expected.items())
     assert not texts
     assert_shows(invariants, data, data["invariants"], INVARIANT_COLUMNS)
@@ -298,7 +305,7 @@ def test_a_benchmark_shows_what_it_measured() -> None:
     entry = {"name": "hk", "setting": "h=0.5", "seconds": 1.0}
     pair = {"topcli": entry, "peer": {**entry, "name": "rk4", "setting": "h=0.25"}}
     decades = [{"error": error, **pair, "ratio": 1.0, "baseline_ratio": 1.0} for error in (1e-3, 1e-4)]
-    point = {"value": 0.5, "seconds": 1.0, "quartiles": [1.0, 1.0], "error": 1.0, "end_error": 1.0, "drift": 1.0}
+    point = {"value": 0.5, "seconds": 1.0, "quartiles": [1.0, 1.0], "error": 1.0, "final_error": 1.0, "drift": 1.0}
     competitors = [{"name": name, "kind": "topcli", "parameter": "h", "points": [point, point]} for name in "ab"]
     data = {"decades": distinct(decades, 2, keep=("error",)), "competitors": distinct(competitors, 3, keep=("value",))}
     rows = [
@@ -329,7 +336,7 @@ with: setting
 µs per unit time: µs.0
 quartiles: µs.1 µs.2
 max error: error
-at the end: end_error
+at the end: final_error
 largest drift: drift
 """)
     assert_shows(POINT_TABLE, data, points, point_columns)
@@ -341,7 +348,7 @@ def test_a_benchmark_prints_its_closed_forms_and_points(cli: Cli, monkeypatch: p
     monkeypatch.setattr(bench, "bench", lambda *given, **more: {**measured(*given, **more), "closed_forms": [form]})
     command = "bench hk --scene lagrange --against none --budget 0.001 --repetitions 1 --points"
     out = " ".join(cli(*command.split()).out.split())
-    words = "3.4e-15, 7.8 µs a state over 321 states, after a set-up of 0.25 s"
+    words = "3.40e-15, 7.8 µs a state over 321 states, after a set-up of 0.25 s"
     assert f"in closed form, exact: distance from the reference {words}" in out
     assert ": every point with µs per unit time quartiles" in out
 
@@ -352,10 +359,11 @@ def test_trials_in_hard_cases_are_shown_with_their_verdicts() -> None:
     for one in STRESS_TRIALS["trials"]:
         step = "" if one["step"] is None else f" at step {one['step']}"
         word = words.get(one["verdict"], one["verdict"])
-        loud = word if one["verdict"] in words else word.upper()
-        rows.append({**one, "what": one["outcome"] + step, "word": word, "loud": loud})
+        loud = {"unexplained": "UNDECLARED", "outlived limit": "DECLARED AS A LIMIT"}.get(one["verdict"], word)
+        what = one["outcome"] + step + (f", {loud}" if loud else "")
+        rows.append({**one, "what": what, "word": word})
     shared = "scheme: scheme\ntop: top\ncase: case\n"
-    assert_shows(TRIALS, STRESS_TRIALS, rows, columns_of(f"{shared}outcome: what\nwhy: why\n: loud"))
+    assert_shows(TRIALS, STRESS_TRIALS, rows, columns_of(f"{shared}outcome: what\nwhy: why"))
     failed = [one for one in rows if one["outcome"] in ("degraded", "broke") or one["verdict"] != "ok"]
     columns = columns_of(f"{shared}outcome: outcome\nstep: step\nwhy: why\nverdict: word")
     assert_shows(FAILURES, STRESS_TRIALS, failed, columns)
@@ -363,33 +371,46 @@ def test_trials_in_hard_cases_are_shown_with_their_verdicts() -> None:
     assert_shows(QUESTIONS, STRESS_TRIALS, STRESS_TRIALS["cases"], columns)
 
 
-@pytest.mark.parametrize("numbered", [True, False])
-def test_the_grid_of_hard_cases_shows_each_outcome(numbered: bool) -> None:
-    """A sign for each scheme and case, in the column of the case or of its number, which the caption names."""
-    signs = {"held": "·", "degraded": "o", "broke": "X", "not tried": "" if numbered else "–"}
+def test_the_grid_of_hard_cases_shows_each_outcome() -> None:
+    """A sign for each scheme and case, in the column of the case, and their meanings in the caption."""
+    signs = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
     outcomes = {(one["scheme"], one["case"]): one["outcome"] for one in STRESS_TRIALS["trials"]}
-    cases, texts = [one["case"] for one in STRESS_TRIALS["cases"]], grid_of(STRESS_TRIALS, "kowalevski", numbered)
+    cases, texts = [one["case"] for one in STRESS_TRIALS["cases"]], grid_of(STRESS_TRIALS, "kowalevski")
     shown = texts.cells(STRESS_TRIALS)
-    assert shown.header == (["kowalevski", "1", "2", "3", "4"] if numbered else ["scheme", *cases])
+    assert shown.header == ["scheme", *cases]
     assert shown.lines == [
         [name, *(signs[outcomes[name, case]] for case in cases)] for name in dict.fromkeys(name for name, _ in outcomes)
     ]
-    if numbered:
-        assert shown.caption.strip() == ", ".join(f"{i}={case}" for i, case in enumerate(cases, 1))
-    else:
-        assert all(f"{sign} {outcome}" in shown.caption for outcome, sign in signs.items())
+    assert all(f"{sign} {outcome}" in shown.caption for outcome, sign in signs.items())
 
 
-def test_many_trials_are_printed_as_a_grid_and_those_that_did_not_hold() -> None:
-    many = {**STRESS_TRIALS, "trials": STRESS_TRIALS["trials"] * 6}
-    grid, legend, failed = printed(Result(many))
-    assert isinstance(grid, Table)
-    assert isinstance(failed, Table)
-    assert grid.cells(many).header[0] == "kowalevski"
-    assert "o degraded" in str(legend)
-    assert len(failed.cells(many).lines) == 6 * 5
+def test_many_trials_are_printed_as_the_cases_of_each_outcome_by_name() -> None:
+    """Schemes with the same outcomes share a row; what contradicts a declaration is said beside the case."""
+    more = [
+        {**one, "scheme": name, "case": f"{one['case']}{i}"}
+        for i in range(5)
+        for one in STRESS_TRIALS["trials"]
+        for name in ([one["scheme"], "twin"] if one["scheme"] == "hk" else [one["scheme"]])
+    ]
+    many = {**STRESS_TRIALS, "trials": more}
+    said, summary = printed(Result(many), verbose=False)
+    assert said == (
+        "60 trials: 3 held, 2 degraded, 2 broke, 1 not tried; 10 at declared limits; "
+        "10 contradict what the schemes declare"
+    )
+    assert isinstance(summary, Table)
+
+    def five(case: str, verdict: str = "") -> str:
+        return ", ".join(f"{case}{i}{verdict}" for i in range(5))
+
+    cells = summary.cells(many)
+    assert cells.header == ["scheme", "held", "degraded", "broke", "not tried"]
+    assert cells.lines == [
+        ["hk, twin", "5", five("delone"), five("huge"), five("rest")],
+        ["rk4", "10", five("huge"), five("pole", " (UNDECLARED)"), "–"],
+    ]
     for data, verbose in ((STRESS_TRIALS, False), (many, True)):
-        assert list(printed(Result(data), verbose=verbose)) == [TRIALS]
+        assert list(printed(Result(data), verbose=verbose))[1:] == [TRIALS]
 
 
 REGISTERED: dict[str, tuple[str, Callable[[], Sequence[Any]]]] = {
@@ -411,7 +432,12 @@ def test_a_list_shows_its_items_and_they_have_the_fields_of_what_is_registered(c
     if kind == "runs":
         for name in ("kowalevski_hk", "euler_hk"):
             cli("run", name, "--set", "N=30", "--quiet")
-    header, *lines = cli("list", kind).out.splitlines()
+    # in lines that are long enough for all cells
+    code, printed = in_terminal([sys.executable, "-m", "topcli", "list", kind], Path.cwd(), 600)
+    header, _, *lines = printed.splitlines()
+    assert code == 0
+    narrow = in_terminal([sys.executable, "-m", "topcli", "list", kind], Path.cwd(), 80)[1]
+    assert len(re.findall(r"^─+$", narrow, re.MULTILINE)) == 1, "in one block"
     items = cli("list", kind, "--json").json()[kind]
     keys = {head: "form" if (kind, head) == ("tops", "top") else head.replace("-", "_") for head in cells_of(header)}
     for line, item in zip(lines, items, strict=True):
@@ -420,8 +446,10 @@ def test_a_list_shows_its_items_and_they_have_the_fields_of_what_is_registered(c
             match value := item[key]:
                 case bool():
                     assert cells[head] == ("yes" if value else "no")
-                case list() | dict():
-                    parts = value if isinstance(value, list) else [f"{name}={part}" for name, part in value.items()]
+                case list():
+                    assert cells[head] == (", ".join(value) or "–")
+                case dict():  # a parameter that follows from others has no default
+                    parts = [name if part is None else f"{name} = {part:g}" for name, part in value.items()]
                     assert cells[head] == (", ".join(parts) or "–")
                 case int() | float():
                     assert float(cells[head]) == pytest.approx(value, rel=1e-5)

@@ -27,7 +27,7 @@ base:
 grid:
   scheme: [hk, rk4]
   h: [0.01, 0.02]
-measure: [deviation.energy]
+measure: [max_deviation.energy]
 """
 
 
@@ -64,7 +64,7 @@ def test_a_dry_run_says_what_would_run_and_why_and_writes_nothing(cli: Cli, stud
         "to run: 2 rows, new",
         "row 1: new: scheme = hk, h = 0.04",
         "row 3: new: scheme = rk4, h = 0.04",
-        "kept: 2 finished rows no longer belong to the sweep and are not current",
+        "kept, not current: 2 finished rows of an earlier sweep file",
     ]
     data = cli("sweep", "study.yaml", "--dry-run", "--json", "--set", "grid.h=[0.02, 0.04]").json()
     assert (data["new"], data["done"], data["failed"], data["not_current"]) == (2, 2, 0, 2)
@@ -81,7 +81,7 @@ def test_a_row_that_is_shown_runs_to_the_same_numbers(cli: Cli, study: Path) -> 
     (energy,) = [row for row in report["invariants"] if row["name"] == "energy"]
     assert report["name"] == "study_3"
     assert (report["scheme"], report["h"], report["N"]) == ("rk4", 0.02, 50)
-    assert energy["max_deviation"] == rows()[3]["deviation.energy"]
+    assert energy["max_deviation"] == rows()[3]["max_deviation.energy"]
     as_json = cli("show", "results/study", "--row", "3", "--json").json()
     assert as_json["row_digest"] == rows()[3]["digest"]
 
@@ -97,7 +97,7 @@ def test_the_file_of_a_sweep_can_be_shown(cli: Cli, study: Path) -> None:
 
 def test_a_sweep_is_no_run(cli: Cli, study: Path) -> None:
     cli("sweep", "study.yaml")
-    assert json.loads(cli("list", "runs", "--json").out)["runs"] == []
+    assert [row["kind"] for row in json.loads(cli("list", "runs", "--json").out)["runs"]] == ["sweep"]
     said = cli("run", "kowalevski_hk", "--set", "N=10", "--set", "name=study")
     assert said.code == 2
     assert "exists and is not a finished run; nothing was written" in said.err
@@ -160,7 +160,7 @@ def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
     assert "(scheme = rk4, h = 9.0): blew up at step" in said.err
     place = Path("results/study/rows.parquet")
     assert f"study: 6 of 6 rows finished; 1 failed -> {place} (4 ran)" in said.err.splitlines()
-    assert "study: 1 earlier rows no longer belong to the sweep; they are not current" in said.err.splitlines()
+    assert "study: not current: 1 row of an earlier sweep file" in said.err.splitlines()
     assert said.out.split() == ["outcome", "rows", "blew_up", "1", "completed", "5"]
     again = cli(*sweep, "--retry-failed", "--json").json()
     expected = {"rows": 6, "finished": 6, "ran": 1, "failed": 1, "not_current": 1}

@@ -311,7 +311,9 @@ def test_the_nearest_times_or_steps_are_on_both_sides_and_fit(
     assert [function(*one) for one in given] == known
 
 
-@pytest.mark.parametrize(("T", "h", "message"), [(-1.0, 0.1, "the sign of h"), (1e9, 1e-4, "at most 1000000000000")])
+@pytest.mark.parametrize(
+    ("T", "h", "message"), [(-1.0, 0.1, "the same sign as h"), (1e9, 1e-4, "at most 1000000000000")]
+)
 def test_times_that_no_number_of_steps_fits(T: float, h: float, message: str) -> None:
     for function in (steps_of, steps_over):
         with pytest.raises(UsageError, match=message):

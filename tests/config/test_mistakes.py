@@ -79,7 +79,7 @@ def test_a_wrong_override_is_named(override: str, says: list[str]) -> None:
     assert message.startswith(f"--set {override}: {says[0]}")
 
 
-NAME, LONG = "1: name: must not hold ", "1: name: must have at most 100 characters"
+NAME, LONG = "1: name: must not contain ", "1: name: must have at most 100 characters"
 ODD: list[tuple[str | bytes, str]] = [
     (BASE.replace("name: x", r"name: a\b"), f"{NAME}a path separator"),
     (BASE.replace("name: x", r'name: "a\nb"'), f"{NAME}control characters"),

@@ -187,12 +187,12 @@ def test_the_run_goes_on_and_says_so_everywhere(cli: Callable[..., Said], in_tmp
     assert json.loads(metadata[b"topcli.left_motion"]) == {"step": 14, "t": 28.0}
     assert cli("list", "runs", "--json").json()["runs"][0]["outcome"] == "left_motion"
     again = cli("run", "kowalevski_hk", *(part for text in BIG for part in ("--set", text)))
-    assert (again.code, "(not run again: it ended as left_motion before" in again.err) == (1, True)
+    assert (again.code, "(not run again, because it ended as left_motion before" in again.err) == (1, True)
     compared = cli("compare", "hk", "hk-projected", "--set", "h=2", "--set", "N=100", "--json")
     assert compared.code == 1
     first, second = compared.json()["schemes"]
     assert (first["outcome"], first["left_motion"]["step"], second["left_motion"]) == ("left_motion", 14, None)
-    assert first["end_error"] is not None
+    assert first["final_error"] is not None
     assert "left_motion" in cli("compare", "hk", "--set", "h=2", "--set", "N=100").out
 
 

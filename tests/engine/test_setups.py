@@ -218,7 +218,7 @@ def test_a_dead_process_costs_time_only(folder: Path, monkeypatch: pytest.Monkey
 @pytest.mark.slow
 def test_the_report_shows_set_up_and_accuracy(folder: Path, cli: Callable[..., Said]) -> None:
     config = ("run", "kowalevski_exact", "--set", "N=1000", "--name", "one")
-    said = cli(*config)
+    said = cli(*config, "--verbose")
     assert "round-off at most about 3e-15 (eps |omega|²/c in gamma)" in said.err
     (first,) = cli(*config, "--json").json()["runs"]
     assert first["seconds"]["setup"] > 0.0
@@ -229,7 +229,7 @@ def test_the_report_shows_set_up_and_accuracy(folder: Path, cli: Callable[..., S
     assert second["accuracy"] == first["accuracy"]
     assert set(first["accuracy"]) == set(Accuracy._fields)
     text = Path("results/one/report.md").read_text()
-    assert f"loaded the set-up in {second['seconds']['setup']:.3g} s" in text
+    assert f"loading the set-up {second['seconds']['setup']:.3g} s" in text
     assert f"changes the states by up to {second['accuracy']['sensitivity']:.0e}." in text
     (stepped,) = cli("run", "kowalevski_hk", "--set", "N=10", "--name", "two", "--json").json()["runs"]
     assert "setup" not in stepped["seconds"]
@@ -265,7 +265,7 @@ def test_an_ensemble_states_the_time_of_its_set_ups(
     assert "set-up" not in cli("run", str(config), "--quiet", "--force").err
     (report,) = cli("run", str(config), "--force", "--json").json()["runs"]
     assert report["seconds"]["setup_cached"] is True
-    assert f"loaded the set-up in {report['seconds']['setup']:.3g} s" in Path("results/few/report.md").read_text()
+    assert f"loading the set-up {report['seconds']['setup']:.3g} s" in Path("results/few/report.md").read_text()
 
 
 def test_what_the_closed_form_refuses_ends_the_run(folder: Path) -> None:

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.axes import Axes
 from matplotlib.colors import same_color, to_rgb
 from matplotlib.figure import Figure
 
 from cases import table_of
-from drawn_artists import data_of, drawn, drawn_from, explained, in_sight, labelled, look, series_of
+from conftest import ROOT
+from drawn_artists import data_of, drawn, drawn_from, explained, in_sight, labelled, look, name_of, series_of
 from figure_studies import (
     ORDERED,
     OURS,
@@ -35,9 +37,12 @@ from figure_studies import (
 from seen_colours import pattern
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_analysis, loaded_comparison
+from topcli.figures.curves import OTHER
 from topcli.figures.errors import loaded_study
 from topcli.figures.figure import Request
 from topcli.figures.picture import number_text
+from topcli.figures.style import looks, styled
+from topcli.schemes.display import display_name
 from topcli.studies.study import Result
 
 Points = tuple[Any, Any]
@@ -61,7 +66,6 @@ SCENES = {
     "modified": "euler_modified",
 }
 """Figures of the columns of one run."""
-ERRING = ["hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor"]
 SWINGING = ["hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor"]
 ENERGIES = {
     "kowalevski_generic_hk": ["splitting", "dmv", "hk", "midpoint4", "rk4"],
@@ -83,27 +87,30 @@ def of_run(name: str, series: dict[str, np.ndarray]) -> list[Shown]:
             "$E$": (t, series["energy"] - series["energy"][0]),
             r"$2\ell$": (t, series["two_l"] - series["two_l"][0]),
         }
-        return [Shown(("$t$", r"$E$ − $E$$(0)$, $2\ell$ − $2\ell$$(0)$"), LINEAR, moved)]
+        return [Shown(("time $t$", "change since $t = 0$"), LINEAR, moved)]
     if name == "modified":
         symbols = {
             r"$\boldsymbol{m}^2$": "m_sq",
             r"$\boldsymbol{m}^2/K$": "modified_m_sq",
             r"$\kappa_{12}$": "modified_k12",
         }
-        off = {label: np.abs(series[column] / series[column][0] - 1.0) for label, column in symbols.items()}
+        off = {
+            label: np.maximum.accumulate(np.abs(series[column] / series[column][0] - 1.0))
+            for label, column in symbols.items()
+        }
         own = {label: (t, series[column]) for label, column in list(symbols.items())[:2]}
         right = {label: (t, np.where(values > 0.0, values, np.nan)) for label, values in off.items()}
         return [
-            Shown(("$t$", ", ".join(own)), LINEAR, own),
-            Shown(("$t$", "relative deviation"), ("linear", "log"), right),
+            Shown(("time $t$", ", ".join(own)), LINEAR, own),
+            Shown(("time $t$", "largest relative deviation so far"), ("linear", "log"), right),
         ]
     return [
         Shown(
-            ("$t$", rf"$\boldsymbol{{\{vector}}}$"),
+            ("time $t$", rf"{word} $\boldsymbol{{\{vector}}}$"),
             LINEAR,
             {rf"$\{vector}_{i}$": (t, series[f"{vector}{i}"]) for i in (1, 2, 3)},
         )
-        for vector in ("gamma", "omega")
+        for vector, word in (("gamma", "vertical"), ("omega", "angular velocity"))
     ]
 
 
@@ -131,34 +138,34 @@ def over_step(measure: str, schemes: list[str]) -> dict[str, Points]:
 
 STUDIES: dict[str, list[Shown]] = {
     "integrable": [
-        Shown(("$t$", "energy error, relative"), LOG, {name: (TIMES, energies(scene, name)) for name in names})
+        Shown(
+            ("time $t$", "largest relative energy error so far"),
+            LOG,
+            {name: (TIMES, energies(scene, name)) for name in names},
+        )
         for scene, names in ENERGIES.items()
     ],
     "order": [
         Shown(
-            ("$h$", r"largest error, $0 \leq t \leq 10$"),
+            ("step size $h$", r"largest error, $0 \leq t \leq 10$"),
             LOG,
             {name: (SIZES, [size(name, h) for h in SIZES]) for name in ORDERED},
         )
     ],
-    "errors": [
-        Shown(("$h$", "largest error"), LOG, over_step("error.max", ERRING)),
-        Shown(("$h$", "deviation of $E$"), LOG, over_step("deviation.energy", ERRING)),
-    ],
     "swings": [
         Shown(
-            (r"$\epsilon = \gamma_3(0)$", "time between swings"),
+            (r"distance $\epsilon = \gamma_3(0)$ from the homoclinic orbit", "time between swings"),
             ("log", "linear"),
-            {name: (eps, [measured("swing_spacing.first", name, 0.01)] * 8) for name in SWINGING}
+            {name: (eps, [measured("first_swing_spacing", name, 0.01)] * 8) for name in SWINGING}
             | {LAW: (eps, law(eps))},
         )
         for eps in [10.0 ** np.arange(-8.0, 0.0)]
     ]
     + [
         Shown(
-            ("$h$", "time between swings"),
+            ("step size $h$", "time between swings"),
             ("log", "linear"),
-            {name: (x[:-1], y[:-1]) for name, (x, y) in over_step("swing_spacing.first", SWINGING).items()},
+            {name: (x[:-1], y[:-1]) for name, (x, y) in over_step("first_swing_spacing", SWINGING).items()},
         )
     ],
     "work-precision": [
@@ -176,10 +183,10 @@ STUDIES: dict[str, list[Shown]] = {
         Shown(
             (label, "largest error"),
             LOG,
-            {"hk": (hk, [0.5, 0.125]), "backlund, order 2": ([backlund], [0.25])},
+            {"hk": (hk, [0.5, 0.125]), "backlund": ([backlund], [0.25])},
         )
         for label, hk, backlund in (
-            ("step $h$", [0.25, 0.125], 0.5),
+            ("step size $h$", [0.25, 0.125], 0.5),
             ("CPU time per unit of time, µs", [0.2, 0.4], 0.3),
         )
     ],
@@ -200,7 +207,7 @@ def assert_shown(drawn_axes: list[Axes], expected: list[Shown]) -> None:
             np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=3e-16)
             assert in_sight(axes, lines[label])
             (explanation,) = {
-                shown_look for text, shown_look in key.items() if text == label or text.startswith(f"{label}: ")
+                shown_look for text, shown_look in key.items() if name_of(text.partition(": ")[0]) == label
             }
             assert explanation[0] == to_rgb(lines[label].get_color())
             assert explanation[2:] == look(lines[label])[2:]
@@ -222,7 +229,7 @@ def test_lines_are_the_numbers_that_they_name(name: str, tmp_path: Path, monkeyp
 
 
 def test_every_figure_of_the_catalogue_is_inspected() -> None:
-    here = {"period", "roundoff", "stress", "compare", "heavy-drift"}
+    here = {"errors", "period", "roundoff", "stress", "compare", "heavy-drift"}
     spatial = {"sphere", "nutation", "polhodes", "body", "traces"}
     motions = {"chaos", "bifurcation", "torus", "torus-points", "catalogue"}
     assert set(FIGURES) == {*SCENES, *STUDIES, *here, *spatial, *motions}
@@ -257,8 +264,39 @@ def test_numbers_are_written_as_powers_of_ten(value: float, text: str) -> None:
     assert number_text(value) == text
 
 
+def leads_to(text: Any, line: Any, last: int) -> bool:
+    """True if a leader in the colour of the line joins the text with its last point."""
+    joined = text.xy == pytest.approx(tuple(data_of(line)[last]), rel=1e-12)
+    with styled():
+        return joined and same_color(text.arrow_patch.get_edgecolor(), line.get_color())
+
+
+def test_errors_are_named_at_the_ends_of_their_curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every scheme of the sweep, the finest step on the right; one of each kind has the colour of its family."""
+    figure = figure_named("errors", tmp_path, monkeypatch)
+    schemes = yaml.safe_load((ROOT / "configs" / "sweeps" / "kowalevski_errors.yaml").read_text())["grid"]["scheme"]
+    coloured = {"hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor"}
+    figure.canvas.draw()
+    for axes, measure in zip(figure.axes, ("max_error", "max_deviation.energy"), strict=True):
+        assert axes.get_xlim()[0] > axes.get_xlim()[1]
+        texts = {text.get_text().partition(": ")[0]: text for text in axes.texts}
+        lines = {line.get_gid(): line for line in axes.lines if line.get_gid()}
+        assert set(texts) == set(lines) == {display_name(scheme) for scheme in schemes}
+        for scheme in schemes:
+            line, name = lines[display_name(scheme)], display_name(scheme)
+            finest = MEASURED_H[0]
+            assert data_of(line)[0] == pytest.approx([finest, measured(measure, scheme, finest)], rel=1e-12)
+            assert leads_to(texts[name], line, last=0)
+            with styled():
+                own = looks([scheme], markers=True)[scheme]["color"]
+            assert same_color(line.get_color(), own if scheme in coloured else OTHER["color"])
+        ends = sorted(lines, key=lambda name: data_of(lines[name])[0, 1])
+        heights = [texts[name].xyann[1] for name in ends]  # type: ignore[attr-defined]
+        assert heights == sorted(heights)
+
+
 def test_growth_is_drawn_with_its_labels_at_the_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    labels = {"matrix": "a_sq:matrix", "old + change": "a_sq:plain", "compensated": "a_sq:compensated"}
+    labels = {"matrix × axis": "a_sq:matrix", "axis + change": "a_sq:plain", "compensated": "a_sq:compensated"}
     others = {r"$\xi$ recomputed": "k_sq:hybrid", r"$\xi$ carried": "k_sq:hybrid-xi"}
     figure = figure_named("roundoff", tmp_path, monkeypatch)
     for axes, columns in zip(figure.axes, (labels, others), strict=True):
@@ -272,9 +310,9 @@ def test_growth_is_drawn_with_its_labels_at_the_ends(tmp_path: Path, monkeypatch
             least, power = POWERS[column]
             np.testing.assert_allclose(data_of(line), np.column_stack([STEPS, least * STEPS**power]), rtol=1e-12)
             assert in_sight(axes, line)
-            assert same_color(named[label].get_color(), line.get_color())
+            assert leads_to(named[label], line, last=-1)
         ends = sorted(columns, key=lambda label: POWERS[columns[label]][0] * STEPS[-1] ** POWERS[columns[label]][1])
-        heights = [named[label].xy[1] for label in ends]  # type: ignore[attr-defined]
+        heights = [named[label].xyann[1] for label in ends]  # type: ignore[attr-defined]
         assert heights == sorted(heights)
         root, linear = (data_of(line) for line in axes.lines if line not in own)
         np.testing.assert_allclose(root[:, 1], 2.0**-52 * np.sqrt(STEPS), rtol=1e-12)
@@ -335,19 +373,19 @@ def compared(t: np.ndarray, shifts: dict[str, float]) -> Figure:
     for name, shift in shifts.items():
         series |= {f"error:{name}": shift * t, f"swing:{name}": np.cos(t - shift)}
     figures = {"schemes": [{"label": name} for name in shifts], "reference": {"swing": "gamma1"}}
-    return drawn(loaded_comparison(Result({**figures, "config": {"h": 0.25}}, series)))
+    return drawn(loaded_comparison(Result({**figures, "config": {"name": "a_$cene", "h": 0.25}}, series)))
 
 
 def test_a_comparison_draws_errors_and_swings() -> None:
     """A row for each scheme over the reference in grey; schemes whose errors coincide are one curve and one row."""
     t = np.linspace(0.0, 12.0, 240)
     figure = compared(t, {"hk": 0.9, "bohlin-a": 0.2, "bohlin-b": 0.2021, "bohlin-c": 0.2019, "rk4": 1e-3})
-    shifts = {"hk": 0.9, "bohlin-a ≈ bohlin-c": 0.2, "bohlin-b": 0.2021, "rk4": 1e-3}
+    shifts = {"HK": 0.9, "Bohlin A ≈ Bohlin C": 0.2, "Bohlin B": 0.2021, "RK4": 1e-3}
     left, right = figure.axes
-    assert figure.get_suptitle() == "$h = 0.25$"
-    errors = {name: (t, np.where(t == 0.0, np.nan, shift * t)) for name, shift in shifts.items()}
-    assert_shown([left], [Shown(("$t$", "error of the state"), ("linear", "log"), errors)])
-    assert list(labelled(left)) == list(shifts)
+    assert figure.get_suptitle() == r"a_\$cene, $h = 0.25$"
+    errors = {name_of(name): (t, np.where(t == 0.0, np.nan, shift * t)) for name, shift in shifts.items()}
+    assert_shown([left], [Shown(("time $t$", "error of the state"), ("linear", "log"), errors)])
+    assert list(labelled(left)) == list(map(name_of, shifts))
     assert right.get_yscale() == "linear"
     assert right.get_title(loc="left") == r"(b) $\gamma_1$, reference in grey"
     heights = right.get_yticks()
@@ -363,6 +401,35 @@ def test_a_comparison_draws_errors_and_swings() -> None:
         assert in_sight(right, line)
     (scale,) = right.child_axes
     np.testing.assert_allclose(scale.get_yticks(), [np.cos(t).min(), np.cos(t).max()])
+
+
+@pytest.mark.parametrize(("power", "clipped"), [(2, True), (1, False)])
+def test_much_smaller_errors_at_the_start_are_below_the_scale(power: int, clipped: bool) -> None:
+    """Errors that grow like t² begin two decades lower than after a hundredth of the rows, those like t one."""
+    t = np.linspace(0.0, 10.0, 2001)
+    series = {"t": t, "swing:reference": np.cos(t), "swing:hk": np.cos(t), "error:hk": 1e-3 * t**power}
+    figures = {"schemes": [{"label": "hk"}], "reference": {"swing": "gamma1"}, "config": {"name": "a_$cene", "h": 0.25}}
+    axes = drawn(loaded_comparison(Result(figures, series))).axes[0]
+    bottom, first = axes.get_ylim()[0], 1e-3 * t[1] ** power
+    if clipped:
+        assert bottom == pytest.approx(0.5e-3 * t[20] ** power)
+    assert (bottom > first) == clipped
+
+
+def test_orders_are_beside_the_curves_of_the_compositions() -> None:
+    """At the point of the error nearest to 1e-8, on the outer side of each curve."""
+    errors = {"backlund+suzuki4": 4, "backlund+kahan-li6": 6, "backlund+kahan-li8": 8}
+    rows = [
+        {"scheme": name, "points": [{"h": h, "error": h**order, "seconds": 1e-6 / h} for h in 10.0 ** -np.arange(3.0)]}
+        for name, order in errors.items()
+    ]
+    figure = drawn(loaded_study({"duration": 100.0, "schemes": rows}, ""))
+    assert figure.get_suptitle() == r"Kowalevski top, generic motion, $0 \leq t \leq 100$"
+    for axes, sides in zip(figure.axes, (("right", "right", "left"), ("left", "left", "right")), strict=True):
+        texts = {text.get_text(): text for text in axes.texts}
+        assert [text.get_ha() for text in texts.values()] == list(sides)
+        assert list(texts) == ["order 4", "6", "8"]
+        assert [text.xy[1] for text in texts.values()] == pytest.approx([1e-8, 1e-6, 1e-8])  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("swings", "start"), [(6, 0.0), (7, 8.0 * math.pi)])
@@ -386,9 +453,9 @@ def test_an_analysis_draws_errors_swings_and_deviations(reference: bool, directi
     figure = drawn(loaded_analysis(Result({"config": config, "file": "x.csv", "sha256": ""}, series)))
     moved = np.where(t == t[0], np.nan, series["deviation:m_omega"])
     expected = [
-        Shown(("$t$", r"$\omega_2$"), LINEAR, {"series": (t, series["swing"])}),
+        Shown(("time $t$", r"$\omega_2$"), LINEAR, {"series": (t, series["swing"])}),
         Shown(
-            ("$t$", "deviation of the invariants"),
+            ("time $t$", "deviation of the invariants"),
             ("linear", "log"),
             {r"$\boldsymbol{m}\cdot\boldsymbol{\omega}$": (t, moved)},
         ),
@@ -396,7 +463,7 @@ def test_an_analysis_draws_errors_swings_and_deviations(reference: bool, directi
     if reference:
         expected[0].lines["reference"] = (t, series["swing:reference"])
         error = np.where(t == t[0], np.nan, series["error"])
-        expected.insert(0, Shown(("$t$", "error of the state"), ("linear", "log"), {"series": (t, error)}))
+        expected.insert(0, Shown(("time $t$", "error of the state"), ("linear", "log"), {"series": (t, error)}))
     assert_shown(figure.axes, expected)
     assert all(axes.get_xlim() == (t.min(), t.max()) for axes in figure.axes)
     key = {text: look(line) for text, line in explained(figure).items()}
@@ -421,7 +488,8 @@ def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, mon
     figure = drawn(FIGURES["stress"].load(Request(tmp_path)))
     (axes,) = figure.axes
     assert axes.get_xlabel() == "euler"
-    schemes = [tick.get_text() for tick in axes.get_xticklabels()]
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["HK", "RK4", "BS"]
+    schemes = ["hk", "rk4", "bs"]
     cases = [tick.get_text() for tick in axes.get_yticklabels()]
     assert cases == ["a", "b", "2 others"]  # what all schemes hold shares a row
     (image,) = axes.images

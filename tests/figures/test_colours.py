@@ -71,3 +71,18 @@ def test_a_scheme_has_its_colour_whatever_is_drawn_beside_it(markers: bool) -> N
     assert {name: look["color"] for name, look in together.items() if name in names} == {
         name: look["color"] for name, look in alone.items()
     }
+
+
+def test_a_composition_has_the_colour_of_its_scheme_and_a_look_of_its_own() -> None:
+    names = ["hk", "hk-projected", "hk+suzuki4", "hk+kahan-li8", "rk4", "backlund+yoshida4", "backlund"]
+    with styled():
+        found = looks(names, markers=True)
+    colours = {name: to_hex(look["color"]) for name, look in found.items()}
+    assert len({colours[name] for name in names if name.startswith("hk")}) == 1
+    assert colours["backlund+yoshida4"] == colours["backlund"] != colours["hk"] != colours["rk4"]
+    assert len({(colours[name], look["marker"], str(look["linestyle"])) for name, look in found.items()}) == len(names)
+
+
+def test_names_in_configs_and_display_names_have_one_look() -> None:
+    with styled():
+        assert looks(["bohlin-a"]) == {"bohlin-a": looks(["Bohlin A"])["Bohlin A"]}

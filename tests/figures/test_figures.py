@@ -138,7 +138,7 @@ def texts(figure: Drawn) -> list[str]:
     return [text for text in found if text]
 
 
-TITLED = {"fig1": "hk", "fig2": "bohlin-a", "fig3": "bohlin-a", "fig4": "hybrid", "modified": "hk"}
+TITLED = {"fig1": "HK", "fig2": "Bohlin A", "fig3": "Bohlin A", "fig4": "hybrid", "modified": "HK"}
 """Figures whose heading names the scheme of their run."""
 
 
@@ -154,16 +154,16 @@ def test_no_figure_names_a_scheme_that_it_does_not_draw(name: str, tmp_path: Pat
             drawn_from(name, tmp_path / "b", ["N=200", "scheme=rk4"])
         return
     other = texts(drawn_from(name, tmp_path / "b", ["N=200", "scheme={name: taylor, tol: 1e-12}"]))
-    headings = [text.partition(",")[0] for text in own if ", $h" in text]
+    headings = [text.split(", ")[1] for text in own if ", $h" in text]
     assert headings == ([TITLED[name]] if name in TITLED else [])
-    assert [text.replace("taylor (tol=1e-12)", TITLED.get(name, "")) for text in other] == own
+    assert [text.replace("Taylor (tol=1e-12)", TITLED.get(name, "")) for text in other] == own
     assert (other != own) == (name in TITLED)
 
 
 def test_figures_of_the_paper_say_scheme_step_and_distance(tmp_path: Path) -> None:
     """In the values of the run that is drawn, also if it is not the paper's."""
     figure = drawn_from("fig3", tmp_path, ["N=40", "h=0.025", "scheme=rk4", "initial.gamma=[auto, 0, 2e-7]"])
-    assert figure.get_suptitle() == r"rk4, $h = 0.025$, $\epsilon = \gamma_3(0) = 2\times 10^{-7}$"
+    assert figure.get_suptitle() == r"Kowalevski top, RK4, $h = 0.025$, $\epsilon = \gamma_3(0) = 2\times 10^{-7}$"
 
 
 def test_a_figure_needs_the_scenes_that_its_columns_name() -> None:
@@ -231,8 +231,8 @@ SOURCES: dict[str, tuple[Callable[[], str], str]] = {
         "studies.roundoff_copies.copies_followed analysis.roundoff.BlockMeans.add analysis.roundoff.block_weights "
         "analysis.roundoff.doubling_lags analysis.roundoff.structure",
     ),
-    "integrable": (growth.energy_code, "figures.growth._energy_errors figures.growth.largest_by_octave"),
-    "period": (period.period_code, "analysis.swings.swing_spacing analysis.swings.minima_times"),
+    "integrable": (growth.energy_code, "figures.growth._energy_errors figures.growth.ends_of_parts"),
+    "period": (period.period_code, "analysis.swings.first_swing_spacing analysis.swings.minima_times"),
     "torus-points": (torus.torus_code, "figures.torus.orbit figures.torus.crossings"),
     "chaos": (
         chaos.chaos_code,
@@ -283,6 +283,7 @@ DRAWING = {
     "stress": "figures.outcomes.figure_data figures.outcomes._step_text figures.outcomes.StressGrid.annotate",
     "work-precision": "figures.comparison._curves studies.bench.result.pareto_front",
     "compare": f"figures.comparison.ErrorsOverTime.paint analysis.reference.distances {HK_STEP}",
+    "errors": "figures.picture.label_ends figures.curves.CurvePanel._name_ends",
     "swings": "figures.sweep._points sweeps.table.summary figures.picture.Grid.annotate",
 }
 """Functions between the results of a study and its picture."""

@@ -149,7 +149,11 @@ def compared(folder: Path, count: int) -> Loaded:
     labels = [f"scheme-{i:02}:h=0.001" for i in range(count)]
     for i, label in enumerate(labels):
         series |= {f"error:{label}": 10.0 ** (-i) * t, f"swing:{label}": np.cos(t + 0.1 * i)}
-    figures = {"config": {"h": 0.001}, "schemes": [{"label": one} for one in labels], "reference": {"swing": "gamma1"}}
+    figures = {
+        "config": {"name": "kowalevski_hk", "h": 0.001},
+        "schemes": [{"label": one} for one in labels],
+        "reference": {"swing": "gamma1"},
+    }
     return loaded_comparison(Result(figures, series))
 
 
@@ -172,10 +176,10 @@ def analysed(folder: Path, reference: bool) -> Loaded:
 
 
 def swept(folder: Path, choice: Choice) -> Loaded:
-    grid = [(f"scheme-{i}", h, eps) for i in range(18) for h in (0.1, 0.05, 0.02, 1e-3) for eps in (1e-1, 1e-8, 1e-3)]
+    grid = [(f"scheme-{i}", h, eps) for i in range(22) for h in (0.1, 0.05, 0.02, 1e-3) for eps in (1e-1, 1e-8, 1e-3)]
     keys = {name: [row[i] for row in grid] for i, name in enumerate(("scheme", "h", "initial.gamma3"))}
     values = [1e-9 * (i + 1.0) * row[1] ** 2 for i, row in enumerate(grid)]
-    folder = write_rows(folder / "kowalevski_errors", keys, {"error.max": values})
+    folder = write_rows(folder / "kowalevski_errors", keys, {"max_error": values})
     return sweep_figure(read_rows(folder), choice).load(Request(folder))
 
 
@@ -187,10 +191,10 @@ MADE_UP = [
         for size in (1e-12, 1.0)
     ),
     *(partial(analysed, reference=reference) for reference in (True, False)),
-    partial(swept, choice=Choice("h", "error.max", "scheme", aggregate="median")),
-    partial(swept, choice=Choice("scheme", "error.max", aggregate="median")),
-    partial(swept, choice=Choice("h", "initial.gamma3", colour="error.max", aggregate="max")),
-    partial(swept, choice=Choice("scheme", "h", colour="error.max", aggregate="max")),
+    partial(swept, choice=Choice("h", "max_error", "scheme", aggregate="median")),
+    partial(swept, choice=Choice("scheme", "max_error", aggregate="median")),
+    partial(swept, choice=Choice("h", "initial.gamma3", colour="max_error", aggregate="max")),
+    partial(swept, choice=Choice("scheme", "h", colour="max_error", aggregate="max")),
 ]
 
 

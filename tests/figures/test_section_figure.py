@@ -52,7 +52,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
         ([tmp_path / "none"], None, None, "no finished run here"),
         ([steps], None, None, "recorded steps, not a section"),
         ([empty], None, None, "nothing to draw: completed 4000 steps .*; never crossed"),
-        ([folder, apart], None, None, "its top or section is not that of"),
+        ([folder, apart], None, None, "its top or section differs from that of"),
         ([folder], "gama1", None, "no such column; did you mean 'gamma1'"),
         ([folder], None, "drift", "coloured by orbit, or with --colour verdict"),
     ):

@@ -14,13 +14,25 @@ from matplotlib.colors import same_color
 from matplotlib.lines import Line2D
 from scipy.spatial.transform import Rotation
 
-from drawn_artists import arrows, data_of, drawn_from, in_two_parts, seen_from, series_of, texts_of, vector
+from drawn_artists import (
+    arrows,
+    data_of,
+    drawn_from,
+    explained,
+    in_two_parts,
+    look,
+    seen_from,
+    series_of,
+    texts_of,
+    vector,
+)
 from topcli.config.load import load_experiment
 from topcli.contracts import Top
 from topcli.errors import RunError, UsageError
 from topcli.figures.body import body_of, surface_distance
 from topcli.figures.picture import draw
 from topcli.figures.scene3d import Polhodes, Sphere, _curves
+from topcli.figures.scenes import tick_value
 from topcli.tops.euler import Euler, EulerGamma, field
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -28,8 +40,8 @@ from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
 SPHERES = {
     "sphere": [
-        ("kowalevski_hybrid", "gamma", -55.0, 35.0, ("e_1", "e_2", "e_3"), False),
-        ("kowalevski_generic_hk", "gamma", 25.0, 35.0, ("e_1", "e_2", "e_3"), False),
+        ("kowalevski_hybrid", "gamma", -20.0, 35.0, ("e_1", "e_2", "e_3"), False),
+        ("kowalevski_generic_hk", "gamma", -20.0, 35.0, ("e_1", "e_2", "e_3"), False),
     ],
     "nutation": [(f"lagrange_{name}", "a", 72.0, 0.0, ("", "", "p"), True) for name in ("cusps", "loops", "waves")],
 }
@@ -40,7 +52,7 @@ def assert_curve(axes: Axes, seen: np.ndarray, near: str, far: str, dot: int = 0
     drawn, front = in_two_parts(axes, near, far)
     np.testing.assert_allclose(drawn, seen[:, :2], atol=1e-12)
     np.testing.assert_array_equal(front, seen[:, 2] >= 0.0)
-    (mark,) = (line for line in axes.lines if line.get_marker() == "o")
+    (mark,) = (line for line in axes.lines if line.get_marker() in "oD")
     np.testing.assert_allclose(data_of(mark)[0], seen[dot, :2], atol=1e-12)
     return mark
 
@@ -55,7 +67,7 @@ def test_traces_on_the_sphere(name: str, tmp_path: Path) -> None:
         trace = vector(series, column)
         flat = seen_from(elevation, azimuth, trace)
         dot = assert_curve(axes, flat, "#0072B2", "#74ABD1")
-        assert same_color(dot.get_color(), "#0072B2" if flat[0, 2] >= 0.0 else "#74ABD1")
+        assert same_color(dot.get_color(), "#D55E00" if flat[0, 2] >= 0.0 else "#DD9560")
         named = [text for text in axes.texts if text.get_text()]
         assert texts_of(axes) == [rf"$\boldsymbol{{{one}}}$" for one in directions if one]
         poles = seen_from(elevation, azimuth, np.eye(3)[[bool(one) for one in directions]])
@@ -93,7 +105,11 @@ def test_captions_name_the_motion(tmp_path: Path) -> None:
     """A panel that names a packaged motion takes the run's name for another one, and keeps it for others."""
     changes = {f"lagrange_{name}": ["N=200"] for name in ("cusps", "loops", "waves")}
     changes["lagrange_loops"] += ["name=mine", "initial={m: [0.3, 0, 1.9], a: [0.6, 0, 0.8]}"]
-    assert [axes.get_title() for axes in drawn_from("nutation", tmp_path, changes).axes] == ["cusps", "mine", "waves"]
+    assert [axes.get_title() for axes in drawn_from("nutation", tmp_path, changes).axes] == [
+        "(a) cusps",
+        "mine",
+        "(c) waves",
+    ]
     changes = {**SHORT, "lagrange_attitude": ["N=300", "top.C=0.6", "name=wide"]}
     titles = [axes.get_title() for axes in drawn_from("body", tmp_path, changes).axes]
     assert titles == ["(a) Euler", "wide", "(c) Kowalevski"]
@@ -194,13 +210,52 @@ def test_polhodes_have_the_moments_of_the_run(tmp_path: Path) -> None:
     draw([Polhodes((2.0, 2.0 + 1e-9, 1.0), pixels=40)], data)
 
 
+LEGENDS = {
+    "sphere": [r"vertical $\boldsymbol{\gamma}$", "on the far side", "$t = 0, 1, 2, ...$", "start"],
+    "nutation": [r"axis $\boldsymbol{a}$", "on the far side", "its bounds", "start"],
+    "traces": [r"$\boldsymbol{\omega}$", "its rear part", "shadow below", "start"],
+    "body": ["trace of the axis", "on the far side", "the axis at the end"],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LEGENDS)
+def test_the_legend_explains_every_mark(name: str, tmp_path: Path) -> None:
+    """Also the colours and widths of the legend are those of the curves."""
+    figure = drawn_from(name, tmp_path, [] if name == "nutation" else ["N=900"])
+    key = explained(figure)
+    assert list(key) == LEGENDS[name]
+    for axes in figure.axes:
+        for line in (line for line in axes.lines if str(line.get_label())[0] != "_"):
+            shown = key[str(line.get_label())]
+            assert look(shown) == look(line)
+            assert shown.get_linewidth() == pytest.approx(line.get_linewidth()) or name == "sphere"
+
+
+@pytest.mark.parametrize(
+    ("size", "value"), [(1.0, 1.0), (0.999, 0.5), (1.99, 1.0), (2.0, 2.0), (4.9, 2.0), (5.0, 5.0), (0.03, 0.02)]
+)
+def test_ticks_are_round_numbers_within_the_longest_vector(size: float, value: float) -> None:
+    assert tick_value(size) == pytest.approx(value)
+
+
+def test_polhodes_explain_their_tints_by_the_moments() -> None:
+    """Blue is around the axis of the largest moment, ochre around that of the smallest."""
+    angle = np.linspace(0.0, 6.0, 50)
+    data = {"omega1": 0.0 * angle, "omega2": 0.0 * angle + 1.0, "omega3": 0.0 * angle}
+    (legend,) = [axes.get_legend() for axes in draw([Polhodes((1.0, 3.0, 2.0), pixels=40)], data).axes]
+    assert legend
+    tints = {text.get_text(): handle for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True)}
+    assert list(tints)[:3] == ["run", "separatrix", "other polhodes"]
+    assert same_color(tints[r"around $\omega_2$"].get_facecolor(), (0.44, 0.63, 0.80))  # type: ignore[union-attr]
+    assert same_color(tints[r"around $\omega_1$"].get_facecolor(), (0.93, 0.72, 0.42))  # type: ignore[union-attr]
+
+
 SHORT = {scene: ["N=300"] for scene in ("euler_attitude", "lagrange_attitude", "kowalevski_attitude")}
 NEAR, FAR = "#0072B2", "#A6CDE6"
 CURVES = [
     ("euler_attitude", "omega", False),
     ("euler_attitude", "omega", True),
-    ("kowalevski_attitude", "gamma", False),
-    ("kowalevski_attitude", "omega", True),
 ]
 BODIES = [
     ("euler_attitude", (1.0, 0.0, 0.0), 0.45, [r"$\boldsymbol{e}_1$", r"$\boldsymbol{m}$"]),
@@ -224,11 +279,15 @@ def test_traces_are_the_vectors_of_the_runs(tmp_path: Path) -> None:
         points = points / np.linalg.norm(points, axis=1).max()
         expected = seen_from(24.0, 32.0, points)
         assert_curve(axes, expected, NEAR, FAR)
-        (shadow,) = [line for line in axes.lines if same_color(line.get_color(), "0.80")]
+        (shadow,) = [line for line in axes.lines if same_color(line.get_color(), "0.87")]
         floor = np.full(len(points), min(0.0, points[:, 2].min() - 0.1))
         below = seen_from(24.0, 32.0, np.column_stack([points[:, :2], floor]))[:, :2]
         np.testing.assert_allclose(data_of(shadow), below, atol=1e-12)
-        assert texts_of(axes) == (["$x$", "$y$", "$z$"] if in_space else [rf"$\{column}_{i}$" for i in (1, 2, 3)])
+        names = ["$x$", "$y$", "$z$"] if in_space else [rf"$\{column}_{i}$" for i in (1, 2, 3)]
+        assert texts_of(axes) == [text for name in names for text in (name, "1")]
+        tips = seen_from(24.0, 32.0, np.eye(3))[:, :2] / np.linalg.norm(vector(series, column), axis=1).max()
+        ticks = [data_of(line).mean(axis=0) for line in axes.lines if len(line.get_xdata()) == 2]  # at the value 1
+        np.testing.assert_allclose(ticks, tips, atol=1e-12)
         ends = [head for _, head in arrows(axes)]
         np.testing.assert_allclose(ends, seen_from(24.0, 32.0, 1.18 * np.eye(3))[:, :2], atol=1e-12)
         shown = np.vstack([expected[:, :2], below, ends])

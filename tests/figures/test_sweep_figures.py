@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
     drifts = [(-1.0) ** seed * h**3 for _, h, seed in rows]
     keys = {name: [row[i] for row in rows] for i, name in enumerate(("scheme", "h", "seed"))}
     outcome = ["no_convergence" if math.isnan(error) else "completed" for error in errors]
-    measures = {"error.max": errors, "drift.energy": drifts, "swing_spacing": [28.0 + h for _, h, _ in rows]}
+    measures = {"max_error": errors, "drift.energy": drifts, "median_swing_spacing": [28.0 + h for _, h, _ in rows]}
     return write_rows(tmp_path / "mine", keys, measures, outcome=outcome, log=["h"])
 
 
@@ -67,9 +67,9 @@ def points(line: Line2D) -> list[tuple[float, float]]:
 
 def test_curves_are_the_rows_with_their_slopes(folder: Path) -> None:
     """The plateau is dotted and its markers are open; a point without a value is a cross at the edge."""
-    (axes,) = figure_of(folder, Choice("h", "error.max", "scheme"), ("seed=2",)).axes
+    (axes,) = figure_of(folder, Choice("h", "max_error", "scheme"), ("seed=2",)).axes
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("h", "error.max")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("step size h", "max error")
     assert axes.get_title(loc="left") == "mine, seed = 2"
     for scheme, line in labelled(axes).items():
         known = [(h, error_of(scheme, h, 2)) for h in sorted(SIZES) if (scheme, h) != ("bohlin-a", SIZES[-1])]
@@ -80,7 +80,7 @@ def test_curves_are_the_rows_with_their_slopes(folder: Path) -> None:
     assert {text: shown[text].get_color() for text in shown if ":" in text} == {
         str(line.get_label()): line.get_color() for line in labelled(axes).values()
     }
-    assert set(shown) == {"hk: 2.00", "rk4: 4.00", "bohlin-a: 1.00", "round-off", "no value"}
+    assert set(shown) == {"HK: 2.00", "RK4: 4.00", "Bohlin A: 1.00", "round-off", "no value"}
     legend = axes.get_legend()
     assert legend
     assert legend.get_title().get_text() == "scheme: slope"
@@ -98,8 +98,8 @@ def test_curves_are_the_rows_with_their_slopes(folder: Path) -> None:
 
 
 def test_the_median_has_a_band_of_quartiles(folder: Path) -> None:
-    (axes,) = figure_of(folder, Choice("h", "error.max", "scheme", aggregate="median")).axes
-    assert axes.get_ylabel() == "error.max (median and quartiles)"
+    (axes,) = figure_of(folder, Choice("h", "max_error", "scheme", aggregate="median")).axes
+    assert axes.get_ylabel() == "max error (median and quartiles)"
     bands = list(axes.collections)
     assert len(bands) == 3
     for band, (scheme, line) in zip(bands, labelled(axes).items(), strict=True):
@@ -115,13 +115,13 @@ def test_the_median_has_a_band_of_quartiles(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_mean_has_its_standard_error_and_the_maximum_no_band(folder: Path) -> None:
-    (axes,) = figure_of(folder, Choice("h", "swing_spacing", aggregate="mean")).axes
-    assert axes.get_ylabel() == "swing_spacing (mean ± standard error)"
+    (axes,) = figure_of(folder, Choice("h", "median_swing_spacing", aggregate="mean")).axes
+    assert axes.get_ylabel() == "median swing spacing (mean ± standard error)"
     assert axes.get_yscale() == "linear"
-    ((h, mean), *_) = points(labelled(axes)["swing_spacing"])
+    ((h, mean), *_) = points(labelled(axes)["median_swing_spacing"])
     assert mean == pytest.approx(28.0 + h, rel=1e-14)
-    assert list(explained(axes.figure)) == ["swing_spacing"]
-    (axes,) = figure_of(folder, Choice("h", "error.max", "scheme", aggregate="max")).axes
+    assert axes.get_legend() is None, "the vertical axis says what it is"
+    (axes,) = figure_of(folder, Choice("h", "max_error", "scheme", aggregate="max")).axes
     assert not axes.collections
     assert dict(points(labelled(axes)["hk"]))[0.1] == error_of("hk", 0.1, 3)
 
@@ -136,9 +136,9 @@ def test_values_of_both_signs_have_a_scale_with_two_sides(folder: Path) -> None:
 
 
 def test_names_along_x_have_their_points_side_by_side(folder: Path) -> None:
-    choice = Choice("scheme", "error.max", "h", aggregate="median")
+    choice = Choice("scheme", "max_error", "h", aggregate="median")
     (axes,) = figure_of(folder, choice, (f"h={SIZES[0]}", f"h={SIZES[1]}")).axes
-    assert [tick.get_text() for tick in axes.get_xticklabels()] == list(SCHEMES)
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["HK", "RK4", "Bohlin A"]
     assert (axes.get_xscale(), list(labelled(axes))) == ("linear", ["h = 0.1", "h = 0.05"])
     for h, shift, line in zip(SIZES, (-0.06, 0.06), labelled(axes).values(), strict=False):
         assert line.get_linestyle() == "None"
@@ -184,8 +184,8 @@ def test_a_dollar_is_no_mathematics(tmp_path: Path) -> None:
 
 
 def test_orders_are_drawn_over_names(folder: Path) -> None:
-    (axes,) = figure_of(folder, Choice("scheme", "error.max", "seed", aggregate="order")).axes
-    assert axes.get_ylabel() == "error.max (order)"
+    (axes,) = figure_of(folder, Choice("scheme", "max_error", "seed", aggregate="order")).axes
+    assert axes.get_ylabel() == "max error (order)"
     for line in labelled(axes).values():
         assert [y for _, y in points(line)] == pytest.approx(list(SCHEMES.values()), abs=1e-9)
 
@@ -241,11 +241,11 @@ def heat_cells(axes: Axes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_heat_map_has_the_rows_in_its_cells(folder: Path) -> None:
-    choice = Choice("h", "scheme", colour="error.max", aggregate="median")
+    choice = Choice("h", "scheme", colour="max_error", aggregate="median")
     axes, bar = figure_of(folder, choice).axes
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "linear")
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("h", "scheme")
-    assert bar.get_ylabel() == "error.max (median)"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("step size h", "scheme")
+    assert bar.get_ylabel() == "max error (median)"
     corners, values = heat_cells(axes)
     for i, scheme in enumerate(SCHEMES):
         for j, h in enumerate(sorted(SIZES)):
@@ -256,7 +256,7 @@ def test_a_heat_map_has_the_rows_in_its_cells(folder: Path) -> None:
             else:
                 assert values[i, j] == pytest.approx(error_of(scheme, h, 2), rel=1e-14)
     names = dict(zip(axes.get_yticks(), (tick.get_text() for tick in axes.get_yticklabels()), strict=True))
-    assert names == dict(enumerate(SCHEMES))
+    assert names == {0: "HK", 1: "RK4", 2: "Bohlin A"}
     assert axes.get_ylim() == (2.5, -0.5)
     (cross,) = axes.lines
     assert points(cross) == [(SIZES[-1], 2.0)]
@@ -295,17 +295,17 @@ def test_edges_of_cells_lie_between_their_centres() -> None:
 @pytest.mark.parametrize(
     ("choice", "message"),
     table_of("""
-x=h y=error.max by=scheme                up to 3 values fall into one point, because seed still varies
-x=h y=scheme colour=error.max            up to 3 values fall into one point
-x=hh y=error.max                         --x: unknown key 'hh'; did you mean 'h'
-x=h y=error                              --y: unknown measure 'error'; did you mean 'error.max'
+x=h y=max_error by=scheme                up to 3 values fall into one point, because seed still varies
+x=h y=scheme colour=max_error            up to 3 values fall into one point
+x=hh y=max_error                         --x: unknown key 'hh'; did you mean 'h'
+x=h y=error                              --y: unknown measure 'error'; did you mean 'max_error'
 x=h y=scheme                             --y: 'scheme' is a key; give a measure
-x=h y=error.max colour=drift.energy      --y: 'error.max' is a measure; give a varied key
+x=h y=max_error colour=drift.energy      --y: 'max_error' is a measure; give a varied key
 x=h y=scheme colour=drift.enrgy          --colour: unknown measure 'drift.enrgy'; did you mean 'drift.energy'
-x=h y=scheme by=seed colour=error.max    --colour and --by do not go together
-x=h y=error.max by=h                     key 'h' is used twice
-x=h y=error.max by=sceme                 --by: unknown key 'sceme'; did you mean 'scheme'
-x=h y=error.max aggregate=avg            --aggregate 'avg': unknown aggregate
+x=h y=scheme by=seed colour=max_error    --colour and --by cannot be combined
+x=h y=max_error by=h                     key 'h' is used twice
+x=h y=max_error by=sceme                 --by: unknown key 'sceme'; did you mean 'scheme'
+x=h y=max_error aggregate=avg            --aggregate 'avg': unknown aggregate
 """),
 )
 def test_wrong_choices_are_named(folder: Path, choice: str, message: str) -> None:
@@ -316,9 +316,9 @@ def test_wrong_choices_are_named(folder: Path, choice: str, message: str) -> Non
 
 @pytest.mark.slow
 def test_the_command_draws_stores_and_repeats_nothing(cli: Callable[..., Any], folder: Path) -> None:
-    command = ("plot", "sweep", str(folder), "--x", "h", "--y", "error.max", "--by", "scheme", "--where", "seed=2")
+    command = ("plot", "sweep", str(folder), "--x", "h", "--y", "max_error", "--by", "scheme", "--where", "seed=2")
     said = cli(*command, "--format", "png")
-    name = "mine_error.max_over_h_by_scheme"
+    name = "mine_max_error_over_h_by_scheme"
     assert said.out == f"{name}: drawn: results/figures/{name}.png, results/figures/{name}.parquet\n"
     assert said.err.splitlines() == [
         "1 of 27 rows did not complete: 1 no_convergence",
@@ -340,10 +340,10 @@ def test_the_command_draws_stores_and_repeats_nothing(cli: Callable[..., Any], f
     table_of("""
 sweep                  name one folder
 sweep a b              name one folder
-sweep nowhere --x h    no sweep is stored here
-fig1 --x h             --x belongs to sweeps
-order --where h=1      --where belongs to sweeps
---all --aggregate max  --aggregate belongs to sweeps
+sweep nowhere --x h    no such file or folder
+fig1 --x h             --x is only for sweeps
+order --where h=1      --where is only for sweeps
+--all --aggregate max  --aggregate is only for sweeps
 """),
 )
 def test_wrong_commands_are_named(cli: Callable[..., Any], arguments: str, message: str) -> None:
@@ -356,12 +356,12 @@ def test_a_sweep_is_not_taken_for_a_figure(cli: Callable[..., Any], folder: Path
     """A misspelt name is named; without names, keys and measures are listed."""
     (folder / SWEEP_FILE).write_text("")  # as the folder of a sweep, which given as a figure would need a hint
     assert "is a sweep, not a figure" in cli("plot", str(folder)).err
-    said = cli("plot", "sweep", str(folder), *["--x", "h", "--y", "error.max", "--where", "shceme=hk"])
+    said = cli("plot", "sweep", str(folder), *["--x", "h", "--y", "max_error", "--where", "shceme=hk"])
     assert (said.code, said.out) == (2, "")
     assert said.err == "error: --where: unknown key 'shceme'; did you mean 'scheme' or 'seed'?\n"
     said = cli("plot", "sweep", str(folder), "--x", "h")
     assert said.code == 2
-    assert "keys: scheme, h, seed; measures: error.max, drift.energy, swing_spacing" in said.err
+    assert "keys: scheme, h, seed; measures: max_error, drift.energy, median_swing_spacing" in said.err
 
 
 def study() -> dict[str, Any]:
@@ -413,7 +413,7 @@ def test_notes_count_each_outcome_by_itself(folder: Path) -> None:
     outcome = ["blew_up", "blew_up", *rows.column("outcome").to_pylist()[2:]]
     at = rows.schema.get_field_index("outcome")
     pq.write_table(rows.set_column(at, "outcome", [outcome]), path)
-    said = sweep_notes(read_rows(folder), Choice("h", "error.max", "scheme", aggregate="max"))
+    said = sweep_notes(read_rows(folder), Choice("h", "max_error", "scheme", aggregate="max"))
     assert said == [
         "5 of 81 rows did not complete: 2 blew_up, 3 no_convergence",
         "3 of 81 values could not be computed (nan)",
@@ -423,6 +423,6 @@ def test_notes_count_each_outcome_by_itself(folder: Path) -> None:
 def test_notes_say_what_cannot_be_drawn(tmp_path: Path) -> None:
     folder = write_rows(tmp_path / "x", {"h": [0.1, NAN, 0.2]}, {"v": [0.0, 2.0, 1e3]})
     assert sweep_notes(read_rows(folder), Choice("h", "v")) == [
-        "1 of 3 values are zero and have no place on a logarithmic scale",
+        "1 of 3 values are zero and cannot be shown on a logarithmic scale",
         "rows without a number for h are not drawn",
     ]

@@ -46,7 +46,7 @@ GENERAL = [claim for claim in ledger().claims if claim.check.name in VARIED]
 def test_general_claims_draw_parameters_state_and_step() -> None:
     """Four maps or more for each scene, no two with the same parameters, state or step."""
     for claim in GENERAL:
-        assert claim.experiment_text.endswith("with random parameters, state and h")
+        assert claim.experiment_text.endswith("with random parameters, states and h")
     for text in {claim.parameters["scene"] for claim in GENERAL}:
         maps = exact_maps(LedgerScene.read(text))
         assert len(maps) >= 4
@@ -191,7 +191,7 @@ def test_return_defect_of_the_hybrid_is_that_of_plain_doubles() -> None:
     """1.4e-5 at h = 0.1 and of order 4, with 50 digits and by plain doubles here, over the same states."""
     measured, _ = measure("hybrid-reversible")
     assert measured.figure == pytest.approx(1.36e-5, rel=1e-2)
-    note = re.fullmatch(r"of order (\d\.\d\d) in h; (\S+) along the paper's run at h = 0.001", measured.note)
+    note = re.fullmatch(r"scales as h\^(\d\.\d\d); (\S+) along the paper's run at h = 0.001", measured.note)
     assert note
     assert float(note[1]) == pytest.approx(4.0, abs=0.1)
     assert float(note[2]) == pytest.approx(2.7e-13, rel=0.05)

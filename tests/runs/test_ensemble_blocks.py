@@ -202,7 +202,7 @@ def test_members_never_begun_are_not_zeros(scheme: str, begun: int, tmp_path: Pa
     assert not table["n"].any()
     for invariant in ("gamma_sq", "two_l", "energy", "k_sq"):
         for name in ("first", *DEVIATIONS):
-            values = table[f"{invariant}_{name}"]
+            values = table[f"{name}.{invariant}"]
             assert np.isfinite(values[:begun]).all(), name
             assert np.isnan(values[begun:]).all(), name
     assert len(columns(result.stored.series)["n"]) == begun
@@ -227,8 +227,8 @@ def test_modified_integrals_are_in_every_table(store: str, tmp_path: Path) -> No
         assert row["within_round_off"] == row["judged"] == 70, row["name"]
         single = topcli.simulate(found.member(41).resolved())
         values = single[row["name"]]
-        assert table[f"{row['name']}_first"][41] == values[0]
-        assert table[f"{row['name']}_max_deviation"][41] == np.abs(values - values[0]).max()
+        assert table[f"first.{row['name']}"][41] == values[0]
+        assert table[f"max_deviation.{row['name']}"][41] == np.abs(values - values[0]).max()
 
 
 def test_the_code_of_every_group_is_part_of_the_identity() -> None:

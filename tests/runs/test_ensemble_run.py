@@ -22,7 +22,7 @@ from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
 from topcli.runs import ensemble as study
 from topcli.runs.decision import RunOptions
-from topcli.runs.report import SHOWN_TRAJECTORIES
+from topcli.runs.report import SHOWN_TRAJECTORIES, ensemble_statements
 from topcli.runs.run import RunResult, run_experiment
 from topcli.store.parts import parts_of
 from topcli.store.series import read_series
@@ -104,15 +104,15 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeyp
         assert tuple(table[f"initial_{name}"][i] for name in found.top.components) == tuple(states[i, 0])
         reports = invariant_report(found.top.invariants(), np.arange(0, 201, 10), 0.02, states[i])
         for one, invariant in zip(reports, found.top.invariants(), strict=True):
-            assert table[f"{one.name}_first"][i] == one.first
-            assert table[f"{one.name}_max_deviation"][i] == one.max_deviation
-            assert table[f"{one.name}_rms_deviation"][i] == pytest.approx(one.rms_deviation, rel=1e-9, abs=0.0)
+            assert table[f"first.{one.name}"][i] == one.first
+            assert table[f"max_deviation.{one.name}"][i] == one.max_deviation
+            assert table[f"rms_deviation.{one.name}"][i] == pytest.approx(one.rms_deviation, rel=1e-9, abs=0.0)
             last = invariant.value(states[i, -1:])[0] - one.first
-            assert table[f"{one.name}_final_deviation"][i] == last
-            assert table[f"{one.name}_drift"][i] == pytest.approx(one.drift, rel=1e-9, abs=0.0)
+            assert table[f"final_deviation.{one.name}"][i] == last
+            assert table[f"drift.{one.name}"][i] == pytest.approx(one.drift, rel=1e-9, abs=0.0)
     for row in without.report["invariants"]:
         for measure in DEVIATIONS:
-            values = np.sort(np.abs(table[f"{row['name']}_{measure}"]))
+            values = np.sort(np.abs(table[f"{measure}.{row['name']}"]))
             assert row[measure] == {
                 "min": values[0], "5 %": values[3], "median": values[34], "95 %": values[66], "max": values[-1]
             }  # fmt: skip
@@ -121,18 +121,18 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeyp
 def test_a_drift_needs_all_rows_and_eight_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A trajectory that blew up has none, and its neighbours have theirs; nor has one of seven rows, or one stopped."""
     table = columns(run(tmp_path / "failing", **failing()).stored.folder / "trajectories.parquet")
-    assert np.isnan(table["energy_drift"][1::4]).all()
-    assert np.isfinite(np.delete(table["energy_drift"], range(1, 200, 4))).all()
+    assert np.isnan(table["drift.energy"][1::4]).all()
+    assert np.isfinite(np.delete(table["drift.energy"], range(1, 200, 4))).all()
     for rows, known in ((7, False), (8, True)):
         short = run(tmp_path / str(rows), N=10 * (rows - 1))
-        found = columns(short.stored.folder / "trajectories.parquet")["energy_drift"]
+        found = columns(short.stored.folder / "trajectories.parquet")["drift.energy"]
         assert np.isfinite(found).all() == known
         assert np.isnan(found).all() != known
     monkeypatch.setattr(engine, "PIECE_ROWS", 2)
     stopped = run_experiment(experiment(N=400, output={"every": 10}), tmp_path / "stopped", RunOptions(stop=after(12)))
     table = columns(stopped.stored.folder / "trajectories.parquet")
     assert 80 < table["n"].min() <= table["n"].max() < 400, "more than eight rows"
-    assert np.isnan(table["energy_drift"]).all()
+    assert np.isnan(table["drift.energy"]).all()
 
 
 DOCUMENTED = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)
@@ -151,7 +151,7 @@ def test_the_documented_columns_are_the_stored_ones(tmp_path: Path, varied: bool
         "top.PARAMETER": ["top.c0"] if varied else [],
         "initial_COMPONENT": [f"initial_{name}" for name in found.top.components],
     }
-    integrals = [name for name in documented if name.startswith("INVARIANT_")]
+    integrals = [name for name in documented if name.endswith(".INVARIANT")]
     plain = [name for name in documented if name not in integrals]
     wanted = [one for name in plain for one in named.get(name, [name])]
     wanted += [name.replace("INVARIANT", one.name) for one in found.top.invariants() for name in integrals]
@@ -269,3 +269,14 @@ def test_exit_codes_count_failed_trajectories(cli, in_tmp: Path) -> None:
     text = some.to_yaml().replace("omega: [0.5,", "omega: [1e200,").replace("name: some", "name: all")
     (in_tmp / "all.yaml").write_text(text)
     assert cli("run", "all.yaml").code == 1
+
+
+def test_a_report_begins_with_what_holds() -> None:
+    """Each invariant in a sentence, after the failures and before the table."""
+    spread = {"min": 1e-9, "5 %": 2e-9, "median": 3e-9, "95 %": 4e-9, "max": 5e-9}
+    row = {"symbol": "E", "judged": 4, "within_round_off": 1, "max_deviation": spread}
+    report = {"invariants": [row, {**row, "symbol": "k²", "judged": 1, "max_deviation": {**spread, "max": None}}]}
+    assert ensemble_statements(report) == [
+        "E: 1 of 4 trajectories within round-off; largest deviation: median 3.0e-09, maximum 5.0e-09",
+        "k²: 1 of 1 trajectory within round-off; largest deviation: median 3.0e-09, maximum –",
+    ]

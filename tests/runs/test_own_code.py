@@ -145,7 +145,7 @@ def test_an_edited_file_does_not_replace_the_earlier_run(cli: Callable[..., Said
 @pytest.mark.slow
 def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Said], folder: Path) -> None:
     """Also of an invariant, which no step uses."""
-    sweep = "base: rotor.yaml\ngrid: {h: [0.01, 0.02]}\nmeasure: [deviation.energy]\n"
+    sweep = "base: rotor.yaml\ngrid: {h: [0.01, 0.02]}\nmeasure: [max_deviation.energy]\n"
     (folder / "study.yaml").write_text(sweep)
     command = ("sweep", "study.yaml", "--plugin", "gyrostat.py")
     said = []

@@ -120,8 +120,8 @@ def test_quantities_of_an_ensemble(tmp_path: Path) -> None:
         figures = (values[:, 0], values[:, -1], values.min(axis=1), values.max(axis=1), values.mean(axis=1))
         joined = (np.mean, np.mean, np.min, np.max, np.mean)
         for figure, numbers, join in zip(FIGURES, figures, joined, strict=True):
-            assert table[f"{name}_{figure}"] == pytest.approx(numbers, rel=1e-14)
-            assert ensemble.table[f"{name}_{figure}"].tolist() == table[f"{name}_{figure}"].tolist()
+            assert table[f"{figure}.{name}"] == pytest.approx(numbers, rel=1e-14)
+            assert ensemble.table[f"{figure}.{name}"].tolist() == table[f"{figure}.{name}"].tolist()
             assert row[figure] == pytest.approx(join(numbers), rel=1e-14)
 
 
@@ -133,9 +133,9 @@ def test_rows_after_the_end_of_a_trajectory_do_not_count() -> None:
     tally.add({"x": first.ravel()}, 1, np.array([3, 2, 0]))
     tally.add({"x": second.ravel()}, 1, np.array([2, 0, 0]))
     columns = tally.columns()
-    assert [columns[f"x_{figure}"][1] for figure in FIGURES] == [3.0, 8.0, -4.0, 8.0, 2.0]
-    assert [columns[f"x_{figure}"][2] for figure in FIGURES] == [7.0, 5.0, 5.0, 7.0, 6.0]
-    assert all(np.isnan(columns[f"x_{figure}"][[0, 3]]).all() for figure in FIGURES)
+    assert [columns[f"{figure}.x"][1] for figure in FIGURES] == [3.0, 8.0, -4.0, 8.0, 2.0]
+    assert [columns[f"{figure}.x"][2] for figure in FIGURES] == [7.0, 5.0, 5.0, 7.0, 6.0]
+    assert all(np.isnan(columns[f"{figure}.x"][[0, 3]]).all() for figure in FIGURES)
     (row,) = tally.rows()
     assert [row[figure] for figure in FIGURES] == [5.0, 6.5, -4.0, 8.0, 4.0]
     later = QuantityTally(tally.quantities, 1)

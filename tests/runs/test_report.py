@@ -84,8 +84,9 @@ def test_a_run_resolves_its_config_once(config: str, tmp_path: Path, monkeypatch
 
 
 def test_every_figure_of_the_report_is_shown() -> None:
-    """The name and the reason of the verdict are in the text below the table."""
+    """The name, the statement of the verdict and its reason are in the text below the table."""
     assert {column.name for column in REPORT_COLUMNS} == {field.name for field in fields(InvariantRow)} - {
         "name",
         "reason",
+        "statement",
     }

@@ -115,7 +115,7 @@ def test_a_declared_integral_that_is_none_is_named(own_registry: None, tmp_path:
         path.write_text(text.replace("return ()", f"return {declared.format(factor)}"))
         load_plugin_file.cache_clear()
         if broken:
-            with pytest.raises(TopcliError, match=r"'energy' is no integral of the field: .* contains 2\*x\*v"):
+            with pytest.raises(TopcliError, match=r"'energy' is not an integral of the field: .* contains 2\*x\*v"):
                 load_plugin_file(path)
         else:
             load_plugin_file(path)

@@ -41,7 +41,7 @@ STUDY = {
     "name": "steps",
     "base": {"top": "kowalevski", "initial": START, "T": 4},
     "grid": {"h": [0.04, 0.02, 0.01], "scheme": ["hk", "rk4"]},
-    "measure": ["deviation.energy", "error.max"],
+    "measure": ["max_deviation.energy", "max_error"],
 }
 
 
@@ -202,6 +202,7 @@ def test_plot_of_a_run_is_its_last_vector_or_the_chosen_columns(run: RunReport) 
     lines = drawn(run.plot(Figure().add_subplot(), columns=["energy", "omega1"]))
     np.testing.assert_array_equal(lines["$E$"][1], run["energy"])
     np.testing.assert_array_equal(lines[r"$\omega_1$"][1], run["omega1"])
+    assert run.plot(Figure().add_subplot()).get_ylabel() == r"$\gamma_1$, $\gamma_2$, $\gamma_3$"
     axes = run.plot(Figure().add_subplot(), deviation=True)
     assert axes.get_yscale() == "log"
     energy = np.abs(run["energy"] - run["energy"][0])
@@ -247,10 +248,10 @@ def test_plot_of_an_ensemble_is_the_distribution_of_deviations(ensemble: RunRepo
     lines = drawn(ensemble.plot(Figure().add_subplot()))
     table = read_series(ensemble.folder / "trajectories.parquet")
     x, y = lines["E"]
-    np.testing.assert_array_equal(y, np.sort(table["energy_max_deviation"]))
+    np.testing.assert_array_equal(y, np.sort(table["max_deviation.energy"]))
     np.testing.assert_allclose(x, (np.arange(8) + 0.5) / 8)
     median = ensemble.table.loc["energy", "max_deviation, median"]
-    assert np.sort(table["energy_max_deviation"])[3] <= median <= np.sort(table["energy_max_deviation"])[4]
+    assert np.sort(table["max_deviation.energy"])[3] <= median <= np.sort(table["max_deviation.energy"])[4]
     assert ensemble.outcome.value == "completed"
     with pytest.raises(UsageError, match="an ensemble is drawn by"):
         ensemble.plot(columns=["gamma1"])
@@ -259,9 +260,9 @@ def test_plot_of_an_ensemble_is_the_distribution_of_deviations(ensemble: RunRepo
 @pytest.mark.slow
 def test_plots_of_a_comparison_are_errors_or_swings(compared: StudyReport) -> None:
     lines = drawn(compared.plot(Figure().add_subplot()))
-    assert list(lines) == ["hk", "hk:h=0.02", "hybrid"]
-    np.testing.assert_array_equal(lines["hk"][1][1:], compared.series["error:hk"][1:])
-    assert np.isnan(lines["hk"][1][0]), "no error at the start, which a logarithmic axis cannot show"
+    assert list(lines) == ["HK", "HK (h=0.02)", "hybrid"]
+    np.testing.assert_array_equal(lines["HK"][1][1:], compared.series["error:hk"][1:])
+    assert np.isnan(lines["HK"][1][0]), "no error at the start, which a logarithmic axis cannot show"
     axes = compared.plot(Figure().add_subplot(), what="swing")
     np.testing.assert_array_equal(drawn(axes)["reference"][1], compared.series["swing:reference"])
     assert axes.get_lines()[0].get_color() == "0.8"
@@ -275,7 +276,7 @@ def test_plots_of_a_comparison_are_errors_or_swings(compared: StudyReport) -> No
 def test_comparison_of_an_ensemble(ensemble: RunReport) -> None:
     found = topcli.compare("hk", "rk4", config=ensemble.result.stored.manifest["config"], N=50)
     row = found.figures["schemes"][1]
-    assert found.table.loc["rk4", "error.max, median"] == row["measures"]["error.max"]["median"]
+    assert found.table.loc["rk4", "max_error, median"] == row["measures"]["max_error"]["median"]
     assert found.table.loc["rk4", "reached_end"] == 8
     with pytest.raises(UsageError, match="has no series"):
         found.plot()
@@ -288,19 +289,19 @@ def test_sweep_has_its_rows_and_draws_them(made: Callable[[str], Any]) -> None:
     assert len(swept.table) == 6
     assert swept.outcomes == {"completed": 6}
     lines = drawn(swept.plot(Figure().add_subplot()))
-    assert [label.partition(":")[0] for label in lines] == ["hk", "rk4"]
+    assert [label.partition(":")[0] for label in lines] == ["HK", "RK4"]
     for scheme, (x, y) in zip(("hk", "rk4"), lines.values(), strict=True):
         mine = swept.table[swept.table["scheme"] == scheme].sort_values("h")
         np.testing.assert_array_equal(x, mine["h"])
-        np.testing.assert_array_equal(y, mine["deviation.energy"])
-    axes = swept.plot(Figure().add_subplot(), x="scheme", y="error.max", aggregate="max")
-    assert axes.get_ylabel() == "error.max (max)"
-    worst = swept.table.groupby("scheme")["error.max"].max()
+        np.testing.assert_array_equal(y, mine["max_deviation.energy"])
+    axes = swept.plot(Figure().add_subplot(), x="scheme", y="max_error", aggregate="max")
+    assert axes.get_ylabel() == "max error (max)"
+    worst = swept.table.groupby("scheme")["max_error"].max()
     assert sorted(axes.get_lines()[0].get_ydata()) == sorted(worst)
     with pytest.raises(UnknownNameError, match="unknown measure 'x'"):
         swept.plot(y="x")
     with pytest.raises(UsageError, match=r"several rows|aggregate"):
-        swept.plot(x="scheme", y="error.max")
+        swept.plot(x="scheme", y="max_error")
 
 
 @pytest.mark.slow
@@ -317,8 +318,8 @@ def test_sweep_of_an_edited_file_shows_its_own_rows(tmp_path: Path) -> None:
     assert "current" not in found.table
     plain = found.as_dict()
     assert [(row["row"], row["h"], row["scheme"]) for row in plain["rows"]] == [(0, 0.05, "rk4"), (1, 0.02, "rk4")]
-    values = {0.05: found.table["error.max"][0], 0.02: found.table["error.max"][1]}
-    ((x, y),) = drawn(found.plot(Figure().add_subplot(), x="h", y="error.max")).values()
+    values = {0.05: found.table["max_error"][0], 0.02: found.table["max_error"][1]}
+    ((x, y),) = drawn(found.plot(Figure().add_subplot(), x="h", y="max_error")).values()
     assert dict(zip(x.tolist(), y.tolist(), strict=True)) == values
     again = topcli.sweep(STUDY, tmp_path, progress=False)
     assert (again.result.ran, len(again.table)) == (0, 6)
@@ -391,7 +392,7 @@ def values_of(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def point(h: float, error: float | None, end: float) -> dict[str, Any]:
-    return {"h": h, "error": error, "end_error": end}
+    return {"h": h, "error": error, "final_error": end}
 
 
 ORDERS = {
@@ -443,14 +444,15 @@ def test_a_comparison_has_the_figures_of_each_entry() -> None:
     for row, one in zip(rows, figures["schemes"], strict=True):
         assert row.pop("entry") == one["label"]
         assert (row.pop("reversal_defect"), row.pop("reversal_order")) == (
-            one["reversal"]["defect"],
-            one["reversal"]["order"],
+            one["reversal_defect"],
+            one["reversal_order"],
         )
         for invariant in (*one["invariants"], *one["modified"]):
             for key in ("max_deviation", "drift", "drift_error", "model", "verdict"):
-                assert row.pop(f"{invariant['name']}_{key}", invariant[key]) == invariant[key]
+                assert row.pop(f"{key}.{invariant['name']}", invariant[key]) == invariant[key]
         assert set(row) == {
-            "scheme", "h", "N", "outcome", "message", "max_error", "end_error", "swing_spacing", "nanoseconds_per_step"
+            "scheme", "h", "N", "outcome", "message", "max_error", "final_error", "first_swing_spacing",
+            "nanoseconds_per_step",
         }  # fmt: skip
         assert row == {key: one[key] for key in row}
 
@@ -491,14 +493,14 @@ def test_a_table_of_an_ensemble_has_every_quantile(tmp_path: Path) -> None:
         assert row == expected
     table = pq.read_table(found.folder / "trajectories.parquet").to_pydict()
     for one, name in itertools.product(stored, ("max_deviation", "rms_deviation", "final_deviation")):
-        values = sorted(map(abs, table[f"{one['name']}_{name}"]))
+        values = sorted(map(abs, table[f"{name}.{one['name']}"]))
         assert (one[name]["min"], one[name]["median"], one[name]["max"]) == (values[0], values[4], values[8])
 
 
 def test_a_table_of_a_sweep_is_its_file(tmp_path: Path) -> None:
     base = {key: value for key, value in CONFIG.items() if key not in ("name", "h", "N")} | {"T": 0.4}
     grid = {"h": [0.04, 0.02], "scheme": ["hk", "rk4"]}
-    measures = ["deviation.energy", "error.max"]
+    measures = ["max_deviation.energy", "max_error"]
     found = topcli.sweep({"name": "s", "base": base, "grid": grid, "measure": measures}, tmp_path)
     rows = pq.read_table(tmp_path / "s" / "rows.parquet").to_pylist()
     assert [row.pop("current") for row in rows] == [True] * 4

@@ -333,7 +333,7 @@ def test_a_damaged_manifest_is_reported_and_kept(cli, in_tmp: Path, monkeypatch:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
 def test_a_named_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / MANIFEST)
-    assert read_run(tmp_path) == DamagedRun(tmp_path, f"{MANIFEST}: no regular file")
+    assert read_run(tmp_path) == DamagedRun(tmp_path, f"{MANIFEST}: not a regular file")
 
 
 LOCKS = table_of("""

@@ -194,7 +194,7 @@ def test_a_disk_without_room_for_anything_leaves_the_last_checkpoint(
     out = tmp_path / "out"
     with monkeypatch.context() as patched:
         failing(patched, out, "write series", 6)
-        with pytest.raises(RunError, match=r"no space left .* last checkpoint holds is kept.*\(up to step \d+\)"):
+        with pytest.raises(RunError, match=r"no space left .* last checkpoint is kept.*\(up to step \d+\)"):
             run_experiment(small(), out, RunOptions(checkpoint_every=0.0))
     assert stored_runs(out) == []
     assert content(run_experiment(small(), out, RunOptions(resume=True)).stored.folder) == expected
@@ -262,7 +262,7 @@ def test_a_resume_that_fails_at_the_start_keeps_the_checkpoint(tmp_path: Path, m
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "rename", fails)
-        with pytest.raises(RunError, match="last checkpoint holds is kept"):
+        with pytest.raises(RunError, match="last checkpoint is kept"):
             run_experiment(small(), tmp_path, RunOptions(resume=True))
     (kept,) = tmp_path.glob(f".{NAME}.part-*/{CHECKPOINT}")
     assert kept.read_bytes() == before
@@ -297,5 +297,5 @@ def test_an_output_folder_deleted_meanwhile_is_not_said_to_hold_a_checkpoint(tmp
 
     with pytest.raises(RunError) as caught:
         run_experiment(small(), out, RunOptions(checkpoint_every=0.0, on_progress=progress))
-    assert "nothing was kept of this run" in str(caught.value)
+    assert "nothing of this run was stored" in str(caught.value)
     assert "checkpoint" not in str(caught.value)

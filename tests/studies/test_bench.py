@@ -246,7 +246,7 @@ def test_errors_fall_as_the_order_says(short: Problem, name: str, order: int) ->
     assert len(asymptotic) > 3
     a, b = asymptotic[-2:]
     assert math.log(a.error / b.error) / math.log(a.rung.value / b.rung.value) == pytest.approx(order, abs=0.2)
-    assert all(rung.end_error <= rung.error for rung in standing.rungs)
+    assert all(rung.final_error <= rung.error for rung in standing.rungs)
     assert all(set(rung.drift) == {"gamma_sq", "two_l", "energy", "k_sq"} for rung in standing.rungs)
 
 
@@ -444,7 +444,7 @@ def test_a_rung_s_figures_are_those_of_its_samples(short: Problem) -> None:
     assert one["quartiles"] == pytest.approx([q / 10.0 for q in (2.75, 5.25)])
     assert one["repetitions"] == 4
     assert one["processes"] == pytest.approx([statistics.median(process) / 10.0 for process in samples])
-    assert (one["value"], one["error"], one["end_error"], one["drift"]) == (0.25, 1e-3, 2e-4, 3e-5)
+    assert (one["value"], one["error"], one["final_error"], one["drift"]) == (0.25, 1e-3, 2e-4, 3e-5)
     assert one["invariants"] == {"energy": 3e-5, "gamma_sq": 4e-6}
     assert (other["seconds"], other["fastest"], other["quartiles"]) == (7.7, 7.7, [7.7, 7.7])
     assert (other["repetitions"], other["processes"], other["drift"]) == (0, [], 0.0)

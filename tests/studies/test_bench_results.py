@@ -41,7 +41,7 @@ def test_a_result_is_stored_whole(result: dict[str, Any], tmp_path: Path) -> Non
     table = pq.read_table(stored.folder / POINTS)
     assert table.num_rows == sum(len(row["points"]) for row in result["competitors"])
     assert table.column("name").to_pylist() == points_table(result)["name"]
-    assert {"error", "end_error", "drift", "seconds", "drift_k_sq", "lower_quartile"} <= set(table.column_names)
+    assert {"error", "final_error", "drift", "seconds", "drift_k_sq", "lower_quartile"} <= set(table.column_names)
     (found,) = stored_benches(tmp_path / "bench")
     assert {key: found[1][key] for key in result} == json.loads(json.dumps(result))
     assert "take" in (stored.folder / "report.md").read_text()
@@ -67,7 +67,7 @@ def test_half_written_result_is_not_read(result: dict[str, Any], tmp_path: Path)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("topcli.studies.bench.result.write_table", fails)
-        with pytest.raises(RunError, match="nothing was kept of this bench"):
+        with pytest.raises(RunError, match="nothing of this benchmark was stored"):
             store_bench(result, "code", "start", "end", tmp_path)
     assert list(tmp_path.iterdir()) == []
     assert stored_benches(tmp_path) == []
@@ -101,12 +101,12 @@ def test_bench_measures_and_draws_end_to_end(cli: Any) -> None:
         assert row["compile_seconds"] >= 0.0
         for point in row["points"]:
             assert set(point) == {
-                "value", "error", "end_error", "drift", "invariants",
+                "value", "error", "final_error", "drift", "invariants",
                 "seconds", "fastest", "quartiles", "repetitions", "processes",
             }  # fmt: skip
     assert [row["error"] for row in scene["decades"]] == list(DECADES)
     assert Path(scene["folder"], POINTS).is_file()
-    again = cli("bench", "rk4", *arguments)
+    again = cli("bench", "rk4", *arguments, "--points")
     assert "for an error of 1e-3 take rk4 with h=" in again.out
     assert "renamed the earlier, different result to results/bench/lagrange." in again.err
 

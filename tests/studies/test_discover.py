@@ -150,7 +150,7 @@ def test_files_and_runs(cli: Any, in_tmp: Path) -> None:
     assert (said["relations"], said["rows"], said["columns"]) == (2, 500, ["x", "y", "z", "w"])
     assert {row["polynomial"] for row in said["constants"]} == {"x**2 + y**2", "z**2 + 0.111111*w**2"}
     assert cli("discover", one, other, "--json").json()["relations"] == 2
-    assert [row["polynomial"] for row in cli("discover", one, "--columns", "x,y", "--json").json()["constants"]] == [
+    assert [row["polynomial"] for row in cli("discover", one, "--component", "x,y", "--json").json()["constants"]] == [
         "x**2 + y**2"
     ]
     run = topcli.run("euler_hk", in_tmp, N=300, h=0.1, progress=False)
@@ -171,12 +171,12 @@ def test_all_of_a_long_orbit_is_used(cli: Any, in_tmp: Path) -> None:
 MISTAKES = {
     "few.csv": "few.csv: 20 rows are too few for the 14 monomials of degree 2; at least 24 are needed",
     "one.csv --degree 12": "--degree 12: 4 components have 1819 monomials, and at most 500 are tried",
-    "one.csv --columns v": "--columns v: one.csv has no component 'v'; known: w, x, y, z",
-    "one.csv --columns x,x": "--columns x: given twice",
+    "one.csv --component v": "--component v: one.csv has no component 'v'; known: w, x, y, z",
+    "one.csv --component x,x": "--component x: given twice",
     "one.csv three.csv": "three.csv: has the components a, b, c, and one.csv has x, y, z, w; they must be the same",
     "still.csv": "still.csv: the state is the same in all rows",
     "one.csv --tolerance 2": "--tolerance 2: must be between 0 and 1, such as 1e-11",
-    "nothing": "nothing: no run is stored here",
+    "nothing": "'nothing': no such file or folder, and no run of this name in results",
 }
 
 
@@ -209,4 +209,4 @@ def test_every_cell_is_the_value_of_its_field() -> None:
     heads = ["degree", "monomials", "null space", "products", "new", "largest below the gap", "smallest above"]
     assert shown[1].header == heads
     assert shown[1].lines == [["2", "27", "10", "7", "3", "1.5e-15", "0.25"]]
-    assert find_study("discover").tables_of(data)[1].title_of(data) == "a: 50 rows, degree 2"
+    assert find_study("discover").tables_of(data)[1].title_of(data) == "null spaces by degree"

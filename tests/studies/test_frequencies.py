@@ -148,7 +148,7 @@ def test_an_orbit_that_blows_up_has_no_frequencies(cli: Callable[..., Said]) -> 
 
 
 def test_command_prints_what_the_function_returns(cli: Callable[..., Said]) -> None:
-    """Twelve digits of a frequency, and a quantity that is no number."""
+    """Twelve digits of a frequency, and a quantity that is not a number."""
     formula = "output.quantities={bad: log(omega1 - 10), twice: 2*omega2}"
     arguments = ("frequencies", "euler_exact", "--set", formula)
     rows = {row["name"]: row for row in cli(*arguments, "--json").json()["columns"]}
@@ -157,7 +157,8 @@ def test_command_prints_what_the_function_returns(cli: Callable[..., Said]) -> N
     assert rows["twice"]["frequency"] == pytest.approx(rows["omega2"]["frequency"], rel=1e-12)
     said = cli(*arguments)
     assert said.code == 0
-    printed = {line.split()[0]: line.split()[1] for line in said.out.splitlines() if line.split()[0] in rows}
+    lines = (line.split() for line in said.out.splitlines())
+    printed = {line[0]: line[1] for line in lines if line and line[0] in rows}
     assert printed == {name: f"{row['frequency']:.12g}" if row["frequency"] else "–" for name, row in rows.items()}
 
 

@@ -106,7 +106,7 @@ def test_degrees_of_known_maps() -> None:
         ([n**3 + 1 for n in range(1, 10)], "polynomial", 3, None, 2),
         ([2, 3, 5, 8, 13, 21], "exponential", None, (1 + math.sqrt(5)) / 2, 3),
         ([2, 3, 5, 7, 11, 13, 17, 19, 23], None, None, None, 0),
-        ([8, 12, 18, 27], None, None, None, 0),  # a factor of 3/2, which is no whole number
+        ([8, 12, 18, 27], None, None, None, 0),  # a factor of 3/2, which is not a whole number
     ],
 )
 def test_growth_is_that_of_the_shortest_recurrence(
@@ -210,7 +210,7 @@ def test_the_table_shows_what_was_found() -> None:
 def test_density_of_the_weierstrass_map_is_that_of_the_formula() -> None:
     """1 - 12 (h/2)^2 x (Petrera, Pfadler, Suris 2011)."""
     study = topcli.integrability("weierstrass", overrides=["h=0.2"]).study
-    assert study["tests"][-1]["meaning"] == "dx/P with P = -0.12*x + 1"
+    assert study["tests"][-1]["meaning"] == "measure dx/P with P = -0.12*x + 1"
     assert study["density"] == {"degree": 1, "dimension": 1}
 
 
@@ -320,7 +320,10 @@ def test_a_special_step_size_is_found_out(cli: Any, in_tmp: Path) -> None:
     found = cli("integrability", "euler", "mine", "--plugin", "mine.py", "--json").json()
     assert set(found["degrees"]) == {1}
     assert found["repeated"][:3] == [2, 2, 4]
-    assert (found["verdict"], found["why"]) == ("undecided", "the degrees along another line, with another h, differ")
+    assert (found["verdict"], found["why"]) == (
+        "undecided",
+        "the degrees along another line with another h are different",
+    )
 
 
 @pytest.mark.parametrize("step", REFUSED)

@@ -109,7 +109,7 @@ def test_commutator_equation_holds(equations: EulerPoisson, form: LaxForm) -> No
 
 @pytest.mark.parametrize(("equations", "make"), PAIRS, ids=lambda x: getattr(x, "__name__", ""))
 def test_pairs_belong_to_their_tops_only(equations: EulerPoisson, make) -> None:
-    """Control: with other moments or other gravity the same matrices are no Lax form."""
+    """Control: with other moments or other gravity the same matrices are not a Lax form."""
     A, B, C = equations.moments
     x, y, z = equations.gravity
     others = [EulerPoisson((A, B, C), (x + 0.3, y + 0.2, z + 0.1))]
@@ -140,7 +140,7 @@ def test_traces_of_the_block_form_are_named_for_what_they_are() -> None:
     assert np.trace(L @ L, axis1=1, axis2=2) == pytest.approx(2.0 * form.invariants(STATES, 1.0)[:, 2], rel=1e-14)
     found = lax_study(lax_experiment("heavy", None, ["N=10"]), ["hk"])
     assert [one["traces"] for one in found["forms"]] == ["block traces of L^k"]
-    assert "the trace tr L^k of the 6x6 matrix carries γ² alone" in found["forms"][0]["why_not"]
+    assert "the trace tr L^k of the 6x6 matrix contains γ² alone" in found["forms"][0]["why_not"]
 
 
 def test_spectra_by_their_closed_forms() -> None:

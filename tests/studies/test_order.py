@@ -78,7 +78,7 @@ hkk     {}  unknown scheme 'hkk'; did you mean 'hk'
 bs      {"top": "kowalevski"}  scheme 'bs' does not fit top 'kowalevski'
 hk      {"top": "eulr"}  --top: no scene for the top 'eulr'; did you mean 'euler'
 hk      {"top": "euler", "config": "euler_hk"}  --top and --config both choose the scene
-dop853  {}  no scheme with an order to observe: dop853: its steps follow a tolerance, not h
+dop853  {}  no scheme has an order that can be observed: dop853: it chooses its steps by a tolerance
 hk hk   {}  scheme 'hk' is named twice
 hk      {"sizes": [0.6]}  --h 0.6: must be positive and at most 0.5
 hk      {"duration": -1.0}  the duration -1 must be positive
@@ -93,7 +93,7 @@ def test_wrong_choices_are_named(schemes: str, options: dict[str, Any], message:
 def test_a_scheme_without_an_order_is_left_out_beside_others() -> None:
     what = ladders(["hk", "dop853"])
     assert names(what) == ["hk"]
-    assert what.left_out == (("dop853", "its steps follow a tolerance, not h"),)
+    assert what.left_out == (("dop853", "it chooses its steps by a tolerance, not by h"),)
 
 
 def test_given_sizes_become_steps_that_divide_the_interval() -> None:
@@ -119,7 +119,7 @@ def test_errors_are_those_of_plain_runs() -> None:
             states = np.vstack([chunk.states for chunk in run])
             off = np.sqrt(((states - exact) ** 2).sum(axis=1))
             assert one["error"] == pytest.approx(off.max(), rel=1e-9)
-            assert one["end_error"] == pytest.approx(off[-1], rel=1e-9)
+            assert one["final_error"] == pytest.approx(off[-1], rel=1e-9)
         logs = np.log([[one["h"], one["error"]] for one in row["points"]])
         slope = np.polyfit(logs[:, 0], logs[:, 1], 1)[0]
         assert row["order"] == pytest.approx(slope, rel=1e-12)
@@ -150,7 +150,7 @@ def test_the_source_names_everything_that_a_study_depends_on() -> None:
 
 
 def fake_study(*arguments: object) -> dict[str, Any]:
-    points = [{"h": 0.1 / 2**k, "error": 0.01 / 4**k, "end_error": 0.1} for k in range(4)]
+    points = [{"h": 0.1 / 2**k, "error": 0.01 / 4**k, "final_error": 0.1} for k in range(4)]
     row = {"scheme": "hk", "declared_order": 2, "order": 2.0, "fitted": [0.0125, 0.025, 0.05], "plateau": None}
     row |= {"verdict": "as declared", "why": ""}
     row |= {"onset": None, "ended": "", "broken": None, "failed": [], "points": points}
@@ -160,7 +160,7 @@ def fake_study(*arguments: object) -> dict[str, Any]:
 @pytest.mark.slow
 def test_only_the_default_study_is_stored(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("topcli.studies.order_ladders.order_study", fake_study)
-    for arguments in (("hk",), ("--duration", "5"), ("--h", "0.1"), ("--steps", "100"), ("--top", "kowalevski")):
+    for arguments in (("hk",), ("--duration", "5"), ("--h", "0.1"), ("--max-steps", "100"), ("--top", "kowalevski")):
         assert cli("order", *arguments).code == 0
         assert not Path("results").exists()
     said = cli("order")
@@ -179,11 +179,14 @@ def test_failures_and_changed_sizes_are_reported(cli: Callable[..., Any], monkey
     study = fake_study()
     monkeypatch.setattr("topcli.studies.order_ladders.order_study", lambda *arguments: study)
     said = cli("order", "hk", "--h", "0.03", "--h", "0.05")
-    assert said.err == "h = 0.03 becomes 0.0294118, which divides the time between comparisons\n"
+    assert said.err == "h = 0.03 becomes 0.0294118, so that the time between comparisons, 0.5, is a multiple of h\n"
+    study["schemes"] = [{**study["schemes"][0], "scheme": name, "why": "too few"} for name in ("hk", "rk4")]
+    assert cli("order", "hk", "rk4").err == "hk, rk4: order undecided: too few\n"
+    study["schemes"] = fake_study()["schemes"]
     study["schemes"][0]["failed"] = [{"h": 0.2, "reason": "fails at step 3 of 50"}]
     study["schemes"][0]["points"][0]["error"] = None
     study["left_out"] = [{"scheme": "dop853", "reason": "has no h"}]
-    said = cli("order", "hk")
+    said = cli("order", "hk", "-v")
     assert said.code == 0
     assert said.err.splitlines() == [
         "dop853 is left out: has no h",
@@ -295,7 +298,7 @@ def test_no_scheme_of_topcli_is_suspected(form: str) -> None:
     assert sum(refuted) >= len(refuted) - 1  # a ladder of few rungs above round-off may leave it open
 
 
-SHORT = ("--duration", "2", "--steps", "2000")
+SHORT = ("--duration", "2", "--max-steps", "2000")
 
 
 def test_order_reports_false_declarations(own: Callable[..., Said]) -> None:
@@ -307,7 +310,7 @@ def test_order_reports_false_declarations(own: Callable[..., Said]) -> None:
         "inconsistent": "the observed order 0.00 is below the declared order 2: "
         "its step is not consistent with the equations of motion",
     }
-    rows = [line.split()[:5] for line in said.out.splitlines()[2:7]]
+    rows = [line.split()[:5] for line in said.out.splitlines()[4:9]]
     assert [row[0] + " " + row[3] for row in rows] == [
         "honest as",
         "modest as",
@@ -326,7 +329,7 @@ def test_order_goes_on_without_code_that_fails(own: Callable[..., Said], schemes
     found = errors_of(said)
     assert set(found) == set(PLACES) & set(schemes)
     assert all(found[name].startswith(PLACES[name]) for name in found)
-    verdicts = {line.split()[0]: line.split()[3] for line in said.out.splitlines()[2 : 2 + len(schemes)]}
+    verdicts = {line.split()[0]: line.split()[3] for line in said.out.splitlines()[4 : 4 + len(schemes)]}
     assert verdicts == {name: "–" if name in PLACES else "as" for name in schemes}
 
 

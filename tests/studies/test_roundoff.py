@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.colors import to_rgba
 
 from cases import table_of
 from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, growth, structure
@@ -17,6 +18,7 @@ from topcli.contracts import Ending, Floats, Invariant, Outcome, StepFunction, S
 from topcli.errors import UsageError
 from topcli.figures.growth import growth_columns, growth_data, loaded_roundoff
 from topcli.figures.picture import draw
+from topcli.figures.style import styled
 from topcli.studies.roundoff_copies import Copies, Sampling, _rows, forms_of, roundoff_experiment, roundoff_study
 from topcli.studies.study import Result
 
@@ -181,8 +183,10 @@ def test_a_picture_of_several_invariants_has_a_colour_for_each_and_dashes_for_co
     assert [line.get_linestyle() for line in own] == ["-", "--", "-", "--"]
     colours = [line.get_color() for line in own]
     assert (colours[0] == colours[1], colours[2] == colours[3], colours[0] == colours[2]) == (True, True, False)
-    labels = {text.get_text(): text.get_color() for text in axes.texts}
-    assert [labels[f"{name}, {form}"] for name in "ab" for form in ("plain", "compensated")] == colours
+    leaders = {text.get_text(): text.arrow_patch.get_edgecolor() for text in axes.texts}
+    joined = [leaders[f"{name}, {form}"] for name in "ab" for form in ("plain", "compensated")]
+    with styled():
+        assert joined == [to_rgba(colour) for colour in colours]
 
 
 def test_experiments_are_chosen() -> None:
@@ -198,8 +202,8 @@ def test_experiments_are_chosen() -> None:
     ("scheme", "steps", "copies", "message"),
     table_of("""
 exact   10_000      2  closed form
-hybrid  100         2  --steps 100: too few for a fit of the growth; take at least 256
-hk      100_000     2  windows of length 4000 .* need at least 6400000 steps at h = 0.01
+hybrid  100         2  --steps 100: too few for a fit of the growth; give at least 256
+hk      100_000     2  windows of length 4000 need at least 6400000 steps at h = 0.01
 hybrid  10_000      0  --copies 0: must be at least 1
 hk      10_000_000  1  --copies 1: must be at least 2
 """),
@@ -213,7 +217,8 @@ def test_unsuitable_experiments_are_refused(scheme: str, steps: int, copies: int
 def test_command_reports_both_forms(cli, tmp_path: Path) -> None:
     said = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--plot", "--out", "f")
     assert said.code == 0
-    assert len(said.out.splitlines()) == 6
+    rows = [line.split()[:2] for line in said.out.splitlines()[-4:]]
+    assert rows == [[symbol, form] for symbol in ("γ²", "k²") for form in ("plain", "compensated")]
     assert sorted(path.suffix for path in (tmp_path / "f").iterdir()) == [".parquet", ".pdf", ".png"]
     drawn = pq.read_table(tmp_path / "f" / "roundoff_hybrid-xi_kowalevski_hybrid_xi.parquet")
     report = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--json").json()
@@ -261,7 +266,7 @@ def test_tolerances_judge_the_compensated_form(cli) -> None:
     table_of("""
 hybird                2  did you mean 'hybrid'
 hybrid --steps 0      2  --steps 0: must be a whole number
-hybrid --steps 1.5e0  2  --steps 1.5: must be a whole number
+hybrid --steps 1.5e0  2  --steps 1.5e0: must be a whole number
 rk4 --config heavy_rk4 --set h=4 --steps 1e6 --copies 2  1  error: rk4 with plain sums: blew up at step
 """),
 )

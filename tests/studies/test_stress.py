@@ -170,13 +170,13 @@ branch-point        hk        kowalevski  {}                                 hel
 branch-point        hybrid    kowalevski  {}                                 degraded  None   ""
 real-axis           bohlin-a  kowalevski  {}                                 held      None   ""
 real-axis           bohlin-a  kowalevski  {"options": {"branch": "sign"}}    broke     50     ""
-rest-on-axis        bohlin-a  kowalevski  {}                                 broke     None   left the motion
+rest-on-axis        bohlin-a  kowalevski  {}                                 broke     None   left the exact motion
 backwards           dop853    kowalevski  {}                                 held      None   ""
 backwards           rk2       kowalevski  {"adaptive": True}                 degraded  None   ""
 backwards           exact     euler       {}                                 held      None   ""
 backwards           midpoint  euler       {"order": None}                    degraded  None   ""
 backwards           rk4       kowalevski  {}                                 held      None   ""
-backwards           rk4       kowalevski  {"conserves": ("gamma_sq",)}       broke     None   claims γ²
+backwards           rk4       kowalevski  {"conserves": ("gamma_sq",)}       broke     None   γ² changes
 homoclinic-1e-9     hk        kowalevski  {}                                 held      None   ""
 homoclinic-1e-9     hk        kowalevski  {"N": 1000}                        broke     None   no swing
 homoclinic-spacing  bohlin-a  kowalevski  {}                                 broke     15297  ""
@@ -186,7 +186,7 @@ singular-step       hk        kowalevski  {}                                 bro
 singular-step       bohlin-a  kowalevski  {}                                 degraded  None   ""
 there-and-back      hybrid    kowalevski  {}                                 degraded  None   ""
 there-and-back      hybrid    kowalevski  {"self_adjoint": True}             broke     None   ""
-drift               hk        kowalevski  {"N": 10000, "conserves": ("energy",)}  broke  None  claims E
+drift               hk        kowalevski  {"N": 10000, "conserves": ("energy",)}  broke  None  E changes
 drift               hk        kowalevski  {"N": 100}                         "not tried"  None   ""
 """),
 )

@@ -65,7 +65,7 @@ class Block:
 def read_page(path: Path, text: str | None = None) -> Page:
     page = Page(path)
     text = path.read_text(encoding="utf-8") if text is None else text
-    for found in re.finditer(r"((?:^<!-- .*? -->\n)*)^```(\S*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+    for found in re.finditer(r"((?:^<!-- .*? -->\n)*)^```(\S*)[^\n]*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         line = text[: found.start(2)].count("\n") + 1
         page.blocks.append(Block(page, line, found[1], found[2], found[3]))
     return page
@@ -153,7 +153,7 @@ def run(command: str, cwd: Path, scripts: Path | None = None, environment: Mappi
 
 def without_progress(lines: list[str]) -> list[str]:
     """Lines but those that a slow machine adds, such as ``stress: 75.0%, 3 of 4 steps, 0.13 steps/s, 8 s left``."""
-    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ (steps|rows|frames)", line)]
+    return [line for line in lines if not re.match(r"\S+: [0-9.]+%, [0-9]+ of [0-9]+ [a-z]+", line)]
 
 
 def prepare(page: Page, folder: Path) -> None:

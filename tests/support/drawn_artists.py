@@ -19,6 +19,29 @@ from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import draw
 
+SHOWN = {
+    "hk": "HK",
+    "hk-projected": "projected HK",
+    "hk+kahan-li6": "HK + Kahan-Li 6",
+    "hk+kahan-li8": "HK + Kahan-Li 8",
+    "bohlin-a": "Bohlin A",
+    "bohlin-b": "Bohlin B",
+    "bohlin-c": "Bohlin C",
+    "dg4": "DG4",
+    "midpoint4": "midpoint 4",
+    "rk2": "RK2",
+    "rk4": "RK4",
+    "taylor": "Taylor",
+    "hybrid-sym": "sym. hybrid",
+    "dmv": "DMV",
+    "dmv:moments=preprocessed,order=10": "DMV (moments=preprocessed, order=10)",
+    "backlund": "Bäcklund",
+    "backlund:nodes=exact": "Bäcklund, exact nodes",
+    "splitting+kahan-li8": "splitting + Kahan-Li 8",
+}
+"""Names in figures of the schemes that the tests draw."""
+NAMED = {shown: name for name, shown in SHOWN.items()}
+
 
 def drawn(loaded: Loaded) -> Figure:
     """The figure of what a figure of the catalogue loads."""
@@ -61,9 +84,15 @@ def look(line: Line2D) -> tuple[Any, ...]:
 
 
 def labelled(axes: Axes) -> dict[str, Line2D]:
-    """The lines of the legend by their labels, without slopes."""
+    """The lines of the legend by their labels, without slopes; those of schemes by the names in configs."""
     lines = (line for line in axes.lines if line.get_label()[0] != "_")
-    return {str(line.get_gid() or line.get_label()): line for line in lines}
+    return {name_of(str(line.get_gid() or line.get_label())): line for line in lines}
+
+
+def name_of(shown: str) -> str:
+    """Name in configs of the scheme that is ``shown``; any other label as it is."""
+    shown, after, rest = shown.partition(" (after its set-up)")
+    return NAMED.get(shown, shown) + after + rest
 
 
 def explained(figure: Figure) -> dict[str, Line2D]:

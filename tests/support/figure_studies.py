@@ -51,7 +51,13 @@ def _orders(patch: pytest.MonkeyPatch, folder: Path) -> None:
             {"scheme": name, "points": [{"h": h, "error": size(name, h)} for h in SIZES], "declared_order": 2}
             for name in ORDERED
         ]
-        return {"schema_version": 1, "name": "kowalevski_generic_hk", "duration": 10.0, "schemes": rows}
+        return {
+            "schema_version": 1,
+            "name": "kowalevski_generic_hk",
+            "top": "Kowalevski top (A)",
+            "duration": 10.0,
+            "schemes": rows,
+        }
 
     patch.setattr("topcli.studies.order_ladders.order_study", study)
 
@@ -127,7 +133,7 @@ def _benches(patch: pytest.MonkeyPatch, folder: Path) -> None:
     def points(name: str) -> list[dict[str, Any]]:
         rest = {"value": 0.1, "drift": 0.0, "quartiles": [1.0, 2.0], "invariants": {}}
         found = [*benched(name), (3.0, 1e-9), (0.2, 1.0)]
-        return [{"error": e, "seconds": seconds, "end_error": e / 7.0, **rest} for e, seconds in found]
+        return [{"error": e, "seconds": seconds, "final_error": e / 7.0, **rest} for e, seconds in found]
 
     competitors = [
         {"name": name, "kind": "peer" if name in PEERS else "topcli", "parameter": "h", "points": points(name)}

@@ -48,12 +48,21 @@ def pattern(line: Line2D) -> tuple[Any, ...]:
 
 
 def lines_alike(figure: Figure) -> list[str]:
-    """Labels of lines of one panel that differ in colour alone."""
+    """Labels of lines of one panel that differ in colour alone, or in width or lightness alone."""
     found = []
     for axes in figure.axes:
         handles, labels = axes.get_legend_handles_labels()
-        seen: dict[tuple[Any, ...], str] = {}
+        seen: dict[tuple[Any, ...], tuple[str, Line2D]] = {}
         for handle, label in zip(handles, labels, strict=True):
-            if isinstance(handle, Line2D) and seen.setdefault(pattern(handle), label) != label:
-                found.append(f"{seen[pattern(handle)]} and {label}")
+            if isinstance(handle, Line2D):
+                first, line = seen.setdefault(pattern(handle), (label, handle))
+                if first != label and not thin_and_pale(handle, line):
+                    found.append(f"{first} and {label}")
     return found
+
+
+def thin_and_pale(one: Line2D, other: Line2D) -> bool:
+    """True if one of two lines is clearly thinner and paler: the far part of a curve in space."""
+    thin, broad = sorted((one, other), key=lambda line: line.get_linewidth())
+    paler = lightness(thin.get_color()) - lightness(broad.get_color()) > 15.0
+    return paler and thin.get_linewidth() < 0.85 * broad.get_linewidth()

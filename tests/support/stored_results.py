@@ -42,7 +42,7 @@ def store_ensemble(out: Path, name: str = "many", count: int = 12) -> Path:
 def store_sweep(out: Path, name: str = "sweep") -> Path:
     base = {key: value for key, value in BASE.items() if key not in ("h", "N")} | {"scheme": "hk", "T": 4}
     grid = {"h": [0.04, 0.02, 0.01], "scheme": ["hk", "rk4"]}
-    study = load_sweep({"name": name, "base": base, "grid": grid, "measure": ["deviation.energy", "error.max"]}, ())
+    study = load_sweep({"name": name, "base": base, "grid": grid, "measure": ["max_deviation.energy", "max_error"]}, ())
     return run_sweep(study, out, SweepOptions()).folder
 
 

@@ -28,12 +28,12 @@ DATA: dict[str, Any] = {
     "name": "study",
     "base": BASE,
     "grid": {"scheme": ["hk", "rk4"], "h": [0.01, 0.02]},
-    "measure": ["deviation.energy"],
+    "measure": ["max_deviation.energy"],
 }
 MANY = {
     **DATA,
     "random": {"count": 40, "omega": {"sphere": 1}, "gamma": "sphere"},
-    "measure": ["deviation.energy", "drift.energy", "swings"],
+    "measure": ["max_deviation.energy", "drift.energy", "swings"],
 }
 
 

@@ -43,7 +43,7 @@ from topcli.sweeps.row_results import Results, Work, forget
 LONG = {
     **MANY,
     "base": {**BASE, "N": 200_000, "output": {"every": 100}},
-    "measure": ["deviation.energy", "drift.energy"],
+    "measure": ["max_deviation.energy", "drift.energy"],
 }
 """Some seconds of work."""
 
@@ -85,7 +85,7 @@ OF_FILE: dict[str, Any] = {
         "N": 500,
     },
     "grid": {"top.A": [2.25, 2.5, 2.75], "h": [0.01, 0.02]},
-    "measure": ["deviation.m_sq"],
+    "measure": ["max_deviation.m_sq"],
 }
 
 
@@ -199,7 +199,7 @@ def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_
         sweep(tmp_path / "there", OF_FILE, found)
         assert new.poll() is None
     assert repr(table(tmp_path / "there")) == repr(table(tmp_path / "here")), "messages name the same file"
-    first = [row["deviation.m_sq"] for row in table(tmp_path / "here")]
+    first = [row["max_deviation.m_sq"] for row in table(tmp_path / "here")]
 
     # the file is edited: the same worker, which has loaded it before, computes with the new content
     _unload()
@@ -208,7 +208,7 @@ def test_a_worker_that_joins_later_gets_the_scheme_file(cluster: Processes, tmp_
     sweep(tmp_path / "here2", OF_FILE)
     run_on_cluster(cluster.address, load_sweep(OF_FILE), tmp_path / "there2")
     assert repr(table(tmp_path / "there2")) == repr(table(tmp_path / "here2"))
-    second = [row["deviation.m_sq"] for row in table(tmp_path / "here2")]
+    second = [row["max_deviation.m_sq"] for row in table(tmp_path / "here2")]
     assert all(a != b for a, b in zip(first[:4], second[:4], strict=True))
 
 
@@ -221,9 +221,9 @@ def test_a_row_that_ends_its_workers_fails_alone(dask: None, tmp_path: Path, sch
     result = run_on_cluster("local:1", load_sweep(deadly), tmp_path / "there")
     rows = table(tmp_path / "there")
     assert result.outcomes == {"completed": 2, "failed": 1}
-    assert rows[1]["message"].startswith("each worker that computed this row was lost")
-    good = [row["deviation.m_sq"] for row in rows if row["outcome"] == "completed"]
-    assert good == [row["deviation.m_sq"] for row in table(tmp_path / "here")]
+    assert rows[1]["message"].startswith("every worker that computed this row was lost")
+    good = [row["max_deviation.m_sq"] for row in rows if row["outcome"] == "completed"]
+    assert good == [row["max_deviation.m_sq"] for row in table(tmp_path / "here")]
 
 
 @pytest.mark.slow
@@ -366,16 +366,16 @@ def test_a_worker_that_does_not_answer_is_not_waited_for(
 
 def test_a_task_is_named_after_what_it_computes() -> None:
     rows = list(RowReader(load_sweep(DATA)).rows())
-    one = Work(("deviation.energy",))
+    one = Work(("max_deviation.energy",))
     names = [
         batch_digest(rows, one, "a"),
         batch_digest(rows[1:], one, "a"),
         batch_digest(rows, Work(("drift.energy",)), "a"),
-        batch_digest(rows, Work(("deviation.energy",), 1.0), "a"),
+        batch_digest(rows, Work(("max_deviation.energy",), 1.0), "a"),
         batch_digest(rows, one, "b"),
     ]
     assert len(set(names)) == 5
-    assert batch_digest(list(rows), Work(("deviation.energy",)), "a") == names[0]
+    assert batch_digest(list(rows), Work(("max_deviation.energy",)), "a") == names[0]
 
 
 SOURCE = Path(topcli.__file__).parent

@@ -75,7 +75,7 @@ def test_a_damaged_line_is_reported_and_its_rows_run_again(tmp_path: Path) -> No
     path = tmp_path / "study" / "journal.jsonl"
     content = bytearray(path.read_bytes())
     lost = len(json.loads(content.splitlines()[0][9:])["digest"])
-    content[content.index(b'"deviation.energy":[') + 22] ^= 1  # a digit
+    content[content.index(b'"max_deviation.energy":[') + 26] ^= 1  # a digit
     path.write_bytes(content)
     messages: list[str] = []
     result = sweep(tmp_path, on_message=messages.append)
@@ -214,7 +214,7 @@ def test_series_that_a_killed_process_has_not_stored_are_stored(tmp_path: Path) 
     assert stored_series(tmp_path) == wanted
     for row in table(tmp_path):
         energy = read_series(tmp_path / "study" / "series" / row["digest"][:16] / "series.parquet")["energy"]
-        assert abs(energy - energy[0]).max() == row["deviation.energy"]
+        assert abs(energy - energy[0]).max() == row["max_deviation.energy"]
     lost = sorted(wanted)[1]
     (tmp_path / "study" / "series" / lost / "manifest.json").unlink()
     for path in (tmp_path / "study" / "series" / lost).iterdir():

@@ -54,8 +54,8 @@ def precession(t: Array) -> Array:
 
 def test_swings_of_the_symmetric_top_come_once_per_period() -> None:
     period = 2.0 * math.pi / ((A - C) / A * OMEGA[2])
-    found = measured(symmetric("exact", 0.01, 5000), ["swings", "swing_spacing"])
-    assert found["swing_spacing"][0] == pytest.approx(period, rel=1e-7)
+    found = measured(symmetric("exact", 0.01, 5000), ["swings", "median_swing_spacing"])
+    assert found["median_swing_spacing"][0] == pytest.approx(period, rel=1e-7)
     # omega2 sinks first at the phase -pi/2, which is reached at t = (pi/2 + arg) / rate
     first = (math.pi / 2.0 + math.atan2(OMEGA[1], OMEGA[0])) * period / (2.0 * math.pi)
     assert found["swings"][0] == math.floor((50.0 - first - period / 4.0) / period) + 1
@@ -71,13 +71,13 @@ def test_the_spacing_is_the_median_and_the_first_one_the_first(h: float) -> None
 
     batch = recorded(
         symmetric("rk4", h, len(t) - 1),
-        ["swing_spacing", "swing_spacing.first", "swings"],
+        ["median_swing_spacing", "first_swing_spacing", "swings"],
         np.stack([dips(1.0, 3.0, 4.0, 5.2), dips(1.0, 2.0), dips(3.0)]),
         "omega2",
     )
     assert batch["swings"].tolist() == [4.0, 2.0, 1.0]
-    np.testing.assert_allclose(batch["swing_spacing"], [1.2, 1.0, math.nan], atol=1e-13)  # typically 2e-16
-    np.testing.assert_allclose(batch["swing_spacing.first"], [2.0, 1.0, math.nan], atol=1e-13)
+    np.testing.assert_allclose(batch["median_swing_spacing"], [1.2, 1.0, math.nan], atol=1e-13)  # typically 2e-16
+    np.testing.assert_allclose(batch["first_swing_spacing"], [2.0, 1.0, math.nan], atol=1e-13)
 
 
 def recorded(
@@ -122,7 +122,7 @@ def test_a_drift_averages_oscillations_out_and_knows_the_recorded_interval() -> 
 def test_drifts_do_not_depend_on_the_pieces_in_which_rows_come() -> None:
     values = wavy(3001, 0.1)
     experiment = symmetric("rk4", 0.1, 3000)
-    names = ["drift.m_omega", "deviation.m_omega", "drift.m_sq", "error.max"]
+    names = ["drift.m_omega", "max_deviation.m_omega", "drift.m_sq", "max_error"]
     whole = recorded(experiment, names, values, "omega1")
     for pieces in (2, 7, 500):
         cut = recorded(experiment, names, values, "omega1", pieces)
@@ -134,9 +134,9 @@ def test_the_largest_error_may_lie_in_any_piece(pieces: int) -> None:
     """A steady rotation is at rest, so the deviations of made-up rows are their errors."""
     values = np.full((2, 21), 0.5)
     values[0, 4], values[1, 15], values[:, 20] = 0.75, 0.125, 0.53125
-    found = recorded(symmetric("rk4", 0.1, 20), ["error.max", "error.end"], values, "omega1", pieces)
-    assert found["error.max"].tolist() == [0.25, 0.375]
-    assert found["error.end"].tolist() == [0.03125, 0.03125]
+    found = recorded(symmetric("rk4", 0.1, 20), ["max_error", "final_error"], values, "omega1", pieces)
+    assert found["max_error"].tolist() == [0.25, 0.375]
+    assert found["final_error"].tolist() == [0.03125, 0.03125]
 
 
 def test_errors_are_distances_from_the_closed_form() -> None:
@@ -144,10 +144,10 @@ def test_errors_are_distances_from_the_closed_form() -> None:
     experiment = symmetric("rk2", 0.05, 403, output={"every": 10})
     run = topcli.simulate(symmetric("rk2", 0.05, 403).resolved())
     error = np.linalg.norm(run.states - precession(run.t), axis=1)
-    found = measured(experiment, ["error.max", "error.end"])
-    assert found["error.max"][0] == pytest.approx(error[::10].max(), rel=1e-9)
-    assert found["error.end"][0] == pytest.approx(error[403], rel=1e-9)  # step 403 is not among the recorded rows
-    assert found["error.end"][0] > 1e-3
+    found = measured(experiment, ["max_error", "final_error"])
+    assert found["max_error"][0] == pytest.approx(error[::10].max(), rel=1e-9)
+    assert found["final_error"][0] == pytest.approx(error[403], rel=1e-9)  # step 403 is not among the recorded rows
+    assert found["final_error"][0] > 1e-3
 
 
 def explicit_midpoint(y: Array, h: float) -> Array:
@@ -163,10 +163,10 @@ def test_the_reversal_is_the_defect_of_a_step_and_its_reverse() -> None:
     run = topcli.simulate(symmetric("rk2", h, N).resolved())
     probes = run.states[:: (N + 1) // 16][:16]
     expected = max(np.abs(explicit_midpoint(explicit_midpoint(y, h), -h) - y).max() for y in probes)
-    assert one(symmetric("rk2", h, N), "reversal") == pytest.approx(expected, rel=1e-9)
+    assert one(symmetric("rk2", h, N), "reversal_defect") == pytest.approx(expected, rel=1e-9)
     assert expected > 1e-5
-    assert one(symmetric("hk", h, N), "reversal") < 1e-15
-    assert one(symmetric("rk2", -h, N), "reversal") == pytest.approx(expected, rel=0.1)
+    assert one(symmetric("hk", h, N), "reversal_defect") < 1e-15
+    assert one(symmetric("rk2", -h, N), "reversal_defect") == pytest.approx(expected, rel=0.1)
 
 
 def one_way_step(y: Any, h: float, p: Any) -> Any:
@@ -192,14 +192,14 @@ def test_a_reversal_that_fails_is_infinite_and_never_missing() -> None:
     base = {"top": {"kind": "euler", "A": A, "B": A, "C": C}, "scheme": "one-way", "h": 0.1, "N": 32}
     states = [(0.9, -0.4, 1.3), (0.2, 0.1, 0.3), (0.8, 0.1, 0.2)]
     experiment = load_experiment({**base, "initial": {"omega": list(states[0])}})
-    found = measured(experiment, ["reversal"], states)["reversal"]
+    found = measured(experiment, ["reversal_defect"], states)["reversal_defect"]
     assert np.isinf(found).tolist() == [True, False, True]
     assert 1e-6 < found[1] < 1e-3
 
     listed = {"states": [{"omega": list(state)} for state in states]}
     many = load({**base, "initial": {"omega": list(states[0])}, "ensemble": listed})
     assert isinstance(many, EnsembleExperiment)
-    compared = compare_ensemble(many, ["one-way"])["schemes"][0]["measures"]["reversal"]
+    compared = compare_ensemble(many, ["one-way"])["schemes"][0]["measures"]["reversal_defect"]
     assert compared["count"] == 3
     assert compared["10 %"] == found[1]
     assert compared["median"] is compared["90 %"] is None, "infinite, which JSON does not have"
@@ -215,7 +215,7 @@ def test_counters_steps_and_seconds() -> None:
     assert measured(rest, ["counter.ambiguous_roots"])["counter.ambiguous_roots"].tolist() == [300.0]
     assert MEASURES["seconds"].reproducible is False
     assert MEASURES["steps"].reproducible
-    assert MEASURES["error.max"].reproducible
+    assert MEASURES["max_error"].reproducible
 
 
 def test_rows_that_were_not_reached_are_not_recorded(own_registry: None) -> None:
@@ -259,12 +259,12 @@ def test_options_and_parameters_have_their_own_code() -> None:
     for overrides in (["scheme.tol=1e-6"], ["scheme.tol=1e-10"], ["top.c0=0.5"]):
         experiment = load_experiment("kowalevski_taylor", ["N=200", "h=0.25", *overrides])
         run = topcli.simulate(experiment.resolved())
-        values.append(one(experiment, "deviation.two_l"))
+        values.append(one(experiment, "max_deviation.two_l"))
         assert values[-1] == np.abs(run["two_l"] - run["two_l"][0]).max(), overrides
     assert len(set(values)) == 3
 
 
-ALL = ["swings", "swing_spacing", "error.max", "error.end", "reversal", "steps"]
+ALL = ["swings", "median_swing_spacing", "max_error", "final_error", "reversal_defect", "steps"]
 
 
 @pytest.mark.parametrize("together", [1, 64])
@@ -272,7 +272,7 @@ def test_failed_runs_have_no_numbers_and_disturb_no_others(together: int) -> Non
     """rk2 with large steps blows up for a fast top; the slow ones beside it are as they are alone."""
     experiment = symmetric("rk2", 0.5, 400)
     states = np.array([OMEGA, (300.0, 400.0, 500.0), (0.1, 0.2, 0.3)])
-    names = [*ALL, "drift.m_sq", "deviation.m_sq"]
+    names = [*ALL, "drift.m_sq", "max_deviation.m_sq"]
     found = measured(experiment, names, states, count=together)
     batch = found.batch
     assert [ending.outcome.value for ending in batch.endings][1] == "blew_up"
@@ -294,10 +294,10 @@ def test_failed_runs_have_no_numbers_and_disturb_no_others(together: int) -> Non
 def test_a_run_that_left_its_energy_surface_keeps_its_numbers() -> None:
     """It took all its steps: the error is that of a whole run, and the outcome says what it is worth."""
     experiment = symmetric("rk2", 2.9, 40)
-    found = measured(experiment, ["error.end", "deviation.m_omega", "swings"], [(3.0, 4.0, 1.5)])
+    found = measured(experiment, ["final_error", "max_deviation.m_omega", "swings"], [(3.0, 4.0, 1.5)])
     assert found.batch.endings[0].outcome.value == "left_motion"
-    assert found["deviation.m_omega"][0] > 100.0 * (2.0 * 25.0 + 2.25)
-    assert np.isfinite(found["error.end"][0])
+    assert found["max_deviation.m_omega"][0] > 100.0 * (2.0 * 25.0 + 2.25)
+    assert np.isfinite(found["final_error"][0])
 
 
 def nearby(y0: Sequence[float], count: int, top: Any) -> Array:
@@ -319,7 +319,7 @@ lagrange_bs          ['h=0.03']
 )
 def test_a_batch_has_the_bits_of_its_single_runs(scene: str, overrides: list[str]) -> None:
     experiment = load_experiment(scene, [*overrides, "N=1000"])
-    integrals = [name for family in ("drift", "deviation") for name in (f"{family}.{experiment.top.energy}",)]
+    integrals = [name for family in ("drift", "max_deviation") for name in (f"{family}.{experiment.top.energy}",)]
     modified = [f"drift.{integral.name}" for integral in experiment.modified]
     names = [*ALL, *integrals, *modified]
     states = nearby(experiment.y0, 21, experiment.top)
@@ -328,7 +328,7 @@ def test_a_batch_has_the_bits_of_its_single_runs(scene: str, overrides: list[str
         together = measured(experiment, names, states, count=count)
         for (i, one), name in product(alone.items(), names):
             assert together[name][i : i + 1].tobytes() == one[name].tobytes(), (name, i)
-            assert np.isfinite(one[name][0]) or name == "swing_spacing"
+            assert np.isfinite(one[name][0]) or name == "median_swing_spacing"
 
 
 def test_only_what_is_needed_is_recorded() -> None:
@@ -342,7 +342,7 @@ def test_only_what_is_needed_is_recorded() -> None:
     assert list(batch("swings").columns) == ["omega2"]
     assert list(batch("drift.m_sq").drifts) == ["m_sq"]
     assert batch("drift.m_sq").deviations == {}
-    assert batch("reversal").probes.shape == (1, 16, 3)
+    assert batch("reversal_defect").probes.shape == (1, 16, 3)
 
 
 @pytest.fixture
@@ -395,11 +395,11 @@ def test_an_error_without_a_reference_is_no_number(monkeypatch: pytest.MonkeyPat
         return real(reference, y0, h, n)
 
     monkeypatch.setattr(REFERENCES, "states", states)
-    batch = measured(symmetric("rk4", 0.1, 20), ["error.max", "error.end"], [(0.25, 0.5, 1.0), OMEGA]).batch
-    for errors in (batch.max_error, batch.end_error):
+    batch = measured(symmetric("rk4", 0.1, 20), ["max_error", "final_error"], [(0.25, 0.5, 1.0), OMEGA]).batch
+    for errors in (batch.max_error, batch.final_error):
         assert np.isnan(errors).tolist() == [True, False]
         assert errors[1] > 0.0
     assert {need: list(texts) for need, texts in batch.faults.items()} == {
         "error": ["cannot be followed", ""],
-        "end_error": ["cannot be followed", ""],
+        "final_error": ["cannot be followed", ""],
     }

@@ -41,7 +41,7 @@ def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
         "h",
         "outcome",
         "message",
-        "deviation.energy",
+        "max_deviation.energy",
         "digest",
         "cpu",
         "current",
@@ -51,7 +51,7 @@ def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
     described = json.loads(found.schema.metadata[b"topcli.sweep"])
     assert described["name"] == "study"
     assert described["keys"] == ["scheme", "h"]
-    assert described["measures"] == ["deviation.energy"]
+    assert described["measures"] == ["max_deviation.energy"]
     assert described["log"] == []
     rows = found.to_pylist()
     assert [(row["row"], row["scheme"], row["h"]) for row in rows] == [
@@ -83,7 +83,7 @@ def test_rows_hold_the_states_and_parameters_that_were_drawn(tmp_path: Path) -> 
         run = topcli.simulate(
             top=top, initial={"omega": omega, "gamma": gamma}, scheme=row["scheme"], h=BASE["h"], N=BASE["N"]
         )
-        assert row["deviation.energy"] == np.abs(run["energy"] - run["energy"][0]).max()
+        assert row["max_deviation.energy"] == np.abs(run["energy"] - run["energy"][0]).max()
     sweep(tmp_path, {**data, "grid": {"scheme": ["rk4"]}})
     again = table(tmp_path)
     assert [[row[name] for name in names] for row in again if row["current"]] == [
@@ -122,7 +122,7 @@ def test_a_new_key_at_the_value_of_the_base_keeps_the_rows(tmp_path: Path) -> No
 
 def test_a_new_measure_runs_the_rows_again(tmp_path: Path) -> None:
     sweep(tmp_path)
-    more = {**DATA, "measure": ["deviation.energy", "steps"]}
+    more = {**DATA, "measure": ["max_deviation.energy", "steps"]}
     assert planned(load_sweep(more), tmp_path, SweepOptions())[0].reasons() == {"a measure is new": 4}
     assert sweep(tmp_path, more).ran == 4
     assert [row["steps"] for row in table(tmp_path)] == [60.0] * 4
@@ -171,7 +171,7 @@ def test_a_failed_row_stays_a_row(tmp_path: Path) -> None:
     row = table(tmp_path)[1]
     assert row["outcome"] == "blew_up"
     assert row["message"].startswith("blew up at step ")
-    assert np.isnan(row["deviation.energy"])
+    assert np.isnan(row["max_deviation.energy"])
     again = sweep(tmp_path, FAILING)
     assert (again.ran, again.failed) == (0, 1)
     assert sweep(tmp_path, FAILING, retry_failed=True).ran == 1
@@ -202,15 +202,15 @@ def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monk
                 raise RunError("no luck")
             return super().finished(initial)
 
-    whole = results_of_rows(rows, ["deviation.energy"])
-    found = results_of_rows(rows, ["deviation.energy"], pace=Pace(first_piece=count), kept=KeptRuns(Broken))
+    whole = results_of_rows(rows, ["max_deviation.energy"])
+    found = results_of_rows(rows, ["max_deviation.energy"], pace=Pace(first_piece=count), kept=KeptRuns(Broken))
     pieces = {3: [1, 2], 40: [40]}[count]  # so few as 3 are not stepped side by side: the first piece is one row
     assert batch_of == [*pieces, *[1] * pieces[-1]]
     assert found.done == [True] * count
     assert found.outcome == ["failed" if i in raising else "completed" for i in range(count)]
     assert found.message == ["no luck" if i in raising else whole.message[i] for i in range(count)]
     kept = [i for i in range(count) if i not in raising]
-    value, expected = found.values["deviation.energy"], whole.values["deviation.energy"]
+    value, expected = found.values["max_deviation.energy"], whole.values["max_deviation.energy"]
     assert [value[i] for i in kept] == [expected[i] for i in kept]
     assert all(np.isnan(value[i]) for i in raising)
 
@@ -255,7 +255,7 @@ def test_equal_rows_are_computed_once(tmp_path: Path) -> None:
     rows = table(tmp_path)
     assert rows[4]["row"] == 4
     assert rows[4]["digest"] == rows[0]["digest"]
-    assert rows[4]["deviation.energy"] == rows[0]["deviation.energy"]
+    assert rows[4]["max_deviation.energy"] == rows[0]["max_deviation.energy"]
 
 
 class Small(BatchRun):
@@ -284,7 +284,7 @@ def test_rows_do_not_depend_on_their_batch(options: dict[str, Any]) -> None:
     for name, values in usual.values.items():
         assert np.array_equal(values, other.values[name][::-1], equal_nan=True)
     assert usual.message == other.message[::-1]
-    assert len(set(usual.values["deviation.energy"])) == 160
+    assert len(set(usual.values["max_deviation.energy"])) == 160
 
 
 def test_batches_hold_every_row_once_and_are_bounded() -> None:

@@ -25,7 +25,7 @@ from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.row_results import KeptRuns, Results, Work, results_of_rows, unfinished
 from topcli.tops.kowalevski import Kowalevski
 
-ERRORS = {**DATA, "grid": {"initial.omega1": [0.25, 0.5, 0.75]}, "measure": ["error.max", "steps"]}
+ERRORS = {**DATA, "grid": {"initial.omega1": [0.25, 0.5, 0.75]}, "measure": ["max_error", "steps"]}
 
 
 def rows_of(data: dict[str, Any]) -> list[Row]:
@@ -60,11 +60,11 @@ def test_a_reference_beyond_the_time_limit_is_a_missing_value(slow_reference: li
     found = results_of_rows(rows_of(ERRORS), ERRORS["measure"], time_limit=20.0)
     assert found.outcome == ["completed"] * 3
     assert found.done == [True] * 3
-    assert np.isnan(found.values["error.max"]).tolist() == [False, True, False]
+    assert np.isnan(found.values["max_error"]).tolist() == [False, True, False]
     assert found.values["steps"] == [60.0] * 3
     assert [text.partition("; ")[2] for text in found.message] == [
         "",
-        "error.max: the reference takes more than the time limit of 20 s",
+        "max_error: the reference takes more than the time limit of 20 s",
         "",
     ]
     assert slow_reference[0] == 100.0 + 10.0 + 21.0 + 10.0
@@ -92,10 +92,10 @@ def test_a_measure_beyond_the_time_limit_stops_its_row_alone(clock: list[float])
                 check_stop()
             return super().one_step(states, h)
 
-    found = results_of_rows(rows_of(ERRORS), ("reversal",), time_limit=20.0, kept=KeptRuns(Slow))
+    found = results_of_rows(rows_of(ERRORS), ("reversal_defect",), time_limit=20.0, kept=KeptRuns(Slow))
     assert found.outcome == ["completed", "interrupted", "completed"]
     assert found.message[1] == "stopped; the time limit is 20 s"
-    assert np.isnan(found.values["reversal"]).tolist() == [False, True, False]
+    assert np.isnan(found.values["reversal_defect"]).tolist() == [False, True, False]
     assert clock[0] == 100.0 + 41.0 + 21.0
 
 
@@ -198,7 +198,7 @@ def test_hopeless_scales_are_outcomes_and_missing_values(tmp_path: Path) -> None
             "top.c0": [5e-324, 1e306],
             "initial.omega1": [5e-324, 2, 1e306],
         },
-        "measure": ["error.max"],
+        "measure": ["max_error"],
     }
     failures: list[str] = []
     result = sweep(tmp_path, data, on_failure=lambda row, outcome, message: failures.append(message))
@@ -206,9 +206,9 @@ def test_hopeless_scales_are_outcomes_and_missing_values(tmp_path: Path) -> None
     assert result.finished == len(found) == 5 * 3 * 2 * 3
     assert [row["message"] for row in found if "internal" in row["message"]] == []
     for row in found:
-        reason = row["message"].partition("error.max: ")[2]
+        reason = row["message"].partition("max_error: ")[2]
         if row["outcome"] == "completed" and row["scheme"] != "backlund":
-            assert np.isnan(row["error.max"]) == bool(reason)
+            assert np.isnan(row["max_error"]) == bool(reason)
         assert not reason or reason.startswith("the reference would need at least ")
-    assert {row["scheme"] for row in found if "error.max" in row["message"]} == {"exact", "hk"}
+    assert {row["scheme"] for row in found if "max_error" in row["message"]} == {"exact", "hk"}
     assert {row["outcome"] for row in found if row["scheme"] == "taylor"} == {"completed", "no_convergence"}

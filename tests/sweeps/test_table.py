@@ -20,7 +20,8 @@ from sweep_rows import write_rows
 from topcli.errors import RunError, UsageError
 from topcli.sweeps.rows import key_labels, read_rows
 from topcli.sweeps.table import Cell, Summary, SweepTable, summary, sweep_table
-from topcli.sweeps.table_text import cell_text, csv_text, latex, lines, notes, significant, title
+from topcli.sweeps.table_text import cell_text, csv_text, latex, lines, notes, title
+from topcli.table import significant
 
 H = [0.1, 0.01, 0.1, 0.01]
 
@@ -28,7 +29,7 @@ H = [0.1, 0.01, 0.1, 0.01]
 @pytest.fixture
 def stored(tmp_path: Path) -> Path:
     keys = {"scheme": ["hk", "hk", "rk4", "rk4"], "h": H, "N": [10, 20, 10, 20], "initial.omega": ["[1.0, 2.0]"] * 4}
-    measures = {"error.max": [1.0, 2.0, 3.0, 4.0], "drift.energy": [5.0, 6.0, 7.0, 8.0]}
+    measures = {"max_error": [1.0, 2.0, 3.0, 4.0], "drift.energy": [5.0, 6.0, 7.0, 8.0]}
     return write_rows(
         tmp_path / "mine", keys, measures, current=[True, False, True, True], log=["h"], order=[3, 1, 0, 2]
     )
@@ -39,10 +40,10 @@ def test_only_current_rows_are_read_in_the_order_of_the_plan(stored: Path) -> No
         rows = read_rows(place)
         assert (rows.name, len(rows), rows.left_out) == ("mine", 3, 1)
         assert rows.columns["row"].tolist() == [0, 2, 3]
-        assert rows.columns["error.max"].tolist() == [1.0, 3.0, 4.0]
+        assert rows.columns["max_error"].tolist() == [1.0, 3.0, 4.0]
         assert rows.columns["h"].tolist() == [0.1, 0.1, 0.01]
     assert rows.keys == ("scheme", "h", "N", "initial.omega")
-    assert rows.measures == ("error.max", "drift.energy")
+    assert rows.measures == ("max_error", "drift.energy")
     assert rows.log == ("h",)
 
 
@@ -75,7 +76,7 @@ def test_conditions_select_rows(stored: Path, conditions: tuple[str, ...], kept:
 ('h',)                 expected key=value
 ('h=',)                expected key=value
 ('hh=0.1',)            --where: unknown key 'hh'; did you mean 'h'
-('error.max=1',)       unknown key 'error.max'
+('max_error=1',)       unknown key 'max_error'
 ('h=0.10000000011',)   no row has this value; h is one of: 0.1, 0.01
 ('h=0.09999999989',)   no row has this value
 ('h=0.1001',)          no row has this value; h is one of: 0.1, 0.01
@@ -155,12 +156,12 @@ def made(folder: Path, **options: Any) -> Path:
     for i, value in options.pop("spoilt", {}).items():
         values[i] = value
     keys = {name: list(column) for name, column in zip(("scheme", "h", "seed"), zip(*ROWS, strict=True), strict=True)}
-    return write_rows(folder / "mine", keys, {"error.max": values, "seconds": [1.0 + v for v in values]}, **options)
+    return write_rows(folder / "mine", keys, {"max_error": values, "seconds": [1.0 + v for v in values]}, **options)
 
 
 def table(folder: Path, aggregate: str | None = "median", where: tuple[str, ...] = (), **options: Any) -> SweepTable:
     rows = read_rows(made(folder, **options)).where(where)
-    return sweep_table(rows, ["scheme"], "h", ["error.max"], aggregate)
+    return sweep_table(rows, ["scheme"], "h", ["max_error"], aggregate)
 
 
 def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
@@ -183,8 +184,8 @@ def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
 
 def test_without_a_column_key_measures_are_the_columns(tmp_path: Path) -> None:
     rows = read_rows(made(tmp_path)).where(["seed=2"])
-    found = sweep_table(rows, ["h", "scheme"], None, ["seconds", "error.max"], None)
-    assert tuple(found.columns) == ("seconds", "error.max")
+    found = sweep_table(rows, ["h", "scheme"], None, ["seconds", "max_error"], None)
+    assert tuple(found.columns) == ("seconds", "max_error")
     assert list(found.lines) == [(h, scheme) for scheme in SCHEMES for h in SIZES]
     for (h, scheme), (seconds, error) in found.lines.items():
         assert error.summary == Summary(value_of(scheme, h, 2))
@@ -194,13 +195,13 @@ def test_without_a_column_key_measures_are_the_columns(tmp_path: Path) -> None:
 def test_several_values_in_a_cell_are_refused_by_the_keys_that_vary(tmp_path: Path) -> None:
     rows = read_rows(made(tmp_path))
     with pytest.raises(UsageError) as caught:
-        sweep_table(rows, ["scheme"], "h", ["error.max"], None)
+        sweep_table(rows, ["scheme"], "h", ["max_error"], None)
     assert caught.value.lines == (
         "up to 4 values fall into one cell, because seed still varies",
         "choose with --where seed=VALUE, use --rows seed, or add --aggregate median",
     )
     with pytest.raises(UsageError, match=r"up to 12 values fall into one cell, because h, seed still vary"):
-        sweep_table(rows, ["scheme"], None, ["error.max"], None)
+        sweep_table(rows, ["scheme"], None, ["max_error"], None)
     twice = write_rows(tmp_path / "twice", {"h": [0.1, 0.1]}, {"a": [1.0, 2.0]})
     with pytest.raises(UsageError, match="2 rows fall into one cell although no key varies"):
         sweep_table(read_rows(twice), ["h"], None, ["a"], None)
@@ -219,7 +220,7 @@ def test_the_observed_order_is_an_aggregate_over_h(tmp_path: Path) -> None:
     assert found.as_dict()["table"][1]["cells"][0]["value"] == pytest.approx(4.0, abs=1e-9)
     with pytest.raises(UsageError, match="up to 2 values fall into one cell at one h, because seed still varies"):
         sweep_table(rows, ["scheme"], None, ["error"], "order")
-    with pytest.raises(UsageError, match="is fitted over h, which cannot tell one cell from another"):
+    with pytest.raises(UsageError, match="is fitted against h, so h cannot distinguish one cell from another"):
         sweep_table(rows, ["scheme"], "h", ["error"], "order")
     other = read_rows(write_rows(tmp_path / "y", {"N": [1, 2]}, {"error": [1.0, 2.0]}))
     with pytest.raises(UsageError, match="--aggregate order: h does not vary; the keys are N"):
@@ -254,7 +255,7 @@ def test_a_combination_without_rows_is_a_dash(tmp_path: Path) -> None:
     folder = write_rows(tmp_path / "gap", {"a": ["x", "y", "y"], "b": [1, 1, 2]}, {"v": [1.5, NAN, 2.5]})
     found = sweep_table(read_rows(folder), ["a"], "b", ["v"], None)
     assert lines(found) == [["x", "1.5", "–"], ["y", "nan", "2.5"]]
-    assert "– the sweep has no such row" in notes(found)
+    assert "–: the sweep has no such row" in notes(found)
     assert csv_text(found) == "a,b=1,b=2\nx,1.5,\ny,nan,2.5\n"
 
 
@@ -414,6 +415,8 @@ def test_latex_states_units_notes_and_numbers(tmp_path: Path) -> None:
     assert r"\#\$\textless{}\textbar{}\textgreater{} & $0.1$ & $-4.00 \times 10^{20}$ & $3$ \\" in by_measure
     assert r"$\infty$" in by_measure
     assert r"of na\_sty" in by_measure
+    assert r"max\_error: largest distance of a recorded state from the reference solution, $\max_n \Vert y_n" in median
+    assert r"err.max\_x:" not in by_measure  # a measure of a plugin is not explained
     assert "All quantities are dimensionless." in median
     assert "* 1 of 24 values could not be computed (nan) and is left out." in median
     assert re.search(r"hk & \$0\.\d+\\;\[0\.\d+,\\, 0\.\d+\]\{\}\^\{\*\}\$ &", median)
@@ -432,7 +435,7 @@ def test_plain_data_say_what_the_table_is(tmp_path: Path) -> None:
             "sweep": "mine",
             "rows": ["scheme"],
             "columns": "h",
-            "values": ["error.max"],
+            "values": ["max_error"],
             "aggregate": aggregate,
             "spread": spread,
             "where": ["seed = 2"],

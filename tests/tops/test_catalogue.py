@@ -328,7 +328,7 @@ def test_integrals_on_a_level_are_judged_only_there(form: str, name: str) -> Non
         omega = scene["initial"]["omega"]
         scene["initial"]["omega"] = [omega[0], omega[1], omega[2] * (1.0 + off)]
         found[off] = simulate(scene).invariants().loc[name, ["verdict", "reason"]]
-    assert found[0.0].verdict in ("exact", "bounded")
+    assert found[0.0].verdict in ("exact", "undecided")  # judged, by a short run
     assert found[1e-15].verdict == found[0.0].verdict
     assert found[1e-13].verdict == "unjudged"
     assert found[1e-13].reason.startswith("conserved only where")

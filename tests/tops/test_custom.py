@@ -136,7 +136,7 @@ def test_a_field_of_other_functions() -> None:
     assert np.ptp(energy) < 1e-10
     with pytest.raises(TopcliError, match="'hk' does not fit"):
         load(config(top=pendulum, initial=start))
-    with pytest.raises(ConfigError, match=r"top.invariants.energy: 'energy' is no integral of the field: its rate"):
+    with pytest.raises(ConfigError, match=r"top.invariants.energy: 'energy' is not an integral of the field: its rate"):
         load(config(top=pendulum | {"invariants": {"energy": "p**2/2 + cos(q)"}}, initial=start, scheme="rk4"))
     precise = topcli.simulate(config(top=pendulum, initial=start, scheme="rk4", N=3, precision=40))
     assert precise["p"] == pytest.approx(trajectory["p"][:4], rel=1e-14)
@@ -190,7 +190,7 @@ def test_an_invariant_may_hold_on_a_level(tmp_path) -> None:
     assert experiment.top.invariants()[1].on == {"m_gamma": 0.0}
     assert experiment.resolved()["top"]["invariants"]["chaplygin"]["on"] == {"m_gamma": 0.0}
     path.write_text(LEVEL.replace(", on: {m_gamma: 0}", ""))
-    with pytest.raises(ConfigError, match=r"level.yaml:14: top.invariants.chaplygin: 'chaplygin' is no integral"):
+    with pytest.raises(ConfigError, match=r"level.yaml:14: top.invariants.chaplygin: 'chaplygin' is not an integral"):
         load(path)
 
 
@@ -199,8 +199,8 @@ def test_an_invariant_may_hold_on_a_level(tmp_path) -> None:
     [
         ("k*w2)/A", "kk*w2)/A", "6: top.field.w1: column 18: unknown name 'kk'; did you mean 'k'?"),
         ("w3: (A", "w4: (A", "5: top.field: gives no rate of change of 'w3'"),
-        ("w3: (A", "w4: (A", "8: top.field.w4: is no component; known: w1, w2, w3"),
-        ("(C*w3 + k)", "(C*w3 - k)", "11: top.invariants.momentum: 'momentum' is no integral of the field: its rate"),
+        ("w3: (A", "w4: (A", "8: top.field.w4: is not a component; known: w1, w2, w3"),
+        ("(C*w3 + k)", "(C*w3 - k)", "11: top.invariants.momentum: 'momentum' is not an integral of the field"),
         (", w3: 1.2", "", "12: initial.w3: missing"),
         ("w3: 1.2", "w3: [1.2, 3]", "12: initial.w3: must be a list of 1 numbers (w3), not 2"),
         ("w3: 1.2", "w3: one", "12: initial.w3: w3 must be a number, not the text 'one'"),
@@ -221,7 +221,7 @@ def test_an_invariant_may_hold_on_a_level(tmp_path) -> None:
         ("(A - B)*w1*w2/C", "[1, 2]", "8: top.field.w3: must be a formula such as 2*w1, not a list"),
         ("(A - B)*w1*w2/C", "{value: w1}", "8: top.field.w3: must be a formula such as 2*w1, not a section"),
         ("(A - B)*w1*w2/C", "true", "8: top.field.w3: must be a formula such as 2*w1, not true"),
-        ("(A - B)*w1*w2/C", "", "8: top.field.w3: must be a formula such as 2*w1, not nothing"),
+        ("(A - B)*w1*w2/C", "", "8: top.field.w3: must be a formula such as 2*w1, not an empty value"),
         ("(A*w1)**2", "{value: w1, on: {zz: 0}} # ", "11: top.invariants.momentum: 'momentum' holds on 'zz'"),
         ("(A*w1)**2", "{value: w1, om: {zz: 0}} # ", "11: top.invariants.momentum.om: unknown key; known: on, value"),
         ("(A*w1)**2", "{on: {zz: 0}} # ", "11: top.invariants.momentum.value: missing; give the formula"),
@@ -374,7 +374,7 @@ json.dump([results.outcome, results.values], sys.stdout)
 def test_a_process_that_never_read_the_config_computes_its_rows() -> None:
     study = {"name": "s", "base": config(N=50, output={"quantities": {"x": "k*w1"}})}
     study |= {"grid": {"top.k": [0.1, 0.2], "scheme": ["hk", "rk4"]}}
-    rows, measures = list(RowReader(load_sweep(study)).rows()), ("max.x", "deviation.energy")
+    rows, measures = list(RowReader(load_sweep(study)).rows()), ("max.x", "max_deviation.energy")
     data = pickle.dumps((rows, measures))
     made = subprocess.run([sys.executable, "-c", WORKER], input=data, capture_output=True, check=True)
     outcomes, values = json.loads(made.stdout)

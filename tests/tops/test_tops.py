@@ -57,9 +57,8 @@ def test_the_constants_of_a_step_are_what_the_registry_says(form: str) -> None:
 def test_an_author_of_a_step_is_told_what_p_contains(cli: Callable[..., Said]) -> None:
     tops = {item["form"]: item["step_p"] for item in cli("list", "tops", "--json").json()["tops"]}
     assert tops["kowalevski"] == ["c = c0/C"]
-    for form, constants in tops.items():
-        assert ", ".join(constants) in cli("list", "tops").out, form
-    assert "constants p of a step: c = c0/C" in cli("show", "hybrid").out.splitlines()
+    for name in ("kowalevski", "hybrid"):
+        assert "constants p of a step: c = c0/C" in cli("show", name).out.splitlines()
     rows = re.findall(r"^\| `(\w+)` \| (`.*) \|$", (ROOT / "docs" / "tops.md").read_text(), re.MULTILINE)
     for form in ("kowalevski", "euler", "lagrange", "heavy"):
         (cells,) = [row for name, row in rows if name == form and row.startswith(f"`{tops[form][0]}`")]

@@ -13,7 +13,7 @@ from conftest import GEN
 from topcli.analysis import columns as columns_module
 from topcli.analysis import order, trajectory
 from topcli.analysis.columns import column_names, columns
-from topcli.analysis.swings import minima_times, swing_spacing
+from topcli.analysis.swings import first_swing_spacing, minima_times
 from topcli.errors import UsageError
 from topcli.schemes.layout import ambiguous_root, small_determinant
 from topcli.tops.kowalevski import Kowalevski
@@ -66,9 +66,9 @@ def test_a_minimum_of_uneven_samples_lies_between_its_neighbours(y: list[float],
 
 
 def test_series_without_two_minima_have_no_spacing() -> None:
-    assert swing_spacing(np.arange(10.0), np.arange(10.0)) is None
-    assert swing_spacing(np.arange(3.0), np.arange(3.0)) is None
-    assert swing_spacing(np.arange(9.0), np.full(9, np.nan)) is None
+    assert first_swing_spacing(np.arange(10.0), np.arange(10.0)) is None
+    assert first_swing_spacing(np.arange(3.0), np.arange(3.0)) is None
+    assert first_swing_spacing(np.arange(9.0), np.full(9, np.nan)) is None
 
 
 def test_columns_by_name() -> None:
@@ -89,7 +89,7 @@ def test_a_swing_reaches_below_half_of_the_range(factor: float) -> None:
     values = 1.0 - depth * np.sin(math.pi * t) ** 2
     expected = [0.5, 2.5] if factor < 1.0 else [0.5, 1.5, 2.5]
     np.testing.assert_allclose(minima_times(t, values), expected, atol=1e-13)  # typically exact
-    assert swing_spacing(t, values) == pytest.approx(2.0 if factor < 1.0 else 1.0, abs=1e-13)
+    assert first_swing_spacing(t, values) == pytest.approx(2.0 if factor < 1.0 else 1.0, abs=1e-13)
 
 
 @BELOW_AND_ABOVE

@@ -135,7 +135,7 @@ def test_errors_must_be_small_beside_the_motion(size: float, verdict: str) -> No
     """For a declared order of 2 the largest fitted error may be 5 % of the motion."""
     found, why = judge_order(2, power(1.0, first=0.05), size)
     assert found == verdict
-    assert verdict == "too low" or why.endswith("the errors are large; use smaller steps")
+    assert verdict == "too low" or why.endswith("the errors are large; use smaller step sizes")
 
 
 @pytest.mark.parametrize(("last", "verdict"), [(1.01e-11, "too low"), (0.99e-11, "undecided")])

@@ -12,16 +12,23 @@ from topcli.analysis.tally import InvariantRow, InvariantTally, represented_time
 from topcli.analysis.trend import trend
 from topcli.contracts import Invariant
 
-SERIES = Invariant("x", "x", "x", "a series", lambda y: y[:, 0], lambda y: np.abs(y[:, 0]) + 1.0)
+
+def motion(t: np.ndarray) -> np.ndarray:
+    """A component with 50 oscillations over the series."""
+    return np.cos(2.0 * math.pi * 50.0 * (t - t[0]) / (t[-1] - t[0]))[:, None]
+
+
+def series(values: np.ndarray) -> Invariant:
+    return Invariant("x", "x", "x", "a series", lambda y: values, lambda y: np.abs(values) + 1.0)
 
 
 def uneven(t: np.ndarray, values: np.ndarray, steps: int = 100) -> InvariantRow:
-    return uneven_report([SERIES], t, values[:, None], steps)[0][0]
+    return uneven_report([series(values)], t, motion(t), steps)[0][0]
 
 
 def even(h: float, values: np.ndarray) -> InvariantRow:
-    tally = InvariantTally([SERIES], h)
-    tally.add(np.arange(len(values)), values[:, None])
+    tally = InvariantTally([series(values)], h)
+    tally.add(np.arange(len(values)), motion(h * np.arange(len(values))))
     return tally.report()[0]
 
 
@@ -54,10 +61,10 @@ def test_a_known_slope_is_found_within_its_error(kind: str, direction: float) ->
 @pytest.mark.parametrize("m", [64, 150])
 @pytest.mark.parametrize("noise", ["white", "walk"])
 def test_slope_errors_are_honest_at_uneven_times(kind: str, m: int, noise: str) -> None:
-    """Without a trend the slope rarely reaches the 5 standard errors of the verdict.
+    """Without a trend the slope rarely reaches the 4 standard errors of the verdict.
 
-    Rates over 400 cases: walks 0.75 to 2%, white noise 0 to 0.4%; medians of the ratio 0.63 to 0.80. White noise was
-    taken for a walk in up to 9% of the cases with few rows, walks in 95 to 98%.
+    Rates over 400 cases: walks 0 to 1%, white noise 0; medians of the ratio 0.20 to 0.73. White noise was taken for a
+    walk in up to 6% of the cases with few rows, walks in 94 to 98%.
     """
     random = np.random.default_rng(11)
     fits = []
@@ -68,8 +75,8 @@ def test_slope_errors_are_honest_at_uneven_times(kind: str, m: int, noise: str) 
         fits.append(uneven(t, np.cumsum(jumps) if noise == "walk" else jumps))
     ratios = [abs(fit.drift) / fit.drift_error for fit in fits if fit.drift is not None and fit.drift_error is not None]
     assert len(ratios) == len(fits)
-    assert np.mean(np.array(ratios) > 5.0) <= (0.045 if noise == "walk" else 0.015)
-    assert 0.5 < np.median(ratios) < 1.1
+    assert np.mean(np.array(ratios) > 4.0) <= (0.045 if noise == "walk" else 0.015)
+    assert 0.15 < np.median(ratios) < 1.1
     walks = np.mean([fit.model == "random walk" for fit in fits])
     assert (walks > 0.9) if noise == "walk" else (walks < 0.14)
 
@@ -104,7 +111,7 @@ def test_oscillations_hardly_leak_into_the_slope_when_steps_follow_them() -> Non
     plain = np.polyfit(t, wave, 1)[0]
     assert abs(plain) > 1e-7
     assert abs(row.drift) < 0.02 * abs(plain)
-    assert row.verdict == "bounded"
+    assert row.verdict == "no drift seen"
 
 
 def test_rows_represent_half_of_their_gaps_and_at_most_a_bin() -> None:
@@ -130,5 +137,5 @@ def test_the_bound_follows_the_steps_and_few_rows_are_unjudged() -> None:
     t = np.array([0.0, 1.0, 3.0, 4.0, 8.0])
     row = uneven(t, np.array([1.0, 1.0, 1.0, 1.1, 1.0]), steps=400)
     assert row.round_off_bound == pytest.approx(20.0 * 2.0**-52 * math.sqrt(400.0) * 2.1)
-    assert row.verdict == "unjudged"
+    assert row.verdict == "undecided"
     assert row.drift is None

@@ -211,7 +211,7 @@ def judge_order(
     high = observed.order >= declared - SHORTFALL
     if high and min(fine, coarse) >= declared - 2.0 * SHORTFALL:
         return OrderVerdict.AS_DECLARED, ""
-    changes = f"the slope changes from {coarse:.2f} to {fine:.2f}; use other steps"
+    changes = f"the slope changes from {coarse:.2f} to {fine:.2f}; use other step sizes"
     if high:
         return OrderVerdict.UNDECIDED, changes
     below = f"the observed order {observed.order:.2f} is below the declared order {declared}"
@@ -219,9 +219,9 @@ def judge_order(
         return OrderVerdict.INCONSISTENT, f"{below}: its step is not consistent with the equations of motion"
     # an error (h/h0)^p of a self-adjoint scheme has a correction of relative size (h/h0)^2
     if observed.order < NO_ORDER or observed.errors[-1] > size * CLOSE ** (0.5 * declared):
-        return OrderVerdict.UNDECIDED, f"{below}, but the errors are large; use smaller steps"
+        return OrderVerdict.UNDECIDED, f"{below}, but the errors are large; use smaller step sizes"
     if observed.plateau is None and observed.errors[0] <= SUSPECT * size:
-        return OrderVerdict.UNDECIDED, f"{below}, but the errors are close to round-off; use larger steps"
+        return OrderVerdict.UNDECIDED, f"{below}, but the errors are close to round-off; use larger step sizes"
     if abs(fine - coarse) > SETTLED * (declared - observed.order):
         return OrderVerdict.UNDECIDED, f"{below}, but {changes}"
     return OrderVerdict.TOO_LOW, below
@@ -298,7 +298,7 @@ def reversal(top: Top, method: Method, states: Array, h: float, precise: Precise
     """Reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
 
     The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may be
-    below round-off. Of a closed form that is set up anew for each state, two of the states are tried. For a ``precise``
+    below round-off. A closed form that is set up for each state is tried at two of the states. For a ``precise``
     run of the method, all steps are taken in its arithmetic.
     """
     if isinstance(method, Sampler) and method.setup is not None:

@@ -1,4 +1,4 @@
-"""Quantities: a user's own observables along a run, formulas of the state, the parameters of the top, t and h."""
+"""Quantities: the user's own formulas of the state, the parameters of the top, t and h, evaluated along a run."""
 
 from __future__ import annotations
 
@@ -19,14 +19,18 @@ TIME, STEP = "t", "h"
 
 @dataclass(frozen=True)
 class Quantity:
-    """Observable ``name`` with the text of its ``formula``; ``function(y, p)`` evaluates it (``quantities_of``)."""
+    """Formula given in ``output.quantities`` of a config.
+
+    ``name`` is the name of the column, and ``formula`` is the text. ``function(y, p)`` evaluates the formula; ``y``
+    contains the components and the time, ``p`` the parameters of the top and h.
+    """
 
     name: str
     formula: str
     function: Callable[[Sequence[Any], Sequence[Any]], Any]
 
     def values(self, top: Top, n: NDArray[Any], h: Any, states: Array) -> Array:
-        """Values (m,) at ``states`` (m, d) of ``top`` after ``n`` (m,) steps of ``h``, in their arithmetic."""
+        """Values (m,) of the formula at ``states`` (m, d) of ``top`` after ``n`` (m,) steps of ``h``."""
         parameters = (getattr(top, name) for name in type(top).model_fields)
         t = np.array([int(step) * h for step in n], dtype=object) if states.dtype.hasobject else n * h
         with np.errstate(all="ignore"):
@@ -128,9 +132,9 @@ class QuantityTally:
         return quantity_rows(self.quantities, [self.together()])
 
     def columns(self) -> dict[str, Array]:
-        """``<quantity>_first`` and the other ``FIGURES`` (trajectories,)."""
+        """``first.<quantity>`` and the other ``FIGURES`` (trajectories,)."""
         return {
-            f"{quantity.name}_{figure}": values
+            f"{figure}.{quantity.name}": values
             for quantity, figures in zip(self.quantities, self.figures, strict=True)
             for figure, values in zip(FIGURES, figures, strict=True)
         }

@@ -1,14 +1,19 @@
-"""Swings: deep minima of a component, located between the samples, and their spacing."""
+"""Swings, the deep minima of a component: times, spacings, and the number of oscillations in a run."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topcli.contracts import Array
 
 EVEN = np.arange(-2.0, 3.0)
 QUARTIC = np.array([[1, -4, 6, -4, 1], [-2, 4, 0, -4, 2], [-1, 16, -30, 16, -1], [2, -16, 0, 16, -2]]) / 24.0
 """Coefficients of x⁴, x³, x², x of the quartic through five points at x = -2, ..., 2."""
+LEVELS, MIDDLE = (0.25, 0.5, 0.75), 0.1
+"""Levels in the range of a component, and half the part of the range around them that is on neither side."""
+RESTS, NEGLIGIBLE = 0.01, 1e-6
+"""Ranges of a component that are not an oscillation: in units of itself, and of the largest component."""
 UNEVEN = 0.1
 """Ratio of the smallest to the largest of four spacings below which the quartic through five points is not used."""
 
@@ -63,13 +68,54 @@ def minima_times(t: Array, values: Array) -> Array:
     return np.array(times)
 
 
-def swing_spacing(t: Array, values: Array) -> float | None:
+def first_swing_spacing(t: Array, values: Array) -> float | None:
     """Time from the first deep minimum to the second; None if the record holds fewer than two.
 
     The first spacing instead of the mean, because the drift of a scheme changes it from swing to swing.
     """
     times = minima_times(t, values)
     return abs(float(times[1] - times[0])) if len(times) > 1 else None
+
+
+def oscillations(lows: Array, highs: Array) -> tuple[float, int]:
+    """Least number of oscillations of the slowest component of a motion, in halves, and the index of this component.
+
+    Parameters
+    ----------
+    lows, highs : ndarray, shape (d, m)
+        Smallest and largest values of the components within m stretches of time, one after the other.
+
+    Returns
+    -------
+    float
+        Half the number of times that the component passes one of the ``LEVELS`` of its range, the most frequented, from
+        ``MIDDLE`` of the range on one side to as much on the other; 0 if all components rest.
+    int
+        Index of the component; 0 if all rest.
+    """
+    slowest = np.inf, 0
+    largest = max(np.abs(lows).max(initial=0.0), np.abs(highs).max(initial=0.0))
+    for j, (low, high) in enumerate(zip(lows, highs, strict=True)):
+        bottom, top = low.min(), high.max()
+        width = top - bottom
+        if width > max(RESTS * max(abs(bottom), abs(top)), NEGLIGIBLE * largest):
+            levels = [(bottom + (level - MIDDLE) * width, bottom + (level + MIDDLE) * width) for level in LEVELS]
+            passages = max(_passages(low < under, high > over) for under, over in levels)
+            slowest = min(slowest, (0.5 * passages, j))
+    return slowest if slowest[0] < np.inf else (0.0, 0)
+
+
+def _passages(below: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
+    """Least number of passages between two sides, of which these are visited in stretches of time (m,) each."""
+    at_low = at_high = 0.0
+    for low, high in zip(below.tolist(), above.tolist(), strict=True):
+        if low and high:
+            at_low, at_high = at_high + 1.0, at_low + 1.0
+        elif low:
+            at_low, at_high = min(at_low, at_high + 1.0), np.inf
+        elif high:
+            at_low, at_high = np.inf, min(at_high, at_low + 1.0)
+    return min(at_low, at_high)
 
 
 def spacing_law(eps: Array) -> Array:

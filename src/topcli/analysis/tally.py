@@ -1,4 +1,4 @@
-"""The invariant report: deviations of trajectories from what the exact flow conserves.
+"""Report on invariants: deviations of trajectories from quantities that the exact flow conserves.
 
 One tally serves single runs, ensembles and rows of sweeps: all sums are arrays over invariants and trajectories, fed
 with pieces of rows in fixed memory. Sums over blocks add their rows one after the other, so that a slope depends
@@ -11,13 +11,19 @@ The verdicts on a single run:
             rounding errors add up as sqrt(steps)).
 *lost*      the deviation is of the order of the invariant itself: more than ``LOST`` times the first value, or times
             ``TERMS`` of the scale where the first value is a smaller difference of large terms.
-*drifting*  the slope of the deviation in time (``analysis.trend``) stands out from its noise by more than
-            ``SIGNIFICANCE`` standard errors, and over the run it carries the deviation further than twice the scatter
-            about it.
-*bounded*   deviations beyond round-off, but no significant slope over this run.
+*undecided* deviations beyond round-off, but the recorded rows are too few for a slope, or the run covers fewer than
+            ``OSCILLATIONS`` oscillations of the motion (of its slowest component): what looks like a drift may be a
+            part of an oscillation, and a drift may not have begun. Or the slope of the deviation in time
+            (``analysis.trend``) is between ``DOUBTFUL`` and ``SIGNIFICANCE`` standard errors, or makes up less than
+            ``PART`` of the range of the deviation.
+*drifting*  the slope is more than ``SIGNIFICANCE`` standard errors, and makes up more of the range.
+*no drift seen*  the slope is not larger than ``DOUBTFUL`` standard errors. With 95 % confidence, the true one is at
+            most the fitted one and two standard errors.
 
-*unjudged*  deviations beyond round-off but too few rows for a slope, numbers that are not finite, or no step at all;
-            or an invariant of motions on a level (``Invariant.on``) where this one does not begin.
+*unjudged*  numbers that are not finite, or no step at all; or an invariant of motions on a level (``Invariant.on``)
+            where this one does not begin.
+
+How often these verdicts are wrong is measured by ``benchmarks/verdicts.py``.
 
 The slope is fitted to block means, ``BLOCKS`` or up to twice as many.
 
@@ -25,10 +31,9 @@ Of a series whose times need not be even, recorded by an adaptive method or thin
 equal length in time, and the line is fitted to the means of the bins. A row weighs as much as the time that it
 represents, half of each gap to its neighbours, so that the fit approximates the integrals over time of an even series,
 and an oscillation leaks into the slope as little as there. A gap without rows counts for at most one bin, so that the
-rows at its ends do not decide the slope. In 400 simulations each with 40, 150 and 3,000 rows (drawn uniformly, in a
+rows at its ends do not decide the slope. In 400 simulations each with 64 and 150 rows (drawn uniformly, in a
 cluster, without the middle fifth, with logarithmic gaps, with oscillating gaps), random walks without drift exceeded
-the standard errors of a verdict in 1 to 2 of 100, white noise in at most 1 of 100 (40 rows in a cluster), else in at
-most 1 of 400.
+the standard errors of *drifting* in at most 1 of 100, white noise never.
 """
 
 from __future__ import annotations
@@ -45,11 +50,16 @@ from numpy.typing import NDArray
 
 from topcli.analysis.columns import invariant_values
 from topcli.analysis.leaving import energy_limits, first_beyond
+from topcli.analysis.swings import oscillations
 from topcli.analysis.trend import Trend, hann_line, trend
 from topcli.contracts import Array, Invariant, Top
+from topcli.table import plus_minus, rounded_up, two_digits
 
 ROUND_OFF_ULPS = 20.0
-SIGNIFICANCE = 5.0
+SIGNIFICANCE = 4.0
+DOUBTFUL = 2.5
+OSCILLATIONS = 2.0
+PART = 1.0 / 3.0
 LOST = 0.25
 TERMS = 0.1
 BLOCKS = 64
@@ -57,7 +67,8 @@ QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
 DEVIATIONS = ("max_deviation", "rms_deviation", "final_deviation")
 
 ULP = float(np.finfo(np.float64).eps)
-_SUMS = ("first", "low", "high", "scale", "squares", "limit", "left", "rows", "steps", "width", "sums")
+_MOTION = ("component_lows", "component_highs")
+_SUMS = ("first", "low", "high", "scale", "squares", "limit", "left", "rows", "steps", "width", "sums", *_MOTION)
 """Arrays of a tally that change with its rows."""
 
 
@@ -81,14 +92,16 @@ class InvariantRow:
     """Linear drift per unit time."""
     drift_error: float | None
     """One standard error of ``drift``."""
+    drift_bound: float | None
+    """Bound of the magnitude of the true drift per unit time, with 95 % confidence."""
     drift_over_run: float | None
     """``drift`` times the length of the run."""
     model: str | None
     """Model of the deviation beside the drift, which determines its error: "linear trend" or "random walk"."""
-    scatter: float | None
-    """Root mean square of the block means about the fitted line."""
     round_off_bound: float
     verdict: str
+    statement: str
+    """The verdict with its figures, as it can be quoted."""
     reason: str
 
     def as_dict(self) -> dict[str, Any]:
@@ -129,6 +142,8 @@ class InvariantTally:
         while last // self.width[0] >= 2 * BLOCKS:
             self.width *= 2
         self.sums = np.zeros((*shape, 2 * BLOCKS if drifts else 0))
+        self._observed = drifts and count == 1
+        self.component_lows, self.component_highs = (np.empty((0, 2 * BLOCKS)) for _ in _MOTION)
 
     def add(
         self,
@@ -183,16 +198,30 @@ class InvariantTally:
                     sums[:] = np.bincount(places, weights=weights).reshape(sums.shape)
                 self.scale[i, here] = np.maximum(self.scale[i, here], scale.max(axis=1))
                 self.squares[i, here] += np.einsum("ij,ij->i", deviation, deviation)
+        if self._observed and kept[0]:
+            self._observe(n[: kept[0]], flat[: kept[0]])
         self.rows[here] += kept
         self.steps[here] = np.where(kept > 0, n[np.maximum(kept, 1) - 1], self.steps[here])
+
+    def _observe(self, n: NDArray[np.int64], states: Array) -> None:
+        """Add the states (m, d) of the only trajectory at the steps n to the ranges of the components in the blocks."""
+        if not len(self.component_lows):
+            self.component_lows = np.full((states.shape[1], 2 * BLOCKS), np.inf)
+            self.component_highs = -self.component_lows
+        blocks = n // self.width[0]
+        starts = np.flatnonzero(np.diff(blocks, prepend=-1))
+        for ends, least in ((self.component_lows, np.minimum), (self.component_highs, np.maximum)):
+            at = ends[:, blocks[starts]]
+            ends[:, blocks[starts]] = least(at, least.reduceat(states, starts, axis=0).T)
 
     def _places(self, n: NDArray[np.int64], count: int) -> NDArray[np.int64]:
         """Places of the sums of ``count`` trajectories, then those to which their rows at the steps ``n`` belong."""
         size = 2 * BLOCKS
         while n[-1] // self.width[0] >= size:
             self.width *= 2
-            joined = self.sums[..., 0::2] + self.sums[..., 1::2]
-            self.sums = np.concatenate([joined, np.zeros_like(joined)], axis=-1)
+            self.sums = _joined(self.sums, np.add, 0.0)
+            self.component_lows = _joined(self.component_lows, np.minimum, np.inf)
+            self.component_highs = _joined(self.component_highs, np.maximum, -np.inf)
         rows = np.arange(count)[:, None] * size + n // self.width[0]
         return np.concatenate([np.arange(count * size), rows.ravel()])
 
@@ -264,23 +293,23 @@ class InvariantTally:
         return ""
 
     def row(
-        self, i: int, fit: Trend | None, steps: int, span: float, eps: float, origins: Mapping[str, float]
+        self, i: int, fit: Trend | None, short: str, steps: int, span: float, eps: float, origins: Mapping[str, float]
     ) -> InvariantRow:
         """Report on invariant ``i`` of the only trajectory, with the line ``fit`` through its deviations.
 
-        ``steps`` of the method take the time ``span``; ``eps`` is the rounding error of the arithmetic, and ``origins``
-        are added to the values of the invariants they name.
+        ``short`` says what the run is too short for, if it is; ``steps`` of the method take the time ``span``; ``eps``
+        is the rounding error of the arithmetic, and ``origins`` are added to the values of the invariants they name.
         """
         origin = origins.get(self.invariants[i].name, 0.0)
         deviation, rms = float(self.max_deviation[i, 0]), float(self.rms_deviation[i, 0])
-        scale = float(self.scale[i, 0])
+        scale, spread = float(self.scale[i, 0]), float(self.high[i, 0] - self.low[i, 0])
         bound = float(round_off_bound(steps, scale, eps))
         first = origin + float(self.first[i, 0])
         size = abs(first)
         if reason := self._off_level(i, origins):
-            verdict = "unjudged"
+            verdict, statement = "unjudged", f"unjudged: {reason}"
         else:
-            verdict, reason = _verdict(deviation, bound, max(size, TERMS * scale), fit, span)
+            verdict, statement, reason = _verdict(deviation, spread, bound, max(size, TERMS * scale), fit, short, span)
         return InvariantRow(
             name=self.invariants[i].name,
             symbol=self.invariants[i].symbol,
@@ -293,11 +322,12 @@ class InvariantTally:
             rms_deviation_relative=rms / size if size else None,
             drift=fit.slope if fit else None,
             drift_error=fit.error if fit else None,
+            drift_bound=fit.bound if fit and verdict != "undecided" else None,
             drift_over_run=fit.slope * span if fit else None,
             model=fit.model if fit else None,
-            scatter=fit.scatter if fit else None,
             round_off_bound=bound,
             verdict=verdict,
+            statement=statement,
             reason=reason,
         )
 
@@ -315,7 +345,23 @@ class InvariantTally:
             filled, counts, t = self._blocks(rows, last)
             fits = [trend(t, sums[0, filled] / counts) for sums in self.sums]
             taken, span = last if steps is None else steps, last * self._h
-            return [self.row(i, fit, taken, span, eps, origins or {}) for i, fit in enumerate(fits)]
+            short = self.shortness(self.component_lows[:, filled], self.component_highs[:, filled], span)
+            return [self.row(i, fit, short, taken, span, eps, origins or {}) for i, fit in enumerate(fits)]
+
+    def shortness(self, lows: Array, highs: Array, span: float) -> str:
+        """Oscillations that a run over the time ``span`` covers, if they are too few, and the length that it needs.
+
+        Empty if the run is long enough.
+
+        ``lows`` and ``highs`` (d, m) are those of the components of the motion in stretches of time.
+        """
+        covered, slowest = oscillations(lows, highs)
+        if covered >= OSCILLATIONS:
+            return ""
+        name = self._top.components[slowest] if self._top else f"component {slowest + 1}"
+        length = abs(span) * OSCILLATIONS / max(covered, 0.5)
+        part = {0.0: "no oscillation", 0.5: "half an oscillation", 1.0: "one oscillation"}
+        return f"covers {part.get(covered, f'{covered:g} oscillations')} of {name}; run T >= {rounded_up(length):g}"
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Current sums in arrays of a fixed size, from which ``restore`` continues bit for bit."""
@@ -324,51 +370,69 @@ class InvariantTally:
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a ``state()``. Raises KeyError or ValueError if it has another form."""
         for name in _SUMS:
-            if state[name].shape != getattr(self, name).shape:
+            if name not in _MOTION and state[name].shape != getattr(self, name).shape:
                 raise ValueError("the sums of the invariant report have another form")
             setattr(self, name, np.array(state[name]))
 
 
-def _verdict(deviation: float, bound: float, size: float, fit: Trend | None, span: float) -> tuple[str, str]:
-    """Verdict on a deviation from an invariant of this ``size``, and its reason."""
+def _joined(blocks: Array, join: np.ufunc, empty: float) -> Array:
+    """Blocks (..., m) joined in pairs, with as many empty ones after them."""
+    joined = join(blocks[..., 0::2], blocks[..., 1::2])
+    return np.concatenate([joined, np.full_like(joined, empty)], axis=-1)
+
+
+def _verdict(
+    deviation: float, spread: float, bound: float, size: float, fit: Trend | None, short: str, span: float
+) -> tuple[str, str, str]:
+    """Verdict on a deviation from an invariant of this ``size``, its statement with figures, and its reason.
+
+    ``deviation`` is the largest, and ``spread`` the difference between the largest and the smallest value.
+    """
     if not (math.isfinite(deviation) and math.isfinite(bound)):
-        return "unjudged", "the invariant or its terms are not finite"
+        reason = "the invariant or its terms are not finite"
+        return "unjudged", f"unjudged: {reason}", reason
     if deviation > LOST * size:
-        return "lost", f"max deviation {deviation:.1e} exceeds {LOST:g} times the invariant's size {size:.1e}"
+        statement = f"lost (deviation {deviation:.1e})"
+        reason = f"max deviation {deviation:.1e} exceeds {LOST:g} times the invariant's size {size:.1e}"
+        return "lost", statement, reason
     if deviation <= bound:
         if span == 0.0:
-            return "unjudged", "the run has no recorded step"
-        return "exact", f"max deviation {deviation:.1e} is within the round-off bound {bound:.1e}"
+            return "unjudged", "unjudged: no recorded step", "the run has no recorded step"
+        reason = f"max deviation {deviation:.1e} is within the round-off bound {bound:.1e}"
+        return "exact", f"exact (deviation {deviation:.1e} is round-off)", reason
     beyond = f"max deviation {deviation:.1e} exceeds the round-off bound {bound:.1e}"
     if fit is None:
-        return "unjudged", f"{beyond}; too few rows for a slope"
-    moved = fit.slope * span
+        return "undecided", "undecided: too few rows for a slope", f"{beyond}; too few rows for a slope"
+    if short:
+        return "undecided", f"undecided: {short}", f"{beyond}; the run {short}"
     ratio = abs(fit.slope) / fit.error if fit.error else math.inf
-    fitted = (
-        f"slope {fit.slope:.1e} ± {fit.error:.1e} ({ratio:.1f} standard errors, {fit.model}), {moved:.1e} over the run"
-    )
-    drifting = ratio > SIGNIFICANCE and abs(moved) > 2.0 * fit.scatter
-    return "drifting" if drifting else "bounded", f"{beyond}; {fitted}, scatter {fit.scatter:.1e}"
+    reason = f"{beyond}; slope {fit.slope:.1e} ± {fit.error:.1e} ({ratio:.1f} standard errors, {fit.model})"
+    if ratio > SIGNIFICANCE and abs(fit.slope * span) > PART * spread:
+        return "drifting", f"drifting ({plus_minus(fit.slope, fit.margin)} per unit time, 95 %)", reason
+    if ratio > DOUBTFUL:
+        doubt = f"a slope that may belong to a slow oscillation; run T >= {rounded_up(2.0 * abs(span)):g}"
+        return "undecided", f"undecided: {doubt}", f"{reason}, {doubt}"
+    return "no drift seen", f"no drift seen (below {two_digits(rounded_up(fit.bound))} per unit time, 95 %)", reason
 
 
 def invariant_report(
-    invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array
+    invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array, top: Top | None = None
 ) -> list[InvariantRow]:
-    """Report on rows held in memory: step numbers (m,), states (m, d)."""
-    tally = InvariantTally(invariants, h)
+    """Report on rows held in memory: step numbers (m,), states (m, d), of the ``top`` if its names shall be used."""
+    tally = InvariantTally(invariants, h, top)
     tally.add(n, states)
     return tally.report()
 
 
 def measure_columns(tally: InvariantTally, N: int, every: int) -> dict[str, Array]:
-    """``<invariant>_first``, ``_max_deviation``, ``_rms_deviation``, ``_final_deviation``, ``_drift`` (trajectories,).
+    """``first.<invariant>``, ``drift.``, ``max_deviation.``, ``rms_deviation.``, ``final_deviation.`` (trajectories,).
 
     A whole trajectory has ``N`` steps and a row for every ``every``-th. One that lacks some has no drift, but nan.
     """
     figures = {name: getattr(tally, name) for name in ("first", *DEVIATIONS)}
     figures["drift"] = tally.slopes(N // every + 1, N // every * every)
     return {
-        f"{invariant.name}_{name}": values[i]
+        f"{name}.{invariant.name}": values[i]
         for i, invariant in enumerate(tally.invariants)
         for name, values in figures.items()
     }
@@ -482,6 +546,10 @@ def uneven_report(
     tally.add(np.arange(len(t)), states, values)
     with np.errstate(all="ignore"):  # huge states: the verdict covers values that are not finite
         centres, span = means(t - t[0]), float(t[-1] - t[0])
+        order = np.argsort(bins, kind="stable")
+        starts = np.searchsorted(bins[order], np.flatnonzero(filled))
+        lows, highs = (least.reduceat(states[order], starts, axis=0).T for least in (np.minimum, np.maximum))
+        short = tally.shortness(lows, highs, span)
         deviations = (values[invariant.name] - tally.first[i] for i, invariant in enumerate(invariants))
         fits = [trend(centres, means(deviation), total) for deviation in deviations]
-        return [tally.row(i, fit, steps, span, ULP, {}) for i, fit in enumerate(fits)], tally.left_step
+        return [tally.row(i, fit, short, steps, span, ULP, {}) for i, fit in enumerate(fits)], tally.left_step

@@ -17,6 +17,7 @@ from topcli.analysis.quantities import Quantity
 from topcli.analysis.tally import EnsembleSummary, InvariantRow, InvariantTally, invariant_report
 from topcli.contracts import Array, Ending, Invariant, Outcome, Top
 from topcli.engine.run import Endings, Run
+from topcli.errors import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,11 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Trajectory:
-    """Recorded states of one run, as ``topcli.simulate`` returns them.
+    """Recorded states of one run, as returned by ``topcli.simulate``.
 
-    ``trajectory[name]`` is a column of shape (m,) by name: ``n``, ``t``, a component of the state, an invariant of the
-    top, a modified integral of the scheme, a quantity of ``output.quantities``, or of the attitude. ``len(trajectory)``
-    is the number of rows m.
+    ``trajectory[name]`` is the column ``name``, shape (m,). The name is ``n``, ``t``, a component of the state, an
+    invariant of the top, a modified integral of the scheme, a quantity of ``output.quantities``, or a component of the
+    attitude. ``len(trajectory)`` is the number of rows m.
 
     Attributes
     ----------
@@ -43,24 +44,26 @@ class Trajectory:
     states : ndarray, shape (m, d)
         States in the order of ``top.components``.
     ending : Ending
-        Outcome of the run, its last or failing step, and the counts of its events.
+        Outcome of the run, its last or failed step, and its event counts.
     compile_seconds, run_seconds, setup_seconds : float
-        Wall time of compiling or loading the machine code, of the steps, and of the set-up of a closed form.
+        Wall times in seconds, in this order: for compiling or loading the machine code, for the steps, and for the
+        set-up of a closed form.
     modified : tuple of Invariant
-        Integrals of the scheme itself, which depend on h.
+        Modified integrals of the scheme: functions of the state and of h that the scheme conserves.
     rows : tuple of InvariantRow or None
-        Report on the invariants of a run in another precision than double, computed in that precision; ``states`` are
-        rounded to doubles.
+        For a run that is not in double precision: report on the invariants, computed in the precision of the run. The
+        ``states`` of such a run are rounded to doubles.
     attitude : ndarray, shape (m, 4), or None
-        Unit quaternions, scalar part first, of the rotation from the body's frame to space; None unless
-        ``output.attitude`` asks for them.
+        Unit quaternions of the rotation from the body's frame to space, scalar part first. None unless the config has
+        ``output.attitude``.
     attitude_form : str
-        ``output.attitude``, empty without it. It decides on the columns of ``to_pandas``; ``trajectory[name]`` gives
-        those of both forms.
+        Value of ``output.attitude`` in the config, ``quaternion`` or ``euler-angles``; empty without an attitude.
+        ``to_pandas`` returns the attitude in this form. ``trajectory[name]`` gives columns of both forms.
     quantities : tuple of Quantity
-        Observables of ``output.quantities``.
+        Formulas given in ``output.quantities`` of the config.
     theta : ndarray, shape (m,), or None
-        For the crossings of a section, the fraction of the step after ``n`` at which each lies; None otherwise.
+        Fraction of a step from step ``n`` to the crossing, for a run that records the crossings of a Poincaré section.
+        None for other runs.
 
     Examples
     --------
@@ -70,8 +73,8 @@ class Trajectory:
     <Trajectory of kowalevski under hk: 1001 rows, completed 1000 steps (t = 10)>
     >>> trajectory.states.shape, float(trajectory.t[-1]), trajectory["gamma1"].shape
     ((1001, 6), 10.0, (1001,))
-    >>> trajectory.invariants().loc["energy", "verdict"]
-    'bounded'
+    >>> print(trajectory.invariants().loc["energy", "statement"])
+    undecided: covers half an oscillation of omega1; run T >= 40
     """
 
     top: Top
@@ -102,8 +105,8 @@ class Trajectory:
     ) -> Trajectory:
         """Carry out ``run`` and return its trajectory, with the step at which it left its energy surface.
 
-        ``attitude`` is the form of the attitude, whose quaternions then follow the states of the run. With ``search``
-        the crossings of a section are kept alone.
+        ``attitude`` is the value of ``output.attitude``; if it is given, each state of ``run`` is followed by the
+        quaternion of the attitude. With ``search``, only the crossings of a Poincaré section are kept.
         """
         fields: dict[str, Any] = {"quantities": quantities}
         if search is None:
@@ -123,7 +126,7 @@ class Trajectory:
 
     @property
     def t(self) -> Array:
-        """Times of the recorded states, shape (m,): ``n * h``, or those of the crossings of a section."""
+        """Times of the recorded states or, for a Poincaré section, of its crossings, shape (m,)."""
         return self._steps * self.h
 
     @property
@@ -137,13 +140,15 @@ class Trajectory:
         return self.ending.outcome
 
     def __repr__(self) -> str:
-        return f"<Trajectory of {self.top.kind} under {self.scheme}: {len(self)} rows, {self.ending.message}>"
+        return (
+            f"<Trajectory of {self.top.kind} under {self.scheme}: {counted(len(self), 'row')}, {self.ending.message}>"
+        )
 
     def __len__(self) -> int:
         return len(self.n)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Column by name, shape (m,). Raises UsageError for an unknown name."""
+        """Return the column called ``name``, shape (m,). Raises UsageError if there is none."""
         values: dict[str, NDArray[Any]] = {"n": self.n}
         if self.attitude is not None:
             for form, names in ATTITUDES.items():
@@ -160,25 +165,25 @@ class Trajectory:
         return pd.DataFrame({name: self[name] for name in names})
 
     def invariants(self) -> pd.DataFrame:
-        """Return the report on invariants and modified integrals, one row each (see ``analysis.tally``)."""
+        """Return a DataFrame with one row per invariant and modified integral: deviations, drift, verdict."""
         import pandas as pd
 
         rows = self.invariant_rows() if len(self) else ()  # a section may never be crossed
         return pd.DataFrame([row.as_dict() for row in rows], columns=None if rows else ["name"]).set_index("name")
 
     def invariant_rows(self) -> Sequence[InvariantRow]:
-        """Return the report on invariants and modified integrals as rows, in the order of the columns."""
+        """Return the report on the invariants and modified integrals, with one ``InvariantRow`` for each."""
         if self.rows is not None:
             return self.rows
-        return invariant_report((*self.top.invariants(), *self.modified), self.n, self.h, self.states)
+        return invariant_report((*self.top.invariants(), *self.modified), self.n, self.h, self.states, self.top)
 
 
 @dataclass(frozen=True, repr=False)
 class Ensemble:
-    """Trajectories of one scheme from many initial states, as ``topcli.simulate_ensemble`` returns them.
+    """Trajectories of one scheme from many initial states, as returned by ``topcli.simulate_ensemble``.
 
-    ``ensemble[name]`` is a column of shape (trajectories, m) by name: a component of the state, an invariant of the
-    top, or a modified integral of the scheme. ``len(ensemble)`` is the number of trajectories.
+    ``ensemble[name]`` is the column ``name``, shape (trajectories, m). The name is a component of the state, an
+    invariant of the top, or a modified integral of the scheme. ``len(ensemble)`` is the number of trajectories.
 
     Attributes
     ----------
@@ -189,27 +194,28 @@ class Ensemble:
     h : float
         Step size, in units of time.
     n : ndarray of int64, shape (m,)
-        Recorded step numbers; m is 0 if the rows were not stored.
+        Numbers of the recorded steps; m is 0 if the rows were not stored.
     states : ndarray, shape (trajectories, m, d)
-        States in the order of ``top.components``; nan after the end of a trajectory that ended early.
+        States in the order of ``top.components``. They are nan after the end of a trajectory that ended early.
     initial : ndarray, shape (trajectories, d)
         Initial states.
     last : ndarray, shape (trajectories, d)
-        State at step N, or the last recorded one of a trajectory that ended early.
+        State of each trajectory at step N or, if the trajectory ended early, its last recorded state.
     last_n : ndarray of int64, shape (trajectories,)
         Step numbers of ``last``.
     endings : Endings
         Ending of each trajectory.
     tallies : tuple of InvariantTally
-        Deviations of the invariants, one tally for each top.
+        Deviations of the invariants, one object for each group of trajectories that have the same top.
     table : dict of str to ndarray
-        Columns of ``trajectories()``.
+        Columns of the DataFrame that ``trajectories()`` returns.
     modified : tuple of tuple of Invariant
-        Integrals of the scheme itself, for each trajectory.
+        Modified integrals (functions of the state and of h that the scheme conserves) for each trajectory.
     compile_seconds, run_seconds, setup_seconds : float
-        Wall time of compiling or loading the machine code, of the steps, and of the set-ups of a closed form.
+        Wall times in seconds, in this order: for compiling or loading the machine code, for the steps, and for the
+        set-ups of a closed form.
     quantities : tuple of Quantity
-        Observables of ``output.quantities``.
+        Formulas given in ``output.quantities`` of the config.
 
     Examples
     --------
@@ -248,7 +254,7 @@ class Ensemble:
 
     @property
     def outcomes(self) -> dict[Outcome, int]:
-        """Number of trajectories by outcome, for the outcomes that occur."""
+        """Number of trajectories with each outcome that occurs."""
         return self.endings.outcomes
 
     def __len__(self) -> int:
@@ -256,14 +262,17 @@ class Ensemble:
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{count} {outcome.value}" for outcome, count in self.outcomes.items())
-        return f"<Ensemble of {len(self)} under {self.scheme}: {len(self.n)} rows each, {counts}>"
+        return f"<Ensemble of {len(self)} under {self.scheme}: {counted(len(self.n), 'row')} each, {counts}>"
 
     def _kept(self, index: int) -> int:
         """Number of rows of trajectory ``index``."""
         return int(np.count_nonzero(self.n <= self.last_n[index]))
 
     def trajectory(self, index: int) -> Trajectory:
-        """Single trajectory. Raises IndexError, and ValueError if the rows were not stored."""
+        """Return one trajectory.
+
+        Raises IndexError if there is no trajectory ``index``, and ValueError if the rows were not stored.
+        """
         if not len(self.n):
             raise ValueError("the rows were not stored; run with store='trajectories'")
         index = range(len(self))[index]
@@ -282,20 +291,28 @@ class Ensemble:
         )
 
     def __getitem__(self, name: str) -> Array:
-        """Column by name, shape (trajectories, m). Raises UsageError for an unknown name."""
+        """Return the column called ``name``, shape (trajectories, m). Raises UsageError if there is none."""
         made = np.empty(self.states.shape[:2])
         for i, (top, modified) in enumerate(zip(self.tops, self.modified, strict=True)):
             made[i] = columns(top, self.n, self.h, self.states[i], [name], modified, quantities=self.quantities)[name]
         return made
 
     def trajectories(self) -> pd.DataFrame:
-        """Return one row per trajectory: varied parameters, initial state, outcome, deviations and drifts."""
+        """Return a DataFrame with one row per trajectory.
+
+        A row contains the parameters of the top that vary in the ensemble, the initial state, the outcome, and the
+        deviations and drifts of the invariants.
+        """
         import pandas as pd
 
         return pd.DataFrame(self.table).set_index("trajectory")
 
     def invariants(self) -> pd.DataFrame:
-        """Return one row per invariant: quantiles of its deviations, and the number within round-off."""
+        """Return a DataFrame with one row per invariant.
+
+        A row contains quantiles of the deviations over the trajectories, and the number of trajectories on which the
+        invariant is constant to round-off.
+        """
         import pandas as pd
 
         summary = EnsembleSummary(io.BytesIO())

@@ -1,17 +1,20 @@
-"""Line through the deviations of a run: its slope, the error of the slope, and the model that decides the error.
+"""Line fitted to the deviations of a run: its slope, and the error of the slope under oscillations or random walks.
 
 The line is fitted with Hann weights: an oscillation of period P in a run of length T leaks into the slope only as
-(P/T)^3. The standard error of the slope depends on the rest of the deviation, for which two models are compared:
+(P/T)^3, while into a line of equal weights (``numpy.polyfit``) it leaks as P/T. The standard error of the slope is the
+larger of two:
 
-*linear trend*  noise or an oscillation that does not grow; its error allows for correlation (Newey, West 1987);
-*random walk*   independent increments, as from rounding errors: every single walk shows some slope, without meaning.
+*within the run*  how uncertain the residuals make the slope. Two models of them are compared: a *linear trend* with
+                  noise or an oscillation that does not grow, whose error allows for correlation (Newey, West 1987),
+                  and a *random walk* of independent increments, as from rounding errors, which has a slope in every
+                  run even without a drift.
+*between parts*   the largest difference between the slope and those of the halves and thirds of the run, scaled to its
+                  length. In most cases the residuals are not noise but a slow oscillation of the motion, and each part
+                  covers a different phase of it.
 
 The linear trend is chosen only if it is ``EVIDENCE`` times as likely. The test uses the ``LOW`` slowest components of
 the residuals, then all of them: in white noise all are equally large, in a random walk the slower ones are larger
-(Müller, Watson, Econometrica 76 (2008) 979). In 4,000 simulations each with 64 to 128 blocks, random walks without
-drift were taken for linear trends in 4 of 100 cases and exceeded ``tally.SIGNIFICANCE`` standard errors in 2 of 100 (in
-22 to 30 of 100 by the error of a linear trend); white noise was never taken for a random walk and exceeded them in 1 of
-4,000.
+(Müller, Watson, Econometrica 76 (2008) 979).
 """
 
 from __future__ import annotations
@@ -28,18 +31,38 @@ LAGS = 8
 WALK_LAGS = 2
 """Correlated lags of the increments of a random walk: means over neighbouring blocks share half a block each."""
 LOW = 8
+PARTS = (2, 3)
+"""Numbers of parts of a run whose slopes have to agree."""
 EVIDENCE = 5.0
 LINEAR, WALK = "linear trend", "random walk"
 
 
 @dataclass(frozen=True)
 class Trend:
-    """A line through block means: ``slope`` with its standard ``error`` by ``model``, and rms ``scatter`` about it."""
+    """A line through block means: ``slope``, and its standard errors ``within`` the run and ``between`` its parts.
+
+    ``model`` is that of the residuals.
+    """
 
     slope: float
-    error: float
-    scatter: float
+    within: float
+    between: float
     model: str
+
+    @property
+    def error(self) -> float:
+        """Standard error of the slope, the larger of the two."""
+        return max(self.within, self.between)
+
+    @property
+    def margin(self) -> float:
+        """Half the width of the confidence interval of the slope, 95 %."""
+        return 2.0 * self.error
+
+    @property
+    def bound(self) -> float:
+        """Bound of the magnitude of the true slope, with 95 % confidence."""
+        return abs(self.slope) + self.margin
 
 
 def hann_line(t: Array) -> tuple[Array, Array] | None:
@@ -81,18 +104,35 @@ def trend(t: Array, values: Array, lengths: Array | None = None) -> Trend | None
     s = t - weight @ t
     slope = float(influence @ values)
     residual = values - (weight @ values) - slope * s
-    scatter = math.sqrt(float(weight @ residual**2))
-    if _walks(residual, gaps):
+    walks = _walks(residual, gaps)
+    if walks:
         reach = np.cumsum(influence[::-1])[-2::-1]  # of each increment into the slope
         increments = np.diff(residual)
         if gaps is not None:
             reach, increments = reach * np.sqrt(gaps), increments / np.sqrt(gaps)
         variance = _long_run(increments, WALK_LAGS) / (m - 2.0 - WALK_LAGS) * float(reach @ reach)
-        return Trend(slope, math.sqrt(max(variance, 0.0)), scatter, WALK)
-    lags = min(LAGS, int(count) // 4)
-    variance = _long_run(influence * residual, lags)
-    variance *= count / (count - 2.0 * (lags + 1))  # residuals of a fit are smaller than the noise
-    return Trend(slope, math.sqrt(max(variance, 0.0)), scatter, LINEAR)
+    else:
+        lags = min(LAGS, int(count) // 4)
+        variance = _long_run(influence * residual, lags)
+        variance *= count / (count - 2.0 * (lags + 1))  # residuals of a fit are smaller than the noise
+    between = _disagreement(slope, t, values, np.full(m, abs(t[1] - t[0])) if lengths is None else lengths)
+    return Trend(slope, math.sqrt(max(variance, 0.0)), between, WALK if walks else LINEAR)
+
+
+def _disagreement(slope: float, t: Array, values: Array, lengths: Array) -> float:
+    """Largest difference between the slope and those of the parts, each with a Hann window of its own.
+
+    It is scaled to the length of the run by the power -3/2, with which the standard error of the slope of white noise
+    goes.
+    """
+    differences = []
+    for count in PARTS:
+        edges = [part * len(t) // count for part in range(count + 1)]
+        for part in map(slice, edges, edges[1:]):
+            weight, _ = _uneven_weights(t[part], lengths[part])
+            of_part = float(_line(t[part], weight)[1] @ values[part])
+            differences.append(abs(of_part - slope) / count**1.5)
+    return max(differences)
 
 
 def _uneven_weights(t: Array, lengths: Array) -> tuple[Array, Array]:

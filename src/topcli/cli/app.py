@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterator, Mapping, MutableMapping
 from functools import cache
@@ -13,17 +14,18 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from topcli.cli.commands import COMMANDS, GROUPS, STUDY, examples_of
 from topcli.cli.output import emit, print_error, print_message, print_message_text
 from topcli.errors import ExitCode, TopcliError, UsageError, clipped
 from topcli.studies import STUDIES, find_study
 
-STUDY = "study"
-"""Place of a command that follows from a study."""
 _TYPE = re.compile(r" <[^>]*>$")
-WITHOUT_PLUGINS = frozenset(("verify", "table", "claims", "compositions", "sweeps", "runs"))
-"""Commands that meet no scheme, top, measure, figure or case of a user: they have no option ``--plugin``."""
-
-
+_IN_WORDS = (
+    (re.compile(r"\[default: \((.*)\)(?=[];])"), r"[default: \1"),
+    (re.compile(r"([\d.]+)<=x<=([\d.]+)(?=\]$)"), r"\1 to \2"),
+    (re.compile(r"x>=([\d.]+)(?=\]$)"), r"at least \1"),
+)
+"""Defaults in words without parentheses, and bounds in words."""
 FAILED_PLUGINS = "topcli.plugins.failed"
 """Key of the messages about the files of ``--plugin`` that failed, in the context of ``topcli doctor``."""
 
@@ -48,7 +50,7 @@ def _with_plugins(
             "--plugin",
             "--scheme-file",
             metavar="FILE",
-            help="Load tops, schemes, measures, figures, cases from a file.",
+            help="Load tops, schemes, measures, figures from a Python file.",
             callback=_load_plugins,
             expose_value=False,
             is_eager=True,  # the completion of other options knows them
@@ -66,22 +68,52 @@ def _plugin_option() -> Any:
     return get_command(single).params[0]
 
 
+def _write_examples(ctx: Any, formatter: Any) -> None:
+    """Write two examples at the end of a help."""
+    with formatter.section("Examples"):
+        for example in examples_of(ctx.command_path.partition(" ")[2]):
+            formatter.write(f"{'':{formatter.current_indent}}{example}\n")
+
+
 class Command(TyperCommand):
-    """A command with the option ``--plugin``, whose help lists arguments without types such as ``<list[str]>``."""
+    """A command with the option ``--plugin``; its help marks repeatable options and shows no types of Python."""
 
     def __init__(self, name: str | None, **attributes: Any) -> None:
         super().__init__(name, **attributes)
-        if name not in WITHOUT_PLUGINS:
-            self.params.append(_plugin_option())
+        self.params.append(_plugin_option())
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Pieces of the usage, without braces around required arguments."""
+        return [piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments and the options."""
-        write = formatter.write_dl
-        formatter.write_dl = lambda rows, *args, **kwargs: write(
-            [(_TYPE.sub("", name), text) for name, text in rows], *args, **kwargs
-        )
-        super().format_options(ctx, formatter)
-        formatter.write_dl = write
+        for title, rows in parameter_rows(self, ctx).items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the epilog and two examples."""
+        super().format_epilog(ctx, formatter)
+        _write_examples(ctx, formatter)
+
+
+def parameter_rows(command: Any, ctx: Any) -> dict[str, list[tuple[str, str]]]:
+    """Names and help texts of the arguments and of the options of a command, as its help lists them."""
+    rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+    for parameter in command.get_params(ctx):
+        record = parameter.get_help_record(ctx)
+        if record is None:
+            continue
+        name, text = record
+        for pattern, words in _IN_WORDS:
+            text = pattern.sub(words, text)
+        option = parameter.param_type_name == "option"
+        if option and parameter.multiple:
+            text = f"{text[:-1]}; repeatable]" if text.endswith("]") else f"{text}  [repeatable]"
+        rows["Options" if option else "Arguments"].append((_TYPE.sub("", name), text))
+    return rows
 
 
 class Commands(MutableMapping[str, Any]):
@@ -117,10 +149,13 @@ class StudyCommand(TyperCommand):
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """Context of the command itself."""
+        return self.whole().make_context(info_name, args, parent, **extra)
+
+    def whole(self) -> Any:
+        """The command itself, with all options."""
         from topcli.cli.study import command
 
-        name = str(self.name)
-        return _typer_command(command(find_study(name)), name).make_context(info_name, args, parent, **extra)
+        return _typer_command(command(find_study(str(self.name))), str(self.name))
 
 
 def _imported(name: str, place: str) -> Any:
@@ -142,7 +177,16 @@ def _typer_command(function: Any, name: str) -> Any:
     return command
 
 
-class LazyGroup(TyperGroup):
+class Group(TyperGroup):
+    """A group of commands whose help ends with examples."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the epilog and two examples."""
+        super().format_epilog(ctx, formatter)
+        _write_examples(ctx, formatter)
+
+
+class LazyGroup(Group):
     """Base of a group whose ``places`` name its commands and where they are."""
 
     places: Mapping[str, str] = {}
@@ -153,36 +197,18 @@ class LazyGroup(TyperGroup):
 
 
 class _Topcli(LazyGroup):
-    """All commands, in the order of the help."""
+    """All commands, in the groups and the order of the help."""
 
-    places = {  # noqa: RUF012 (a constant)
-        "run": "run.run",
-        "sweep": "sweep.sweep",
-        "verify": "results.verify",
-        "compare": STUDY,
-        "analyse": STUDY,
-        "bench": "bench.bench",
-        "table": "results.table",
-        "order": STUDY,
-        "plot": "plot.plot",
-        "report": "results.report",
-        "animate": "results.animate",
-        "lax": STUDY,
-        "integrability": STUDY,
-        "discover": STUDY,
-        "roundoff": STUDY,
-        "lyapunov": STUDY,
-        "frequencies": STUDY,
-        "stress": STUDY,
-        "check": STUDY,
-        "claims": STUDY,
-        "show": "inspect.show",
-        "init": "inspect.init",
-        "schema": "inspect.schema",
-        "doctor": "inspect.doctor",
-        "cite": "listing.cite",
-        "list": "listing.list_app",
-    }
+    places = {name: entry.place for name, entry in COMMANDS.items()}  # noqa: RUF012 (a constant)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands in their groups."""
+        width = max(map(len, self.commands))
+        for title, entries in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl(
+                    [(name.ljust(width), self.commands[name].get_short_help_str(formatter.width)) for name in entries]
+                )
 
 
 app = typer.Typer(
@@ -192,10 +218,23 @@ app = typer.Typer(
     rich_markup_mode=None,  # rich would make --help three times slower
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Numerical experiments on discrete spinning tops: run, measure, compare, draw.",
-    epilog="First steps: topcli init, topcli run experiment.yaml, topcli report results/NAME --out NAME.html.\n\n"
-    f"Exit codes: {', '.join(f'{code} {code.meaning}' for code in ExitCode)}.",
+    help="Run, measure, compare and draw numerical experiments on discrete spinning tops.",
+    epilog=f"Exit codes: {', '.join(f'{code} {code.meaning}' for code in ExitCode)}.",
 )
+
+
+def all_commands() -> dict[str, Any]:
+    """Contexts of all commands, also those of ``topcli list``, by their words after ``topcli``."""
+    root = get_command(app)
+    top = root.context_class(root, info_name="topcli")
+    contexts: dict[str, Any] = {}
+    for name in COMMANDS:
+        command = root.commands[name]  # pyright: ignore[reportAttributeAccessIssue]
+        command = command.whole() if isinstance(command, StudyCommand) else command
+        inner = contexts[name] = command.context_class(command, info_name=name, parent=top)
+        for sub, listed in getattr(command, "commands", {}).items():
+            contexts[f"{name} {sub}"] = listed.context_class(listed, info_name=sub, parent=inner)
+    return contexts
 
 
 def call() -> int | str | None:
@@ -221,7 +260,9 @@ def _say_usage(error: Any) -> None:
         print_message_text(message)
         return
     message = clipped(message, 240).removesuffix(".").replace(". Did you mean", "; did you mean")
-    message = re.sub(r" \(Possible options: (.*)\)$", r"; did you mean \1?", message)
+    message = message.replace("', '", "' or '")
+    near = difflib.get_close_matches(getattr(error, "option_name", ""), getattr(error, "possibilities", None) or [], 1)
+    message = re.sub(r" \(Possible options: .*\)$", lambda _: f"; did you mean {near[0]}?" if near else "", message)
     ctx = getattr(error, "ctx", None)
     hint = f" (see {ctx.command_path} --help)" if ctx is not None else ""
     print_message(f"error: {message[:1].lower()}{message[1:]}{hint}")

@@ -9,8 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, Schemes, Sets, config_option
-from topcli.cli.output import ProgressDisplay, emit, emit_prose, print_cells, print_json, print_message, print_warnings
+from topcli.cli.options import Json, Out, Quiet, Schemes, Sets, config_option
+from topcli.cli.output import (
+    ProgressDisplay,
+    emit,
+    emit_prose,
+    messages,
+    print_cells,
+    print_json,
+    print_message,
+    print_warnings,
+)
 from topcli.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -25,27 +34,30 @@ def _complete_scene(incomplete: str) -> list[str]:
 
 
 def _print_result(result: dict[str, Any], all_points: bool) -> None:
-    """Print the result of one scene: the table of decades, the front in words, and with ``all_points`` every point."""
+    """Print the result of one scene: decades that are won, the table of decades; with ``all_points`` all details."""
     from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE, ladder_lines, microseconds, setup_words
     from topcli.table import number
 
     span = f"t from 0 to {result['duration']:g}, CPU time per unit of time"
     title = f"{result['name']}: {result['title']}, {span}"
-    print_cells(replace(DECADE_TABLE.cells(result), numbers=(0, 3, 6, 7, 8)), title)
-    emit()
-    for row in result["decades"]:
-        emit_prose(row["words"])
     reached = [row for row in result["decades"] if row["peer"]]
     if reached and result["goal"]:
         met = sum(row["ratio"] is not None and row["ratio"] >= result["goal"] for row in reached)
         goal = f"at least {result['goal']:g} times faster than the best peer"
-        emit_prose(f"{goal} at {met} of the {len(reached)} decades that a peer reaches")
+        emit_prose(f"{result['name']}: {goal} at {met} of the {len(reached)} decades that a peer reaches")
+        emit()
+    print_cells(replace(DECADE_TABLE.cells(result), numbers=(0, 3, 6, 7, 8)), title)
+    said = [row["words"] for row in result["decades"]] if all_points else []
     for row in result["closed_forms"]:
         error, time = number(row["error"]), microseconds(row["seconds_per_state"])
-        emit_prose(
+        said.append(
             f"in closed form, {row['name']}: distance from the reference {error}, {time} µs a state over "
             f"{row['states']} states{setup_words(row)}"
         )
+    if said:
+        emit()
+    for line in said:
+        emit_prose(line)
     emit()
     if all_points:
         print_cells(replace(POINT_TABLE.cells(result), numbers=range(2, 7), keys=2), f"{result['name']}: every point")
@@ -81,28 +93,31 @@ def _peers(against: str) -> list[Peer]:
 Scenes = Annotated[
     list[str] | None,
     typer.Option(
-        "--scene", metavar="SCENE", help="Measure on this scene; all by default.", autocompletion=_complete_scene
+        "--scene", metavar="SCENE", help="Measure on this scene.", show_default="all", autocompletion=_complete_scene
     ),
 ]
 Configs = Annotated[
     list[str] | None,
-    config_option("Use a config as a scene."),
+    config_option("the packaged scenes of the benchmark"),
 ]
-Against = Annotated[str, typer.Option("--against", metavar="PEER,...", help="Compare with all, none, or these peers.")]
-Budget = Annotated[
-    float, typer.Option("--budget", metavar="SECONDS", help="Limit the CPU seconds of one run.", min=1e-4)
+Against = Annotated[
+    str, typer.Option("--against", metavar="PEER,...", help="Compare with all peers, with none, or with these.")
 ]
-Repetitions = Annotated[int, typer.Option("--repetitions", metavar="COUNT", help="Repeat short runs.", min=1)]
+Budget = Annotated[float, typer.Option("--budget", metavar="SECONDS", help="Limit the CPU time of one run.", min=1e-4)]
+Repetitions = Annotated[
+    int, typer.Option("--repetitions", metavar="COUNT", help="Repeat each short run this many times.", min=1)
+]
 Processes = Annotated[
     int,
-    typer.Option("--processes", metavar="COUNT", help="Start peers whose speed varies in this many processes.", min=1),
+    typer.Option("--processes", metavar="COUNT", help="Time peers of varying speed in this many processes.", min=1),
 ]
 Samples = Annotated[
     int,
-    typer.Option("--samples", metavar="COUNT", help="Compare states at this many times.", min=1, max=100_000),
+    typer.Option(
+        "--samples", metavar="COUNT", help="Measure the error at this many times of the motion.", min=1, max=100_000
+    ),
 ]
-Points = Annotated[bool, typer.Option("--points", help="Print every point instead of the front alone.")]
-ResultsOut = Annotated[Path, typer.Option("--out", metavar="DIR", help="Write results into this folder.")]
+Points = Annotated[bool, typer.Option("--points", help="Print all measurements, not only the fastest ones.")]
 
 
 def bench(
@@ -116,12 +131,14 @@ def bench(
     processes: Processes = 5,
     samples: Samples = 100,
     all_points: Points = False,
-    out: ResultsOut = Path("results/bench"),
+    out: Out = Path("results/bench"),
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure speed against error and name the fastest schemes.
 
-    Every scheme and peer runs over a ladder of step sizes or tolerances.
+    Each scheme runs with a series of step sizes. Each peer (an integrator of another package) runs with a series of
+    step sizes or tolerances. An earlier, different result of the same name is renamed.
     """
     from topcli.store.files import require_writable
     from topcli.store.provenance import now
@@ -135,28 +152,28 @@ def bench(
     fields = _contest(problems, schemes or ())
     require_bench_folder(out, [problem.name for problem in problems])
     require_writable(out)
-    display = ProgressDisplay(len(problems), as_json)
+    display = ProgressDisplay(len(problems), as_json or quiet, unit="measurements")
+    say = messages(quiet)
     effort = Effort(budget, repetitions)
     results = []
     for problem, field in zip(problems, fields, strict=True):
-        print_warnings(problem.experiment)
+        if not quiet:
+            print_warnings(problem.experiment)
         for name, reason in field.left_out if schemes else ():
-            print_message(f"{problem.name}: {name} is left out: {reason}")
+            say(f"{problem.name}: {name} is left out: {reason}")
         if not (field.schemes or field.closed_forms or peers):
             continue
         display.begin(problem.name)
         started = now()
         try:
-            result = measure(
-                problem, field, peers, effort, processes=processes, on_progress=display, on_message=print_message
-            )
+            result = measure(problem, field, peers, effort, processes=processes, on_progress=display, on_message=say)
         finally:
             display.close()
         stored, aside = store_bench(result, code_of(field, problem), started, now(), out)
         if aside is not None:
-            print_message(f"{problem.name}: renamed the earlier, different result to {aside}")
+            say(f"{problem.name}: renamed the earlier, different result to {aside}")
         results.append({**result, "folder": str(stored.folder)})
-        if not as_json:
+        if not (as_json or quiet):
             _print_result(result, all_points)
             print_message(f"wrote {stored.folder}")
     if as_json:

@@ -11,13 +11,18 @@ import typer
 
 from topcli.cli.app import FAILED_PLUGINS
 from topcli.cli.options import (
+    Force,
     Json,
-    Overwrite,
+    Quiet,
+    Results,
     Sets,
     complete_config,
     complete_scheme,
     hint_instead,
+    option,
+    require_new,
     show_hint,
+    stored_place,
     top_option,
     write_text,
 )
@@ -45,26 +50,27 @@ def show(
         str,
         typer.Argument(
             metavar="CONFIG|SCHEME|TOP|FOLDER",
-            help="A config file, a packaged scene, a scheme, a top, or the folder of a run or sweep.",
+            help="Config file, packaged scene, scheme, top, or folder of a run or sweep.",
             autocompletion=complete_config_or_scheme,
         ),
     ],
     row: Annotated[
-        int | None, typer.Option("--row", metavar="NUMBER", help="Show this row of a sweep as a config.")
+        int | None, typer.Option("--row", metavar="NUMBER", help="Show this row of a stored sweep as a config.")
     ] = None,
-    top: Annotated[str | None, top_option("Show the scheme for this top only.")] = None,
+    top: Annotated[str | None, top_option("for a scheme, all tops to which it applies")] = None,
     source: Annotated[
-        bool, typer.Option("--source", help="Show the code of a scheme that is made from the field of a top.")
+        bool, typer.Option("--source", help="Show the code generated for a scheme from the equations of motion.")
     ] = False,
     motion: Annotated[
         bool, typer.Option("--motion", help="Show the class, frequencies and periods of the exact motion.")
     ] = False,
     sets: Sets = None,
+    results: Results = Path("results"),
     as_json: Json = False,
 ) -> None:
     """Show a config, a scheme, a top, or a row of a sweep."""
     from topcli.config.load import load_named
-    from topcli.studies.scheme_page import generated_source, scheme_data, scheme_forms, scheme_text
+    from topcli.studies.scheme_page import generated_source, scheme_data, scheme_forms, schemes_text
     from topcli.studies.top_page import top_data, top_text
     from topcli.tops import forms, top_names
 
@@ -76,7 +82,7 @@ def show(
     elif row is not None or os.path.isdir(folder):
         from topcli.cli.sweep import show_sweep
 
-        return show_sweep(folder, row, sets or [], as_json)
+        return show_sweep(stored_place(folder, results), row, sets or [], as_json)
     is_name = not sets and not folder.suffix
     schemes = scheme_forms(config, top) if is_name else []
     if (top or source) and not schemes:
@@ -95,7 +101,7 @@ def show(
         if as_json:
             print_json("show", {"schemes": [scheme_data(scheme) for scheme in schemes]})
         else:
-            emit_text("\n\n".join(scheme_text(scheme, prose_width()) for scheme in schemes))
+            emit_text(schemes_text(schemes, prose_width()))
         return
     with hint_instead([config], show_hint):
         experiment = load_named(config, sets or [])
@@ -117,21 +123,22 @@ def init(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Path of the config, .yaml or .toml.")] = Path(
         "experiment.yaml"
     ),
-    top: Annotated[str, top_option("Choose the top.")] = "kowalevski",
+    top: Annotated[str, top_option()] = "kowalevski",
     scheme: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--scheme",
             metavar="SCHEME",
-            help="Choose the scheme; by default hybrid, hk or the first that fits.",
+            default="hybrid, hk or another scheme that fits the top",
             autocompletion=complete_scheme,
         ),
     ] = None,
-    force: Overwrite = False,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Write a commented starter config and its JSON Schema.
+    """Write a config with comments to start from.
 
-    The schema is written beside the config, so that editors find it.
+    The JSON Schema of configs is written to the same folder, where editors find it.
     """
     import json
 
@@ -145,13 +152,15 @@ def init(
     text = starter_config(top, scheme, schema_path.name, toml=path.suffix == ".toml")
     schema_text = json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n"
     for file, same in ((path, ""), (schema_path, schema_text)):
-        if os.path.exists(file) and not force and not _holds(file, same):
-            raise UsageError(f"{file}: exists already; choose another path, or use --force to overwrite it")
+        if not _holds(file, same):
+            require_new(file, force, "")
     write_text(schema_text, schema_path, "")
     write_text(text, path, "")
-    emit(str(path))
-    print_message(f"wrote {path} and {schema_path}")
-    print_message(f"next: topcli run {path}")
+    if not quiet:
+        emit(str(path))
+    if not quiet:
+        print_message(f"wrote {path} and {schema_path}")
+        print_message(f"next: topcli run {path}")
 
 
 def schema() -> None:
@@ -162,7 +171,10 @@ def schema() -> None:
 
 
 def doctor(context: typer.Context, as_json: Json = False) -> None:
-    """Report versions, CPU, compilation cache and plugins."""
+    """Report versions, CPU, compilation cache and plugins.
+
+    A plugin that could not be loaded is listed as a problem.
+    """
     from topcli.studies.health import diagnosis
 
     data = diagnosis()

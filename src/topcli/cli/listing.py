@@ -11,20 +11,21 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from topcli.cli.app import Command
-from topcli.cli.options import Json, complete_scheme, complete_top, top_option
+from topcli.cli.app import Command, Group
+from topcli.cli.options import Json, Markdown, complete_scheme, complete_top, option, top_option
 from topcli.cli.output import emit_text, print_cells, print_json, print_message
 from topcli.errors import shortened
 from topcli.table import Column, Table
 
 list_app = typer.Typer(
+    cls=Group,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
-    help="List tops, schemes, measures, scenes, figures or runs.",
+    help="List tops, schemes, scenes, figures, runs and more.",
 )
 
-OnlyTop = Annotated[str | None, top_option("List only entries for this top.")]
+OnlyTop = Annotated[str | None, top_option("all")]
 
 
 class Listing(NamedTuple):
@@ -72,7 +73,7 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):
-        value = [f"{key}={part}" for key, part in value.items()]
+        value = [key if part is None else f"{key} = {_text(part)}" for key, part in value.items()]
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "–"
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -101,7 +102,8 @@ def print_plugin_failures() -> None:
 def tops(as_json: Json = False) -> Listing:
     """List the tops with their parameters and invariants.
 
-    The parameters are keys of a config. A step does not get them, but p, the constants of the equations of motion.
+    The parameters are keys of a config. The Python function of a step gets other numbers, p: the constants of the
+    equations of motion.
     """
     from topcli.schemes.plugins import top_origin
     from topcli.tops import TOPS
@@ -120,20 +122,18 @@ def tops(as_json: Json = False) -> Listing:
         }
         for top in TOPS.values()
     ]
-    return Listing(items, ["form", "title", "parameters", "step_p", "invariants"])
+    return Listing(items, ["form", "title", "parameters", "invariants"])
 
 
 @_listed
 def schemes(
     top: OnlyTop = None,
     as_json: Json = False,
-    as_markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the documentation page of the schemes.")
-    ] = False,
+    as_markdown: Markdown = False,
 ) -> Listing | None:
-    """List the schemes with their declared traits.
+    """List the schemes with their declared properties.
 
-    Plugins that failed are reported on stderr.
+    A plugin that cannot be loaded is reported on stderr.
     """
     from topcli.schemes.registry import all_schemes
     from topcli.studies.scheme_page import scheme_data, schemes_page
@@ -146,14 +146,14 @@ def schemes(
     for item in items:
         item["options"] = {name: str(option["default"]) for name, option in item["options"].items()}
     print_plugin_failures()
-    return Listing(items, ["name", "top", "order", "self_adjoint", "conserves"])
+    return Listing(items, ["name", "top", "title", "order", "conserves"])
 
 
 @_listed
 def compositions(as_json: Json = False) -> Listing:
     """List the compositions that raise a scheme's order.
 
-    Write scheme+composition, such as hk+suzuki4; the scheme must be self-adjoint.
+    A composed scheme is written scheme+composition, for example hk+suzuki4. The scheme must be self-adjoint.
     """
     from topcli.schemes.compose import COMPOSITIONS
 
@@ -163,7 +163,7 @@ def compositions(as_json: Json = False) -> Listing:
 
 @_listed
 def scenes(top: OnlyTop = None, as_json: Json = False) -> Listing:
-    """List the packaged scenes, names that stand for configs."""
+    """List the packaged scenes: configs that can be run by name."""
     from topcli.config import load
 
     items = [
@@ -177,7 +177,7 @@ def scenes(top: OnlyTop = None, as_json: Json = False) -> Listing:
         }
         for name, first, count, about in load.scenes(top)
     ]
-    return Listing(items, ["name", "top", "scheme", "h", "N", "about"])
+    return Listing(items, ["name", "top", "scheme", "about"])
 
 
 @_listed
@@ -208,7 +208,7 @@ def cases(top: OnlyTop = None, as_json: Json = False) -> Listing:
 def measures(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the measures of topcli sweep.
 
-    With --top, families such as drift.NAME are listed measure by measure.
+    With --top, measures such as drift.NAME are listed once for each invariant of the top.
     """
     from topcli.sweeps.measures import all_measures, measures_of_form
 
@@ -251,26 +251,26 @@ def _local_time(stamp: object) -> str:
 
 @_listed
 def runs(
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="List the run folders in this folder.", show_default="results"),
-    ] = None,
+    results: Annotated[Path | None, option("--results", metavar="DIR", default="results")] = None,
     as_json: Json = False,
 ) -> Listing:
-    """List the runs in a folder, also unfinished or damaged ones.
+    """List runs and sweeps in a folder, including unfinished ones.
 
-    A run that another process is computing is running; one whose process ended before it is killed. A resumable run
-    continues with topcli run NAME --resume.
+    The state of a run is running while another process computes it, and killed if that process ended too early. To
+    continue an unfinished run, use topcli run NAME --resume. To continue a sweep, use topcli sweep with the same file.
+    For a sweep, the column of steps counts rows.
     """
     from topcli.errors import UsageError
     from topcli.runs.run_list import listed_runs
+    from topcli.sweeps.sweep_list import listed_sweeps
 
-    if out is not None and not os.path.isdir(out):
-        raise UsageError(f"--out {out}: no such folder")
-    folder = out or Path("results")
-    items = listed_runs(folder)
+    if results is not None and not os.path.isdir(results):
+        raise UsageError(f"--results {results}: no such folder")
+    folder = results or Path("results")
+    items = sorted([*listed_runs(folder), *listed_sweeps(folder)], key=lambda item: item["name"])
     progress = ["step", "resumable"] if any(item["resumable"] or not item["ended"] for item in items) else []
-    columns = ["name", "outcome", *progress, "scheme", "h", "N", "digest", "ended"]
+    kind = ["kind"] if any(item["kind"] != "run" for item in items) else []
+    columns = ["name", *kind, "outcome", *progress, "N", "scheme", "h", "ended"]
     return Listing(items if as_json else list(map(_short, items)), columns, f"no runs in {folder}")
 
 
@@ -284,7 +284,8 @@ def cite(
         list[str] | None,
         typer.Argument(
             metavar="SCHEME|TOP",
-            help="Schemes, compositions and tops; by default topcli and the paper.",
+            help="Names of schemes, compositions and tops.",
+            show_default="topcli and the paper",
             autocompletion=complete_cited,
         ),
     ] = None,

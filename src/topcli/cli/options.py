@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.models import OptionInfo
@@ -53,53 +53,117 @@ def complete_config(incomplete: str) -> list[str]:
     return [name for name in [*own_files, *scene_files()] if name.startswith(incomplete)]
 
 
+HELP = {
+    "--component": "Use only this component or recorded column.",
+    "--config": "Read the experiment from a config or scene.",
+    "--dry-run": "Print the plan and run nothing.",
+    "--fail-fast": "Stop at the first failed run or row.",
+    "--force": "Replace existing results or files.",
+    "--format": "Write files in this format.",
+    "--json": "Print the result as one JSON document.",
+    "--markdown": "Print the result as a Markdown page.",
+    "--out": "Write the result here.",
+    "--plot": "Also draw the result.",
+    "--quiet": "Print only errors.",
+    "--results": "Look for stored results in this folder.",
+    "--retry-failed": "Repeat runs and rows that failed before.",
+    "--save": "Also write the result to a .json, .csv, .md or .tex file.",
+    "--scheme": "Choose a scheme.",
+    "--set": "Set a config key, e.g. h=0.01, T=20 or scheme.branch=sign.",
+    "--steps": "Set the number of steps of a run, e.g. 1e6.",
+    "--style": "Draw in the style of this matplotlib file (.mplstyle).",
+    "--table": "Show only this table of the result.",
+    "--threads": "Compute with this number of threads.",
+    "--top": "Choose a top.",
+    "--verbose": "Print all columns and tables of the result.",
+}
+"""Help of each option that several commands have, which is the same for all of them."""
+
+
+def option(*names: str, **attributes: Any) -> OptionInfo:
+    """The option ``names[0]`` with its shared help; ``default`` says in words what its absence means."""
+    if default := attributes.pop("default", ""):
+        attributes["show_default"] = default
+    return typer.Option(*names, help=HELP[names[0]], **attributes)
+
+
+def config_option(default: str = "") -> OptionInfo:
+    """Option ``--config``."""
+    return option("--config", metavar="CONFIG", default=default, autocompletion=complete_config)
+
+
+def top_option(default: str = "") -> OptionInfo:
+    """Option ``--top``."""
+    return option("--top", metavar="TOP", default=default, autocompletion=complete_top)
+
+
+def format_option(*formats: str, default: str = "") -> OptionInfo:
+    """Option ``--format`` of a command that writes one of the ``formats``."""
+    return option("--format", metavar="|".join(formats), default=default)
+
+
 Schemes = Annotated[
     list[str] | None,
-    typer.Argument(metavar="SCHEME", help="Names of schemes; all by default.", autocompletion=complete_scheme),
+    typer.Argument(metavar="SCHEME", help="Names of schemes.", show_default="all", autocompletion=complete_scheme),
 ]
+Sets = Annotated[list[str] | None, option("--set", metavar="KEY=VALUE")]
+Json = Annotated[bool, option("--json")]
+Quiet = Annotated[bool, option("--quiet", "-q")]
+Verbose = Annotated[bool, option("--verbose", "-v")]
+Markdown = Annotated[bool, option("--markdown")]
+DryRun = Annotated[bool, option("--dry-run")]
+FailFast = Annotated[bool, option("--fail-fast")]
+RetryFailed = Annotated[bool, option("--retry-failed")]
+Threads = Annotated[int | None, option("--threads", metavar="COUNT", min=1, default="all CPUs")]
+Out = Annotated[Path, option("--out", metavar="DIR")]
+OutFile = Annotated[Path, option("--out", metavar="FILE")]
+Results = Annotated[Path, option("--results", metavar="DIR")]
+Force = Annotated[bool, option("--force")]
+Save = Annotated[Path | None, option("--save", metavar="FILE")]
+Plot = Annotated[bool, option("--plot")]
+PictureFormats = Annotated[list[str] | None, format_option("png", "pdf", "svg", default="png and pdf")]
+Style = Annotated[Path | None, option("--style", metavar="FILE")]
 
 
-def config_option(text: str) -> OptionInfo:
-    """Option ``--config`` with the help ``text``."""
-    return typer.Option("--config", metavar="CONFIG", help=text, autocompletion=complete_config)
+def picture_formats(formats: Sequence[str] | None) -> tuple[str, ...]:
+    """Formats of pictures, each once; the default ones for None. Raises UsageError."""
+    from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS
+
+    for name in formats or ():
+        if name not in IMAGE_FORMATS:
+            raise UsageError(f"--format {quoted(name)}: unknown format; use png, pdf or svg")
+    return tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
 
 
-def top_option(text: str) -> OptionInfo:
-    """Option ``--top`` with the help ``text``."""
-    return typer.Option("--top", metavar="TOP", help=text, autocompletion=complete_top)
+def place_of(name: str | Path, results: Path) -> Path:
+    """Path that ``name`` is, or the path of the stored result of this name in the folder ``results``."""
+    inside = results / name
+    return inside if not os.path.lexists(name) and os.path.lexists(inside) else Path(name)
 
 
-Sets = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.",
-    ),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
-Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Read and write run folders in this folder.")]
-FigureOut = Annotated[Path, typer.Option("--out", metavar="DIR", help="Write figures into this folder.")]
-Force = Annotated[
-    bool,
-    typer.Option("--force", help="Run again; an existing different run is renamed, not overwritten."),
-]
-Overwrite = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
+def stored_place(name: str | Path, results: Path) -> Path:
+    """Return ``place_of`` a stored result, finished or not. Raises UsageError if there is nothing."""
+    from topcli.store.parts import parts_of
+    from topcli.sweeps.sweep_list import missing_result
+
+    place = place_of(name, results)
+    if not os.path.lexists(place) and not parts_of(place.parent, place.name):
+        raise missing_result(str(name), results)
+    return place
 
 
 def require_new(path: Path, force: bool, option: str = "--out") -> None:
     """Raise UsageError if ``path`` exists and may not be overwritten, or is a folder."""
-    from topcli.errors import UsageError
+    from topcli.store import files
 
     if os.path.isdir(path):
         raise UsageError(f"{option} {path}: is a folder; name a file")
-    if os.path.lexists(path) and not force:
-        raise UsageError(f"{option} {path}: exists already; choose another file, or use --force to overwrite it")
+    if not force:
+        files.require_new([path], option)
 
 
 def write_text(text: str, path: Path, option: str = "--out") -> None:
     """Write a file whole or not at all, and its folder if there is none. Raises UsageError."""
-    from topcli.errors import UsageError
     from topcli.store import files
 
     try:

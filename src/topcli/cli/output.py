@@ -12,8 +12,9 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from textwrap import wrap
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TextIO
 
 from topcli.errors import TopcliError, clipped, printable
@@ -23,6 +24,10 @@ from topcli.table import Cells
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
+
+
+PIPE_WIDTH = 100
+"""Characters in a line of a table that does not go to a terminal."""
 
 
 def emit(line: str = "") -> None:
@@ -60,6 +65,11 @@ def print_message(line: str) -> None:
     for part in _wrapped(clipped(printable(line), 990), sys.stderr):
         print(part, file=sys.stderr)
     sys.stderr.flush()
+
+
+def messages(quiet: bool) -> Callable[[str], None]:
+    """Function that prints a message, or nothing if only errors shall be printed."""
+    return (lambda line: None) if quiet else print_message
 
 
 def print_message_text(text: str) -> None:
@@ -123,14 +133,28 @@ def on_terminal() -> bool:
     return _terminal(sys.stdout) and os.environ.get("TERM") != "dumb"
 
 
+def in_colour() -> bool:
+    """True if stdout is such a terminal, and NO_COLOR is not set."""
+    return on_terminal() and not os.environ.get("NO_COLOR")
+
+
+COLOURS = {"good": "32", "middling": "33", "bad": "31"}
+"""Parameters of the control sequences for the marks of cells: green, yellow and red."""
+
+
 def screen_width() -> int:
     """Characters in a line of the terminal."""
     return max(40, shutil.get_terminal_size().columns)
 
 
+def table_width() -> int:
+    """Characters in a line of a table on stdout: those of the terminal; at most 100 elsewhere."""
+    return screen_width() if _terminal(sys.stdout) else PIPE_WIDTH
+
+
 def prose_width() -> int:
     """Characters in a line of prose on stdout: at most 100."""
-    return min(100, screen_width()) if _terminal(sys.stdout) else 100
+    return min(PIPE_WIDTH, screen_width()) if _terminal(sys.stdout) else PIPE_WIDTH
 
 
 def print_table(
@@ -139,24 +163,26 @@ def print_table(
     title: str = "",
     numbers: bool | Collection[int] = True,
     keys: int = 1,
+    marks: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
-    """Print a table: ruled and fitted to its width on a terminal, plain aligned columns in whole lines elsewhere.
+    """Print a table, fitted to the width of the terminal and ruled on it; in a pipe at most 100 columns wide.
 
     ``numbers`` are the indices of the right-aligned columns: all but the first by default, none if False. The first
-    ``keys`` columns name a row.
+    ``keys`` columns name a row. ``marks`` are the looks of cells with certain texts, as in ``Cells``; they are coloured
+    on a terminal.
     """
     right = range(1, len(header)) if numbers is True else numbers or ()
     table = [[printable(cell) for cell in row] for row in (header, *rows)]
-    width = screen_width() if _terminal(sys.stdout) else None
+    colours = {text: COLOURS[mark] for text, mark in marks.items()} if in_colour() else {}
     if title:
         emit_prose(title)
-    for line in table_lines(table[0], table[1:], right, width, rule=on_terminal(), keys=keys):
+    for line in table_lines(table[0], table[1:], right, table_width(), rule=on_terminal(), keys=keys, colours=colours):
         print(line)
 
 
 def print_cells(cells: Cells, title: str = "") -> None:
     """Print a table, and its caption below."""
-    print_table(cells.header, cells.lines, title, cells.numbers, cells.keys)
+    print_table(cells.header, cells.lines, title, cells.numbers, cells.keys, cells.marks)
     if cells.caption:
         emit_prose(cells.caption)
 
@@ -225,8 +251,8 @@ class ProgressDisplay:
 
 GAP = 2
 """Spaces between columns."""
-COMFORTABLE = 24
-"""Smallest width of prose if columns can go into another block instead."""
+PROSE = (24, 20, 16, 12)
+"""Smallest widths of prose that are tried in turn so that all columns fit into one block; the first for several."""
 
 
 def table_lines(
@@ -236,6 +262,7 @@ def table_lines(
     width: int | None = None,
     rule: bool = False,
     keys: int = 1,
+    colours: Mapping[str, str] = MappingProxyType({}),
 ) -> list[str]:
     """Lines of a table, none longer than ``width``.
 
@@ -256,39 +283,43 @@ def table_lines(
         Draw a line under the header.
     keys : int
         Leading columns that name a row.
+    colours : mapping of str to str
+        Parameters of the control sequences around cells with these texts.
     """
     table = [header, *rows] if header else list(rows)
     if not table:
         return []
     count = len(table[0])
     natural = [max(len(row[i]) for row in table) for i in range(count)]
-    least = natural
+    layouts = [(natural, keys)]
     if width is not None:
-        least, keys = _least(table, natural, right, width, keys)
+        layouts = [_least(table, natural, right, width, keys, prose) for prose in PROSE]
+    in_one_block = (layout for layout in layouts if len(_blocks(layout[0], width, layout[1])) == 1)
+    least, keys = next(in_one_block, layouts[0])
     lines: list[str] = []
     for block in _blocks(least, width, keys):
         widths = {i: least[i] for i in block}
         _widen(widths, natural, width)
         lines += [""] if lines else []
         for number, row in enumerate(table):
-            lines += _row_lines(row, widths, right)
+            lines += _row_lines(row, widths, right, colours)
             if rule and header and number == 0:
                 lines.append("─" * (sum(widths.values()) + GAP * (len(widths) - 1)))
     return lines
 
 
 def _least(
-    table: Sequence[Sequence[str]], natural: Sequence[int], right: Collection[int], width: int, keys: int
+    table: Sequence[Sequence[str]], natural: Sequence[int], right: Collection[int], width: int, keys: int, prose: int
 ) -> tuple[list[int], int]:
     """Smallest width of each column, and the number of columns that name a row, which is 1 if space is short.
 
-    A column is at least as wide as its longest word, and any column fits beside those that name a row.
+    A column is at least as wide as its longest word, or as ``prose``; any column fits beside those that name a row.
     """
     words = [max((len(part) for row in table for part in row[i].split()), default=0) for i in range(len(natural))]
     for i in range(len(words)):
         if i in right:  # numbers stay whole, with their errors and units; only the header is wrapped
             words[i] = max(words[i], *(len(row[i]) for row in table[1:] or table))
-    least = [word if i in right else max(word, min(natural[i], COMFORTABLE)) for i, word in enumerate(words)]
+    least = [word if i in right else max(word, min(natural[i], prose)) for i, word in enumerate(words)]
     longest = max(words[keys:], default=-GAP)
     if sum(least[:keys]) + GAP * keys > min(width * 2 // 3, width - longest) or keys >= len(words):
         keys = 1
@@ -321,7 +352,9 @@ def _widen(widths: dict[int, int], natural: Sequence[int], width: int | None) ->
         left -= 1
 
 
-def _row_lines(row: Sequence[str], widths: dict[int, int], right: Collection[int]) -> list[str]:
+def _row_lines(
+    row: Sequence[str], widths: dict[int, int], right: Collection[int], colours: Mapping[str, str]
+) -> list[str]:
     """Lines of one row of a block."""
     cells = {i: _cell_lines(row[i], width) for i, width in widths.items()}
     lines = []
@@ -329,7 +362,9 @@ def _row_lines(row: Sequence[str], widths: dict[int, int], right: Collection[int
         parts = []
         for i, width in widths.items():
             part = cells[i][number] if number < len(cells[i]) else ""
-            parts.append(part.rjust(width) if i in right else part.ljust(width))
+            padded = part.rjust(width) if i in right else part.ljust(width)
+            colour = colours.get(row[i])
+            parts.append(padded.replace(part, f"\x1b[{colour}m{part}\x1b[0m") if colour and part else padded)
         lines.append((" " * GAP).join(parts).rstrip())
     return lines
 

@@ -9,9 +9,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from topcli.cli.options import FigureOut, Force, Json, Sets, complete_figure, hint_instead, plot_hint
-from topcli.cli.output import ProgressDisplay, emit, print_json, print_message
+from topcli.cli.options import (
+    Force,
+    Json,
+    Out,
+    PictureFormats,
+    Quiet,
+    Results,
+    Sets,
+    Style,
+    complete_figure,
+    hint_instead,
+    picture_formats,
+    place_of,
+    plot_hint,
+    stored_place,
+)
+from topcli.cli.output import ProgressDisplay, emit, messages, print_json, print_message
 from topcli.cli.results import Aggregate, Where
+from topcli.store.files import is_study
 
 if TYPE_CHECKING:
     from topcli.errors import TopcliError
@@ -27,56 +43,56 @@ Names = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="FIGURE",
-        help="Names of figures, see topcli list figures; or the word sweep or section and folders DIR/NAME.",
+        help="Names of figures; or sweep DIR/NAME; or section RUN.",
         autocompletion=complete_figure,
     ),
 ]
-Every = Annotated[bool, typer.Option("--all", help="Draw all; skip what takes minutes to measure.")]
-Formats = Annotated[
-    list[str] | None, typer.Option("--format", metavar="FORMAT", help="Write png, pdf or svg; png and pdf by default.")
-]
+Every = Annotated[bool, typer.Option("--all", help="Draw all figures except those that take minutes.")]
 Overlay = Annotated[
     str | None,
-    typer.Option("--overlay", metavar="exact", help="Draw the exact motion in grey behind runs."),
-]
-StyleFile = Annotated[
-    Path | None, typer.Option("--style", metavar="FILE", help="Apply a style file of matplotlib (.mplstyle).")
+    typer.Option("--overlay", metavar="exact", help="Draw the exact motion in grey behind the runs."),
 ]
 Jobs = Annotated[
     int | None,
-    typer.Option("--jobs", metavar="N", min=1, help="Draw N figures at once; with --all one per core."),
+    typer.Option(
+        "--jobs",
+        metavar="N",
+        min=1,
+        help="Draw up to N figures at the same time.",
+        show_default="1; with --all, one per core",
+    ),
 ]
-Results = Annotated[Path, typer.Option("--results", metavar="DIR", help="Read and write run folders in this folder.")]
 Configs = Annotated[
     Path | None,
     typer.Option(
         "--configs",
         metavar="DIR",
-        help="Use configs in this folder instead of packaged scenes.",
+        help="Prefer scenes in this folder to packaged ones.",
         show_default="configs",
     ),
 ]
 KeyX = Annotated[
-    str | None, typer.Option("--x", metavar="KEY", help="Draw a sweep over this key, or a section over this column.")
+    str | None,
+    typer.Option("--x", metavar="KEY", help="Put this key of a sweep, or column of a section, on the x axis."),
 ]
 MeasureY = Annotated[
     str | None,
     typer.Option(
-        "--y", metavar="MEASURE", help="Draw this measure of a sweep (with --colour: key), or column of a section."
+        "--y",
+        metavar="MEASURE",
+        help="Put this measure of a sweep, or column of a section, on the y axis; with --colour, a key.",
     ),
 ]
 KeyBy = Annotated[
-    str | None, typer.Option("--by", metavar="KEY", help="Of a sweep: draw a curve for each value of this key.")
+    str | None, typer.Option("--by", metavar="KEY", help="Draw one curve of a sweep for each value of this key.")
 ]
 Colour = Annotated[
     str | None,
-    typer.Option(
-        "--colour", metavar="MEASURE", help="Of a sweep: draw a heat map of this measure; of a section: verdict."
-    ),
+    typer.Option("--colour", metavar="MEASURE", help="Colour a map of a sweep by this measure; a section by verdict."),
 ]
 
 
-def _sweep_figure(names: list[str], options: dict[str, str | None], where: list[str]) -> Figure:
+def _sweep_figure(names: list[str], options: dict[str, str | None], where: list[str], results: Path) -> Figure:
     """The figure of a sweep that the arguments and options describe."""
     from topcli.errors import UsageError
     from topcli.figures.sweep import Choice, sweep_figure
@@ -84,37 +100,53 @@ def _sweep_figure(names: list[str], options: dict[str, str | None], where: list[
 
     if len(names) != 2:
         raise UsageError(
-            "plot sweep: name one folder, as in: topcli plot sweep DIR/NAME --x h --y error.max --by scheme"
+            "plot sweep: name one folder, as in: topcli plot sweep DIR/NAME --x h --y max_error --by scheme"
         )
-    x, y = options.pop("x"), options.pop("y")
-    rows = read_rows(Path(names[1]))
+    x, y = options["x"], options["y"]
+    rows = read_rows(stored_place(names[1], results))
     if x is None or y is None:
         known = f"keys: {', '.join(rows.keys)}; measures: {', '.join(rows.measures)}"
         raise UsageError("plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE", known)
-    choice = Choice(x, y, **options)
+    choice = Choice(x, y, options["by"], options["colour"], options["aggregate"])
     choice.require(rows)
     return sweep_figure(rows.where(where), choice)
 
 
-def _chosen(names: list[str], options: dict[str, str | None], where: list[str]) -> list[Figure]:
+def _chosen(names: list[str], options: dict[str, str | None], where: list[str], results: Path) -> list[Figure]:
     """Figures named in the command, all of the catalogue without names."""
     from topcli.errors import UsageError
-    from topcli.figures.catalogue import FIGURES, find_figure
+    from topcli.figures.catalogue import FIGURES
 
     if names and names[0].lower() == SECTION and not (options["by"] or options["aggregate"] or where):
         from topcli.figures.section import section_figure
 
-        return [section_figure([Path(name) for name in names[1:]], options["x"], options["y"], options["colour"])]
+        return [
+            section_figure(
+                [stored_place(name, results) for name in names[1:]], options["x"], options["y"], options["colour"]
+            )
+        ]
     if names and names[0].lower() == SWEEP:
-        return [_sweep_figure(names, options, where)]
+        return [_sweep_figure(names, options, where, results)]
     given = [f"--{name}" for name, value in {**options, "where": where}.items() if value]
     if given:
-        raise UsageError(f"{given[0]} belongs to sweeps: topcli plot sweep DIR/NAME --x KEY --y MEASURE")
+        raise UsageError(f"{given[0]} is only for sweeps: topcli plot sweep DIR/NAME --x KEY --y MEASURE")
     if not names:
         from topcli.cli.listing import print_plugin_failures
 
         print_plugin_failures()  # figures of installed packages are drawn too
-    return [find_figure(name) for name in names] if names else list(FIGURES.values())
+    return [_figure(name, results) for name in names] if names else list(FIGURES.values())
+
+
+def _figure(name: str, results: Path) -> Figure:
+    """Figure of the catalogue, or of the result of a study in a file."""
+    from topcli.figures.catalogue import FIGURES, find_figure
+
+    file = place_of(name, results)
+    if name.lower() not in FIGURES and is_study(file):
+        from topcli.show.tables import study_figure
+
+        return study_figure(file)
+    return find_figure(name)
 
 
 def _require_able(figures: list[Figure], sets: bool, overlay: bool) -> None:
@@ -133,51 +165,37 @@ def _require_able(figures: list[Figure], sets: bool, overlay: bool) -> None:
 
 
 class _Watch:
-    """Progress of figures: of each one after the other, or of all that are drawn at the same time."""
+    """Progress of several figures, with the parts of those that are being drawn; of one figure, its parts."""
 
-    def __init__(self, figures: list[Figure], jobs: int, quiet: bool) -> None:
-        self.together, self.count = min(jobs, len(figures)) > 1, len(figures)
-        self.display = ProgressDisplay(
-            1 if self.together else len(figures), quiet, unit="figures" if self.together else "steps"
-        )
+    def __init__(self, figures: list[Figure], quiet: bool) -> None:
+        self.several, self.count = len(figures) > 1, len(figures)
+        self.display = ProgressDisplay(1, quiet, unit="figures" if self.several else "parts")
         self.parts: dict[str, float] = {}
         self.ended = 0
-        if self.together:
-            self.display.begin("figures")
+        self.display.begin("figures" if self.several else figures[0].name if figures else "")
 
     def __call__(self, name: str, done: int, total: int) -> None:
         """Show that ``done`` of ``total`` parts of the data of the figure ``name`` are done."""
-        if not self.together:
-            if name not in self.parts:
-                self.display.begin(name)
-            else:
-                self.display(done, total)
         self.parts[name] = done / total
-        if self.together:
+        if self.several:
             drawn = ", ".join(f"{each} {100.0 * part:.0f}%" if part else each for each, part in self.parts.items())
             self.display(self.ended, self.count, f"drawing {drawn}")
+        else:
+            self.display(done, total)
 
     def end(self, name: str) -> None:
         """The figure ``name`` is drawn, or has failed."""
         self.parts.pop(name, None)
         self.ended += 1
-        if not self.together:
-            self.display.close()
 
 
-def _require_options(
-    names: list[str], every: bool, formats: list[str], overlay: str | None, configs: Path | None
-) -> None:
+def _require_options(names: list[str], every: bool, overlay: str | None, configs: Path | None) -> None:
     """Raise UsageError for options that are wrong whatever is drawn."""
     from topcli.errors import UsageError, shortened
     from topcli.figures.catalogue import FIGURES
-    from topcli.figures.picture import IMAGE_FORMATS
 
     if bool(names) == every:
         raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
-    wrong = [name for name in formats if name not in IMAGE_FORMATS]
-    if wrong:
-        raise UsageError(f"--format {shortened(wrong[0])}: unknown format; use png, pdf or svg")
     if overlay not in (None, OVERLAY):
         raise UsageError(f"--overlay {shortened(overlay)}: unknown overlay; use {OVERLAY}")
     if configs is not None and not os.path.isdir(configs):
@@ -194,7 +212,7 @@ def _draw(
     from topcli.errors import TopcliError
     from topcli.figures.figure import NothingMeasuredError, make_figures
 
-    watch = _Watch(figures, jobs, quiet)
+    watch = _Watch(figures, quiet)
     drawn, failed = {}, []
     with contextlib.ExitStack() as stack:
         stack.callback(watch.display.close)
@@ -221,8 +239,8 @@ def _draw(
 def plot(
     names: Names = None,
     every: Every = False,
-    formats: Formats = None,
-    out: FigureOut = Path("results/figures"),
+    formats: PictureFormats = None,
+    out: Out = Path("results/figures"),
     results: Results = Path("results"),
     configs: Configs = None,
     x: KeyX = None,
@@ -233,43 +251,44 @@ def plot(
     where: Where = None,
     sets: Sets = None,
     overlay: Overlay = None,
-    style: StyleFile = None,
+    style: Style = None,
     jobs: Jobs = None,
     force: Force = False,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Draw figures as PNG and PDF, with their data as Parquet.
 
-    For a sweep: topcli plot sweep DIR/NAME --x KEY --y MEASURE --by KEY.
-    For runs with a section: topcli plot section DIR/NAME --colour verdict.
-    For a run: topcli report DIR/NAME --out FILE.html.
-    --set changes the runs that a figure draws, and its file has digits of
-    the changed experiment in its name.
+    If the results that a figure needs are missing, topcli computes them first and stores them in the folder of
+    --results. A figure that is up to date is not drawn again. --set changes the runs that a figure shows; the file name
+    then ends in the first digits of a hash of the changed experiment.
+
+    Two figures show results that you have stored: topcli plot sweep NAME --x KEY --y MEASURE --by KEY, and topcli plot
+    section NAME --colour verdict. To draw a single run, use topcli report.
     """
     from topcli.engine.ensemble import default_threads
     from topcli.errors import ExitCode
     from topcli.figures.figure import Request
-    from topcli.figures.picture import DEFAULT_FORMATS
     from topcli.figures.style import read_style
 
-    _require_options(names or [], every, formats or [], overlay, configs)
+    _require_options(names or [], every, overlay, configs)
+    chosen = picture_formats(formats)
     looks = read_style(style) if style else {}
     options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
     with hint_instead(names or [], lambda name: plot_hint(name, results)):
-        figures = _chosen(names or [], options, where or [])
+        figures = _chosen(names or [], options, where or [], results)
     _require_able(figures, bool(sets), overlay is not None)
     request = Request(
         results=results,
         configs=configs or Path("configs"),
         force=force,
         stored_only=every,
-        on_message=print_message,
+        on_message=messages(quiet),
         overrides=tuple(sets or ()),
         overlay=overlay is not None,
         style=looks,
     )
-    chosen = tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
-    drawn, failed = _draw(figures, request, out, chosen, jobs or (default_threads() if every else 1), as_json)
+    drawn, failed = _draw(figures, request, out, chosen, jobs or (default_threads() if every else 1), as_json or quiet)
     if as_json:
         items = [
             {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn

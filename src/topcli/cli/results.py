@@ -3,74 +3,117 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
-from topcli.cli.options import Json, Out, Overwrite, require_new, write_text
-from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table, table_lines
-from topcli.errors import ExitCode
+from topcli.cli.options import (
+    Force,
+    Json,
+    OutFile,
+    Quiet,
+    Results,
+    format_option,
+    option,
+    require_new,
+    stored_place,
+    write_text,
+)
+from topcli.cli.output import (
+    ProgressDisplay,
+    emit,
+    emit_text,
+    messages,
+    print_cells,
+    print_json,
+    print_message,
+    print_table,
+    table_lines,
+)
+from topcli.errors import ExitCode, counted
 
 if TYPE_CHECKING:
     from topcli.sweeps.table import SweepTable
 
 
+def complete_result(incomplete: str) -> list[str]:
+    """Names of the results in ``results`` that begin with ``incomplete``."""
+    folder = Path("results")
+    try:
+        folders = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
+    except OSError:
+        return []
+    return [name for name in folders if name.startswith(incomplete)]
+
+
+Stored = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="RUN",
+        help="Folders or names of runs and sweeps, or JSON files.",
+        autocompletion=complete_result,
+    ),
+]
+
+
 def verify(
-    runs: Annotated[
-        list[str], typer.Argument(metavar="RUN...", help="Folders of runs or sweeps, names in --out, or JSON files.")
-    ],
-    out: Out = Path("results"),
+    runs: Stored,
+    results: Results = Path("results"),
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Verify stored results by their checksums.
 
-    For an unfinished run, verify the checkpoint and the rows that it can be continued from; for an unfinished sweep,
-    its journal. Exits with status 0 if all files are intact, with 1 if a file is damaged.
+    For an unfinished run, the checkpoint and the rows before it are verified; for an unfinished sweep, its journal.
+    Exits with status 1 if a file is damaged.
     """
     from topcli.studies.health import check_all
 
-    checked = [result for run in runs for result in check_all(run, out)]
+    checked = [result for run in runs for result in check_all(run, results)]
     if as_json:
         print_json("verify", {"runs": [result.data() for result in checked]})
     for result in checked:
         for file in result.files:
             if file.damaged:
                 print_message(f"error: {result.folder / file.name}: damaged: {file.reason}")
-        if not (as_json or result.damaged):
+        if not (as_json or quiet or result.damaged):
             kind = "finished" if result.finished else "unfinished"
             notes = "".join(f"; {file.name}: {file.reason}" for file in result.files if file.reason)
-            emit(f"{result.folder}: {kind}, {len(result.files)} files intact{notes}")
+            emit(f"{result.folder}: {kind}, {counted(len(result.files), 'file')} intact{notes}")
     if any(result.damaged for result in checked):
         raise typer.Exit(ExitCode.FAILED)
 
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR/NAME", help="Folder of a sweep.")]
+Place = Annotated[Path, typer.Argument(metavar="RUN", help="Folder or name of a result, or the file of a study.")]
 Where = Annotated[
     list[str] | None,
-    typer.Option("--where", metavar="KEY=VALUE", help="Use only these rows of the sweep; repeat for several."),
+    typer.Option("--where", metavar="KEY=VALUE", help="Use only these rows of the sweep."),
 ]
 Aggregate = Annotated[
     str | None,
     typer.Option(
         "--aggregate",
         metavar="NAME",
-        help="Combine values by median, max, mean or order (over h).",
+        help="Combine rows by median, max, mean or observed order.",
         show_default="none",
     ),
 ]
-RowKeys = Annotated[list[str], typer.Option("--rows", metavar="KEY", help="Key that names a row; repeat for several.")]
+RowKeys = Annotated[
+    list[str] | None, typer.Option("--rows", metavar="KEY", help="Make a table row for each value of this key.")
+]
 ColumnKey = Annotated[
     str | None,
-    typer.Option("--columns", metavar="KEY", help="Key with a column for each value.", show_default="the measures"),
+    typer.Option(
+        "--columns", metavar="KEY", help="Make a table column for each value of this key.", show_default="the measures"
+    ),
 ]
 Values = Annotated[
-    list[str],
-    typer.Option("--value", metavar="MEASURE", help="Measure to show; several without --columns."),
+    list[str] | None,
+    typer.Option("--value", metavar="MEASURE", help="Show this measure; several are possible without --columns."),
 ]
-Format = Annotated[str, typer.Option("--format", metavar="FORMAT", help="Write text, csv, markdown or latex.")]
-TableFile = Annotated[
-    Path | None, typer.Option("--out", metavar="FILE", help="Write to this file.", show_default="stdout")
-]
+TableName = Annotated[str | None, option("--table", metavar="NAME", default="all; in CSV, the main table")]
+Format = Annotated[str, format_option("text", "csv", "markdown", "latex")]
+TableFile = Annotated[Path | None, option("--out", metavar="FILE", default="stdout")]
 
 
 def _text(table: SweepTable, form: str) -> str:
@@ -86,84 +129,155 @@ def _text(table: SweepTable, form: str) -> str:
 
 
 def table(
-    folder: Folder,
-    row_keys: RowKeys,
-    values: Values,
+    place: Place,
+    row_keys: RowKeys = None,
+    values: Values = None,
     column_key: ColumnKey = None,
     aggregate: Aggregate = None,
     where: Where = None,
+    name: TableName = None,
     form: Format = "text",
     out: TableFile = None,
-    force: Overwrite = False,
+    results: Results = Path("results"),
+    force: Force = False,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Show a measure of a sweep as text, CSV, Markdown or LaTeX.
+    """Show tables of a result as text, CSV or LaTeX.
 
-    Each cell holds one value, or with --aggregate the median with its quartiles, the mean with its standard error, the
-    maximum, or the observed order in h. Cells with failed rows are marked. CSV and JSON have all digits.
+    For a run, a benchmark or the file of a study, the command shows the tables of the report. For a sweep, --rows and
+    --value define a table of measures. Each cell contains one value, or with --aggregate the median with its quartiles,
+    the mean with its standard error, the maximum, or the observed order in h. Cells to which failed rows belong are
+    marked. In CSV and JSON, numbers have all digits.
     """
     from topcli.errors import UsageError, nearest, quoted
-    from topcli.sweeps.rows import read_rows
-    from topcli.sweeps.table import sweep_table
-    from topcli.sweeps.table_text import FORMATS, header, lines, notes, title
+    from topcli.sweeps.run import is_sweep
+    from topcli.sweeps.table_text import FORMATS
 
     if form not in FORMATS:
         raise UsageError(f"--format {quoted(form)}: unknown format; {nearest(form, FORMATS)}")
-    shown = sweep_table(read_rows(folder).where(where or []), row_keys, column_key, values, aggregate)
+    folder = stored_place(place, results)
+    if is_sweep(folder) or row_keys or values or column_key or aggregate or where:
+        shown: _Shown = _ShownSweep(folder, row_keys or [], column_key, values or [], aggregate, where or [])
+    else:
+        shown = _ShownTables(folder, name)
     if out is not None:
         require_new(out, force)
-        write_text(_text(shown, form), out)
-        print_message(f"wrote {out}")
+        write_text(shown.text(form), out)
+        messages(quiet)(f"wrote {out}")
     elif as_json:
-        print_json("table", shown.as_dict())
+        print_json("table", shown.data())
     elif form == "text":
-        keys = len(row_keys)
-        print_table(header(shown), lines(shown), title(shown), range(keys, keys + len(shown.columns)), keys)
+        shown.show()
     else:
-        emit_text(_text(shown, form))
-    for note in notes(shown):
+        emit_text(shown.text(form))
+    for note in shown.notes(form):
         print_message(note)
 
 
-def complete_result(incomplete: str) -> list[str]:
-    """Names of the results in ``results`` that begin with ``incomplete``."""
-    folder = Path("results")
-    try:
-        folders = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
-    except OSError:
-        return []
-    return [name for name in folders if name.startswith(incomplete)]
+class _Shown(Protocol):
+    """Tables of one stored result."""
+
+    def data(self) -> dict[str, Any]: ...
+    def text(self, form: str) -> str: ...
+    def show(self) -> None: ...
+    def notes(self, form: str) -> list[str]: ...
 
 
-Places = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="RUN...",
-        help="Folders of runs or sweeps, or JSON files of studies.",
-        autocompletion=complete_result,
-    ),
-]
-PageFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="Write the page to this file, FILE.html.")]
-Results = Annotated[Path, typer.Option("--results", metavar="DIR", help="Find results by name in this folder.")]
+class _ShownSweep:
+    """Table of measures of a sweep."""
+
+    def __init__(
+        self,
+        folder: Path,
+        row_keys: list[str],
+        column_key: str | None,
+        values: list[str],
+        aggregate: str | None,
+        where: list[str],
+    ) -> None:
+        from topcli.errors import UsageError
+        from topcli.sweeps.rows import read_rows
+        from topcli.sweeps.table import sweep_table
+
+        rows = read_rows(folder)
+        if not (row_keys and values):
+            known = f"keys: {', '.join(rows.keys)}; measures: {', '.join(rows.measures)}"
+            raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", known)
+        self._table = sweep_table(rows.where(where), row_keys, column_key, values, aggregate)
+
+    def data(self) -> dict[str, Any]:
+        return self._table.as_dict()
+
+    def text(self, form: str) -> str:
+        return _text(self._table, form)
+
+    def show(self) -> None:
+        from topcli.sweeps.table_text import header, lines, title
+
+        table = self._table
+        keys = len(table.row_keys)
+        print_table(header(table), lines(table), title(table), range(keys, keys + len(table.columns)), keys)
+
+    def notes(self, form: str) -> list[str]:
+        from topcli.sweeps.table_text import notes
+
+        return notes(self._table)
+
+
+class _ShownTables:
+    """Tables of a run, a benchmark or a study."""
+
+    def __init__(self, folder: Path, name: str | None) -> None:
+        from topcli.show.tables import stored_tables
+
+        self._all = stored_tables(folder)
+        self._tables = self._all.chosen(name)
+
+    def data(self) -> dict[str, Any]:
+        return {"result": self._all.data}
+
+    def text(self, form: str) -> str:
+        if form != "text":
+            return self._tables.text(form)
+        tables = ((table.cells(self._tables.data), table.title_of(self._tables.data)) for table in self._tables.shown)
+        texts = (
+            "\n".join(filter(None, (title, *table_lines(cells.header, cells.lines, keys=cells.keys))))
+            for cells, title in tables
+        )
+        return "\n\n".join(texts) + "\n"
+
+    def show(self) -> None:
+        for i, table in enumerate(self._tables.shown):
+            if i:
+                emit()
+            print_cells(table.cells(self._tables.data), table.title_of(self._tables.data))
+
+    def notes(self, form: str) -> list[str]:
+        others = list(self._all.named)
+        several = form == "csv" and len(self._tables.shown) > 1
+        return [f"this is the main table; choose another with --table: {', '.join(others)}"] if several else []
+
+
 Title = Annotated[
     str | None,
-    typer.Option("--title", metavar="TEXT", help="Title of the page.", show_default="the names of the results"),
+    typer.Option("--title", metavar="TEXT", help="Give the page this title.", show_default="the names of the results"),
 ]
 
 
 def report(
-    places: Places,
-    out: PageFile,
+    places: Stored,
+    out: OutFile,
     results: Results = Path("results"),
     title: Title = None,
-    force: Overwrite = False,
+    force: Force = False,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Write one self-contained HTML page on stored results.
+    """Write a self-contained HTML page about stored results.
 
-    Results are runs, ensembles, sweeps, benchmarks, and JSON files of compare, order and stress. The page loads nothing
-    from elsewhere. Runs of the same top are compared in a table. What is missing of an unfinished or damaged result is
-    said on the page.
+    Results are runs, ensembles, sweeps, benchmarks, and JSON files that studies write with --save. Runs of the same top
+    are compared in a table. If a result is unfinished or damaged, the page lists what is missing.
     """
     from topcli.errors import UsageError
     from topcli.pages.page import report_page
@@ -177,6 +291,7 @@ def report(
         keys = {"name": "title", "kind": "kind", "state": "state", "missing": "missing"}
         results_data = [{key: getattr(chapter, name) for key, name in keys.items()} for chapter in page.chapters]
         print_json("report", {"file": str(out), "results": results_data})
+    if as_json or quiet:
         return
     print_message(f"wrote {out}")
     for chapter in page.chapters:
@@ -184,52 +299,71 @@ def report(
             print_message(f"warning: {chapter.title}: {line}")
 
 
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, such as results/NAME.")]
-FilmFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="Write this file, a .gif or an .mp4.")]
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="Folder or name of a run.", autocompletion=complete_result)]
 Fps = Annotated[
-    float, typer.Option("--fps", metavar="RATE", min=1.0, max=120.0, help="Show this number of frames per second.")
+    float, typer.Option("--fps", metavar="RATE", min=1.0, max=120.0, help="Show this many frames per second.")
 ]
 Seconds = Annotated[
-    float, typer.Option("--seconds", metavar="SECONDS", min=0.1, max=600.0, help="Make it last this long.")
+    float,
+    typer.Option("--seconds", metavar="SECONDS", min=0.1, max=600.0, help="Make the animation this many seconds long."),
 ]
-Size = Annotated[int, typer.Option("--size", metavar="PIXELS", min=240, max=3840, help="Set the width; 3:2.")]
-Start = Annotated[float | None, typer.Option("--start", metavar="T", help="Begin at this time of the run.")]
+Size = Annotated[
+    int,
+    typer.Option(
+        "--size", metavar="PIXELS", min=240, max=3840, help="Set the width in pixels; the height is 2/3 of the width."
+    ),
+]
+Start = Annotated[
+    float | None,
+    typer.Option("--start", metavar="T", help="Begin at this time of the run.", show_default="its beginning"),
+]
 Stop = Annotated[
     float | None,
-    typer.Option("--stop", metavar="T", help="End at this time; by default as far as the motion is smooth."),
+    typer.Option(
+        "--stop",
+        metavar="T",
+        help="End at this time of the run.",
+        show_default="a time up to which the animation looks smooth",
+    ),
 ]
 
 
 def animate(
     run: Run,
-    out: FilmFile,
+    out: OutFile,
     fps: Fps = 25.0,
     seconds: Seconds = 10.0,
     size: Size = 720,
     start: Start = None,
     stop: Stop = None,
+    results: Results = Path("results"),
+    force: Force = False,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Animate the body of a run, with the trace of its axis.
 
-    The attitude is that of the run (output.attitude), or it is reconstructed from densely recorded rows. An .mp4
-    needs pip install 'topcli[video]'; a .gif needs nothing more.
+    If the run recorded the attitude of the body (output.attitude), the attitude is read from the run. Otherwise it is
+    reconstructed from the recorded rows, which must then be close in time. The file name ends in .gif or .mp4; an .mp4
+    file needs pip install 'topcli[video]'.
     """
     from topcli.figures.animation import animate as draw
     from topcli.figures.animation import encoder_for, planned
     from topcli.figures.body import stored_body_motion
 
     encoder_for(out, fps, seconds)  # before anything is read or drawn
-    motion = stored_body_motion(run)
+    require_new(out, force)
+    folder = stored_place(run, results)
+    motion = stored_body_motion(folder)
+    say = messages(quiet)
     for note in motion.notes:
-        print_message(note)
+        say(note)
     film = planned(motion, fps, seconds, size, start, stop)
     begin, end, last = float(film.times[0]), float(film.times[-1]), float(motion.t[-1])
     if stop is None and end != last:
-        print_message(
-            f"{motion.experiment.name}: shows t = {begin:g} to {end:.4g} of {last:g}; --stop {last:g} shows all, faster"
-        )
-    display = ProgressDisplay(1, as_json, unit="frames")
+        shown = f"{begin:g} to {end:.4g} of {last:g}"
+        say(f"{motion.experiment.name}: shows t = {shown}; --stop {last:g} shows the whole run faster")
+    display = ProgressDisplay(1, as_json or quiet, unit="frames")
     display.begin(str(out))
     try:
         draw(motion, film, out, display)
@@ -239,5 +373,5 @@ def animate(
     if as_json:
         content = {"file": str(out), "frames": frames, "fps": fps, "width": width, "height": height}
         print_json("animate", {"run": motion.experiment.name, **content, "t_first": begin, "t_last": end})
-    else:
+    elif not quiet:
         emit(f"{motion.experiment.name}: {frames} frames, {width} x {height} -> {out}")

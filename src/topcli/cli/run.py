@@ -10,11 +10,37 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Force, Json, Out, Sets, complete_config
-from topcli.cli.output import ProgressDisplay, emit, print_error, print_json, print_message, print_table, print_warnings
-from topcli.errors import ExitCode, TopcliError, UsageError, quoted
+from topcli.cli.options import (
+    DryRun,
+    FailFast,
+    Force,
+    Json,
+    Out,
+    Quiet,
+    RetryFailed,
+    Sets,
+    Threads,
+    Verbose,
+    complete_config,
+    format_option,
+)
+from topcli.cli.output import (
+    ProgressDisplay,
+    emit,
+    emit_prose,
+    messages,
+    print_cells,
+    print_error,
+    print_json,
+    print_message,
+    print_table,
+    print_warnings,
+)
+from topcli.errors import ExitCode, TopcliError, UsageError, counted, quoted
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
     from topcli.runs.decision import RunOptions
@@ -62,38 +88,63 @@ class _Request:
     dry_run: bool
     quiet: bool
     as_json: bool
+    verbose: bool
     labelled: bool
 
 
-def _print_result(result: RunResult, labelled: bool) -> None:
-    """Print the message and the table of a run."""
-    from topcli.runs.report import QUANTITIES
+def _print_result(result: RunResult, own: Collection[str], request: _Request) -> None:
+    """Print the message and the table of a run; without ``--verbose`` only of the invariants of the top, ``own``."""
+    from topcli.runs.report import (
+        BRIEF,
+        ENSEMBLE_BRIEF,
+        QUANTITIES,
+        accuracy_note,
+        modified_line,
+        open_lines,
+        precision_note,
+        warning_of,
+    )
 
-    report, warning, notes = result.report, "", []
-    observed = QUANTITIES.cells(report) if report.get("quantities") else None
-    if report.get("kind") == "ensemble":
-        from topcli.runs.report import ensemble_table
-
-        header, *lines = ensemble_table(report)
-    else:
-        from topcli.runs.report import INVARIANTS, accuracy_note, precision_note, warning_of
-
-        warning, notes = warning_of(report), [precision_note(report), accuracy_note(report)]
-        cells = INVARIANTS.cells(report)
-        header, lines = cells.header, cells.lines
+    report, warning, notes, title = result.report, "", [], result.report["name"] if request.labelled else ""
+    if report.get("kind") != "ensemble":
+        warning = warning_of(report)
+        notes = [precision_note(report), accuracy_note(report) if request.verbose else ""]
     if result.set_aside:
         print_message(result.set_aside_message)
     status = result.status
     if status == "up to date" and result.outcome.value != "completed":
-        status = f"not run again: it ended as {result.outcome.value} before; --retry-failed runs it again"
+        status = f"not run again, because it ended as {result.outcome.value} before; --retry-failed runs it again"
     print_message(f"{report['name']}: {report['message']} -> {result.stored.folder} ({status})")
     for note in filter(None, notes):
         print_message(f"{report['name']}: {note}")
     if warning:
         print_message(f"warning: {report['name']}: {warning}")
-    print_table(header, lines, report["name"] if labelled else "")
-    if observed:
-        print_table(observed.header, observed.lines)
+    if request.verbose:
+        _print_all(report, title)
+    else:
+        parts: dict[bool, list[Any]] = {True: [], False: []}
+        for row in report["invariants"]:
+            parts[row["name"] in own].append(row)
+        brief = ENSEMBLE_BRIEF if report.get("kind") == "ensemble" else BRIEF
+        print_cells(brief.cells({"invariants": parts[True]}), title)
+        for line in (*open_lines([(row["symbol"], row) for row in parts[True]]), modified_line(parts[False])):
+            if line:
+                emit_prose(line)
+    if report.get("quantities"):
+        print_cells(QUANTITIES.cells(report))
+
+
+def _print_all(report: dict[str, Any], title: str) -> None:
+    """Print all figures on the invariants, and a sentence on each that can be quoted."""
+    from topcli.runs.report import INVARIANTS, ensemble_table
+
+    if report.get("kind") == "ensemble":
+        header, *lines = ensemble_table(report)
+        print_table(header, lines, title)
+        return
+    print_cells(INVARIANTS.cells(report), title)
+    for row in report["invariants"]:
+        emit_prose(f"{row['symbol']}: {row['statement']}")
 
 
 def _plan_data(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> dict[str, Any]:
@@ -135,16 +186,28 @@ def _say_failure(name: str, result: RunResult, code: ExitCode) -> None:
 
 
 def _experiment(config: str, request: _Request, resume: bool) -> Experiment | EnsembleExperiment:
-    """Experiment of a config or scene; to resume, also that of a run in the folder of results."""
-    from topcli.config.files import is_config
+    """Experiment of a config or scene; to resume, also that of a run in the folder of results, by its name or path."""
+    from topcli.config.files import SUFFIXES, is_config
     from topcli.config.load import load, load_named
 
-    if resume and not is_config(config):
+    if not is_config(config):
         from topcli.runs.decision import config_to_resume
+        from topcli.sweeps.sweep_list import missing_result
 
-        name = config.removeprefix(f"{request.out}{os.sep}").removesuffix(os.sep)
-        if data := config_to_resume(request.out, name):
+        inside = os.path.dirname(os.path.abspath(config)) == os.path.abspath(request.out)
+        name = os.path.basename(os.path.abspath(config)) if inside else config
+        data = config_to_resume(request.out, name)
+        if data and resume:
             return load({**data, "name": request.name or name}, request.overrides)
+        if data:
+            stored = request.out / name / "config.yaml"
+            where = f"; its config is {stored}" if stored.is_file() else ""  # a killed run has none yet
+            raise UsageError(
+                f"{quoted(config)} is a stored run, not a config{where}",
+                f"to continue an unfinished run: topcli run {name} --resume",
+            )
+        if resume and not (config.endswith(SUFFIXES) or os.path.exists(config) or os.path.dirname(config)):
+            raise missing_result(config, request.out)
     return load_named(config, request.overrides, request.name)
 
 
@@ -161,7 +224,7 @@ def _run_config(
         if request.dry_run:
             plan = _plan_data(experiment, request.out, options)
             if not (request.as_json or request.quiet):
-                rows = "the crossings" if plan["rows"] is None else f"{plan['rows']} rows"
+                rows = "the crossings" if plan["rows"] is None else counted(plan["rows"], "row")
                 emit(f"{experiment.name}: {plan['action']}: {rows} in {plan['folder']}")
             return ExitCode.SUCCESS, plan
         display.begin(experiment.name)
@@ -178,7 +241,8 @@ def _run_config(
         print_error(failure)
         return failure.exit_code, {"config": config, "error": str(failure), "exit_code": failure.exit_code}
     if not (request.quiet or request.as_json):
-        _print_result(result, request.labelled)
+        own = {invariant.name for invariant in experiment.top.invariants()}
+        _print_result(result, own, request)
     if code := _code(result):
         _say_failure(experiment.name, result, code)
     return code, {"folder": str(result.stored.folder), "status": result.status, **result.report}
@@ -186,32 +250,33 @@ def _run_config(
 
 Configs = Annotated[
     list[str],
-    typer.Argument(metavar="CONFIG", help="Config files or names of packaged scenes.", autocompletion=complete_config),
+    typer.Argument(
+        metavar="CONFIG",
+        help="Config files or names of scenes; with --resume, stored runs.",
+        autocompletion=complete_config,
+    ),
 ]
 Name = Annotated[
     str | None,
-    typer.Option("--name", metavar="NAME", help="Name the run; by default as its config, with a digest after --set."),
+    typer.Option(
+        "--name",
+        metavar="NAME",
+        help="Name the run.",
+        show_default="name of the config; with --set, also digits of a hash",
+    ),
 ]
-Format = Annotated[str | None, typer.Option("--format", metavar="FORMAT", help="Write the series as parquet or csv.")]
+Format = Annotated[str | None, format_option("parquet", "csv", default="output.format of the config")]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Continue an interrupted or killed run from its last checkpoint.")
 ]
-RetryFailed = Annotated[bool, typer.Option("--retry-failed", help="Repeat runs that failed before.")]
 CheckpointEvery = Annotated[
     float,
     typer.Option(
         "--checkpoint-every",
         metavar="SECONDS",
-        help="Write a checkpoint at this interval; 0: after every chunk.",
+        help="Set the seconds between checkpoints; 0: as often as possible.",
     ),
 ]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Check the configs and print the plan.")]
-Threads = Annotated[
-    int | None,
-    typer.Option("--threads", metavar="COUNT", min=1, help="Set the threads for ensembles; all CPUs by default."),
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
-FailFast = Annotated[bool, typer.Option("--fail-fast", help="Stop at the first config that fails.")]
 
 
 def run(
@@ -228,21 +293,23 @@ def run(
     as_json: Json = False,
     threads: Threads = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
     fail_fast: FailFast = False,
 ) -> None:
     """Run experiments and report on their conservation laws.
 
-    Each experiment or ensemble gets a folder with its time series and the report. It is named after the config; if
-    --set changes what is computed, the first digits of its digest follow.
+    Each experiment or ensemble is stored in a folder of its own, with its time series and its report. The folder has
+    the name of the config. If --set changes the experiment, digits of a hash of the experiment are appended to this
+    name.
 
-    A long run writes checkpoints. Ctrl-C or SIGTERM ends it as interrupted (exit code 130) and keeps the part that was
-    recorded. --resume continues an interrupted or killed run; the result is the same, bit for bit, as without the
-    interruption.
+    A long run writes checkpoints. Ctrl-C or SIGTERM stops the run with exit code 130 and keeps the rows recorded so
+    far. --resume continues an interrupted or killed run, named by its config or its folder; the result is the same as
+    without the interruption. With --force, an earlier, different run of the same name is renamed.
     """
     if output_format not in (None, "parquet", "csv"):
         raise UsageError(f"unknown format {quoted(output_format)}; use parquet or csv")
     if name is not None and len(configs) > 1:
-        raise UsageError(f"--name {quoted(name)}: names one run, and {len(configs)} configs are given")
+        raise UsageError(f"--name {quoted(name)}: names a single run, but {len(configs)} configs are given")
     if resume and force:
         raise UsageError("--resume continues a run and --force repeats it; use one of them")
     if not checkpoint_every >= 0.0:
@@ -250,11 +317,11 @@ def run(
     from topcli.runs.decision import RunOptions
 
     overrides = (*(sets or ()), *([f"output.format={output_format}"] if output_format else ()))
-    request = _Request(out, overrides, name, dry_run, quiet, as_json, len(configs) > 1)
+    request = _Request(out, overrides, name, dry_run, quiet, as_json, verbose, len(configs) > 1)
     reports: list[dict[str, Any]] = []
     codes: list[ExitCode] = []
     display = ProgressDisplay(len(configs), quiet)
-    on_message = (lambda line: None) if quiet else print_message
+    on_message = messages(quiet)
     with Interruption() as interruption:
         options = RunOptions(force, resume, retry_failed, checkpoint_every, threads, interruption, display, on_message)
         for config in configs:

@@ -12,57 +12,68 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import typer
 
 from topcli.cli.options import (
-    FigureOut,
+    HELP,
+    Force,
     Json,
     Out,
-    Overwrite,
+    PictureFormats,
+    Plot,
+    Quiet,
+    Results,
+    Save,
+    Style,
+    Verbose,
     complete_config,
     complete_scheme,
     complete_top,
+    picture_formats,
     require_new,
+    stored_place,
+    write_text,
 )
 from topcli.cli.output import (
     ProgressDisplay,
     emit,
     emit_prose,
     emit_text,
+    messages,
     print_cells,
     print_json,
     print_message,
     print_warnings,
 )
 from topcli.errors import UsageError
-from topcli.store.files import require_writable, write_study
+from topcli.show.tables import ENDINGS, tables_of
+from topcli.store.files import is_study, require_writable, write_study
 from topcli.studies import Watch, imported
 from topcli.studies.study import Flag, Result, Study
 from topcli.table import Table
 
-Save = Annotated[
-    Path | None, typer.Option("--save", metavar="FILE", help="Store the result as JSON for topcli report.")
-]
+SAVED = (".json", ".csv", ".md", ".tex")
+"""Endings of the files of ``--save``; ``topcli report`` reads JSON."""
 COMPLETE = {"SCHEME": complete_scheme, "TOP": complete_top, "CONFIG": complete_config}
 
 
 class _CommandWatch(Watch):
     """Watch that prints messages and progress; pictures and stored results need a folder that can be written."""
 
-    def __init__(self, study: Study, quiet: bool, folder: Path | None, plot: bool) -> None:
-        self._display = ProgressDisplay(1, quiet, unit=study.unit)
+    def __init__(self, study: Study, as_json: bool, quiet: bool, folder: Path | None, plot: bool) -> None:
+        self._display, self._quiet = ProgressDisplay(1, as_json or quiet, unit=study.unit), quiet
         self._folder, self._plot = folder, plot
 
     def begin(self, name: str, *experiments: Any, file: Path | None = None, plotted: str = "") -> None:
         """Print warnings about the experiments and require the folder."""
-        for experiment in experiments:
+        for experiment in () if self._quiet else experiments:
             print_warnings(experiment)
         if self._plot and plotted:
-            raise UsageError(f"--plot draws one trajectory, and {plotted}")
+            raise UsageError(f"--plot draws one trajectory, but {plotted}")
         if self._folder is not None and (self._plot or file is not None):
             require_writable(self._folder)
         self._display.begin(name)
 
     def message(self, line: str) -> None:
         """Print a message."""
-        print_message(line)
+        messages(self._quiet)(line)
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show the progress."""
@@ -73,54 +84,72 @@ class _CommandWatch(Watch):
         self._display.close()
 
 
+def _shared_options(study: Study) -> dict[str, tuple[Any, Any]]:
+    """Options that a study does not declare itself, with their defaults, by the name of the parameter."""
+    shared: dict[str, tuple[Any, Any]] = {}
+    if study.figure and study.draws:
+        shared |= {"plot": (Plot, False), "formats": (PictureFormats, None), "style": (Style, None)}
+    if shared or study.file:
+        shared |= {"out": (Out, Path("results") if study.file else Path("results/figures"))}
+    shared |= {"save": (Save, None), "force": (Force, False), "verbose": (Verbose, False)}
+    return {**shared, "as_json": (Json, False), "quiet": (Quiet, False)}
+
+
 def command(study: Study) -> Callable[..., None]:
     """Command of a study: measure, store, draw, print, and exit with the code of its faults."""
     measured = [p for p in inspect.signature(study.measure, eval_str=True).parameters.values() if p.name != "watch"]
     flags = []
     if study.printed:
-        flags = list(inspect.signature(study.printed, eval_str=True).parameters.values())[1:]
-    shared: dict[str, tuple[Any, Any]] = {}
-    if study.figure and study.draws:
-        folder = (Out, Path("results")) if study.file else (FigureOut, Path("results/figures"))
-        shared |= {"plot": (Annotated[bool, typer.Option("--plot", help=f"Draw {study.draws}.")], False), "out": folder}
-    elif study.file:
-        shared["out"] = (Out, Path("results"))
-    if study.saved:
-        shared |= {"save": (Save, None), "force": (Overwrite, False)}
-    shared |= {"as_json": (Json, False)}
+        flags = list(inspect.signature(study.printed, eval_str=True).parameters.values())[2:]
+    stored = [p.name for p in measured if _flag(p)[1].metavar == "RUN"]
+    shared = {"results": (Results, Path("results"))} if stored else {}
+    shared |= _shared_options(study)
 
     def call(
         *,
         as_json: bool,
+        verbose: bool,
+        quiet: bool,
+        force: bool,
+        save: Path | None,
         plot: bool = False,
+        formats: list[str] | None = None,
+        style: Path | None = None,
         out: Path | None = None,
-        save: Path | None = None,
-        force: bool = False,
+        results: Path = Path("results"),
         **given: Any,
     ) -> None:
         if save is not None:
-            if save.suffix != ".json":
-                raise UsageError(f"--save {save}: unknown type of file; use a name ending in .json")
+            if save.suffix not in SAVED:
+                known = ", ".join(SAVED[:-1]) + f" or {SAVED[-1]}"
+                raise UsageError(f"--save {save}: unknown type of file; use a name ending in {known}")
             require_new(save, force, "--save")
         for alone in [_flag(flag)[1].option for flag in flags if _flag(flag)[1].alone and given[flag.name]]:
             if as_json:
-                raise UsageError(f"--json and {alone} exclude each other; choose one")
+                raise UsageError(f"--json and {alone} cannot be used together; choose one")
+        if (formats or style) and not plot:
+            raise UsageError(f"--{'format' if formats else 'style'}: describes a picture; add --plot")
+        from topcli.figures.style import read_style
+
+        look = {"formats": picture_formats(formats), "style": read_style(style) if style else {}} if plot else {}
+        for name in stored:
+            given[name] = [stored_place(one, results) for one in given[name]]
         arguments, options = _arguments(measured, given)
-        watch = _CommandWatch(study, as_json, out, plot)
+        watch = _CommandWatch(study, as_json, quiet, out, plot)
         try:
             result = study.measure(*arguments, **options, watch=watch)
         finally:
             watch.close()
-        files = _written(study, result, out, plot)
-        if save is not None:
-            files.append(str(study.write(result, save)))
+        if not (as_json or quiet):
+            _print(study, result, verbose, {flag.name: given[flag.name] for flag in flags})
+        files = list(map(str, _saved(study, result, save, force))) if save is not None else []
+        files += _written(study, result, out, force, look)
+        drawn = str(out / result.file) if out and result.file else ""
         if as_json:
             print_json(study.name, {**result.data, "files": files} if out else result.data)
-        else:
-            _print(study, result, {flag.name: given[flag.name] for flag in flags})
-            for file in files:
-                print_message(f"wrote {file}{study.hint}")
-        report_faults(study, result)
+        for file in files if not (as_json or quiet) else ():
+            print_message(f"wrote {file}{study.hint if file == drawn else ''}")
+        report_faults(study, result, quiet)
 
     helps = _helps(study.measure.__doc__) | (_helps(study.printed.__doc__) if study.printed else {})
     made = [option for p in (*measured, *flags) if (option := _option(p, helps.get(p.name, ""))) is not None]
@@ -128,14 +157,16 @@ def command(study: Study) -> Callable[..., None]:
     call.__signature__ = inspect.Signature(made)  # pyright: ignore[reportFunctionMemberAccess]
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in made}
     call.__doc__ = (study.measure.__doc__ or "").partition("Parameters\n")[0]
+    if study.figure and study.draws:
+        call.__doc__ += f"With --plot, draw {study.draws}.\n"
     return call
 
 
-def report_faults(study: Study, result: Result) -> None:
+def report_faults(study: Study, result: Result, quiet: bool) -> None:
     """Print notes and faults, also plugins that failed, and exit with the code of the faults."""
     from topcli.schemes.plugins import known_failures
 
-    for line in study.notes(result.data):
+    for line in () if quiet else study.notes(result.data):
         print_message(line)
     code, lines = study.faults(result.data)
     for line in lines:
@@ -147,32 +178,61 @@ def report_faults(study: Study, result: Result) -> None:
         raise typer.Exit(code)
 
 
-def _print(study: Study, result: Result, flags: Mapping[str, Any]) -> None:
+def _print(study: Study, result: Result, verbose: bool, flags: Mapping[str, Any]) -> None:
     """Print tables and sentences of a result, with empty lines around tables."""
     data = result.data
-    parts: Iterable[Table | str] = study.printed(result, **flags) if study.printed else study.tables_of(data)
     before: Table | str | None = None
-    for part in parts:
+    for part in study.printed_of(result, verbose, **flags):
         if before is not None and not (isinstance(before, str) and isinstance(part, str)):
             emit()
         if isinstance(part, str):
             (emit_text if "\n" in part else emit_prose)(part)
         else:
-            print_cells(part.cells(data), part.title_of(data))
+            print_cells(part.cells(data, verbose), part.title_of(data))
         before = part
 
 
-def _written(study: Study, result: Result, out: Path | None, plot: bool) -> list[str]:
-    """Store the result of the default options, and draw the figure; the files."""
+def _saved(study: Study, result: Result, path: Path, force: bool) -> list[Path]:
+    """Store a result in the format of the ending of ``path``: all data as JSON, or its tables.
+
+    CSV has the DataFrames of the Python interface: the first in ``path``, each other one in a file that ends in its
+    name.
+    Raises UsageError if such a file exists, unless ``force``.
+    """
+    if path.suffix == ".json":
+        return [study.write(result, path)]
+    tables, form = tables_of(study, result.data), ENDINGS[path.suffix]
+    if form == "csv":
+        filled = tables.filled
+        names = [path, *(path.with_stem(f"{path.stem}_{table.name.replace(' ', '_')}") for table in filled[1:])]
+        texts = [table.text(result.data, form) for table in filled]
+    else:
+        names, texts = [path], [tables.text(form)]
+    for name in names:
+        require_new(name, force, "--save")
+    for name, text in zip(names, texts, strict=True):
+        write_text(text, name, "--save")
+    return names
+
+
+def _written(study: Study, result: Result, out: Path | None, force: bool, look: Mapping[str, Any]) -> list[str]:
+    """Store the result of the default options, and draw the figure in a ``look`` if it is given; the files.
+
+    Raises UsageError if there are other files, unless ``force``.
+    """
     files: list[Path] = []
     if out is not None and result.file is not None:
-        files.append(write_study(out / result.file, result.data, result.source()))
-    if out is not None and plot:
+        path = out / result.file
+        if not force and not is_study(path):
+            require_new(path, force)
+        files.append(write_study(path, result.data, result.source()))
+    if out is not None and look:
         from topcli.figures.figure import write_figure
 
         loaded = imported(study.figure)(result)
         folder = out / "figures" if study.file else out
-        files += write_figure(f"{study.name}_{study.stem(result.data)}", loaded, folder) if loaded.panels else ()
+        name = f"{study.name}_{study.stem(result.data)}"
+        files += write_figure(name, loaded, folder, **look, force=force) if loaded.panels else ()
     return [str(file) for file in files]
 
 
@@ -215,7 +275,10 @@ def _option(parameter: inspect.Parameter, text: str) -> inspect.Parameter | None
     kind, several = _plain(annotation, several)
     kind = str if flag.read else kind
     kind = list[kind] if several or flag.several else kind
-    shown: dict[str, Any] = {"help": text, "autocompletion": COMPLETE.get(flag.metavar.partition("[")[0])}
+    shown: dict[str, Any] = {
+        "help": HELP.get(flag.option.split()[0], text) if flag.option else text,
+        "autocompletion": COMPLETE.get(flag.metavar.partition("[")[0]),
+    }
     if flag.names is not None:
         shown["autocompletion"] = _completion(flag.names)
     given = {"metavar": flag.metavar, "show_default": flag.default, "min": flag.least, "max": flag.most}

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import Json, Out
+from topcli.cli.options import DryRun, FailFast, Json, Out, Quiet, RetryFailed, Sets, Threads
 from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table
 from topcli.cli.run import Interruption
-from topcli.errors import ExitCode, UsageError, shortened
+from topcli.errors import ExitCode, UsageError, counted, shortened
 
 if TYPE_CHECKING:
     from topcli.config.rows import Row
@@ -36,25 +36,17 @@ SweepFile = Annotated[
     str,
     typer.Argument(metavar="SWEEP", help="A sweep file, or the name of a packaged one.", autocompletion=complete_sweep),
 ]
-Sets = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the file, e.g. base.N=100 or name=other."),
-]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the plan: which rows would run, and why.")]
-Yes = Annotated[bool, typer.Option("--yes", help="Run a sweep of more than 100000 rows.")]
-RetryFailed = Annotated[bool, typer.Option("--retry-failed", help="Run rows that failed before again.")]
-FailFast = Annotated[bool, typer.Option("--fail-fast/--keep-going", help="Stop at the first row that fails.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Run a sweep even if it has more than 100000 rows.")]
 TimeLimit = Annotated[
-    float, typer.Option("--time-limit", metavar="SECONDS", help="Stop a row after this number of seconds.")
-]
-Threads = Annotated[
-    int | None, typer.Option("--threads", metavar="COUNT", min=1, help="Set the threads; all CPUs by default.")
+    float,
+    typer.Option(
+        "--time-limit", metavar="SECONDS", help="Stop the run of a row after this many seconds.", show_default="none"
+    ),
 ]
 Dask = Annotated[
     str | None,
-    typer.Option("--dask", metavar="ADDRESS", help="Use a Dask cluster: tcp://host:port, or local:4 on this machine."),
+    typer.Option("--dask", metavar="ADDRESS", help="Use a Dask cluster: tcp://host:port, or local:4 (4 workers)."),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 
 
 def _values(sweep: Sweep, row: Row) -> str:
@@ -71,7 +63,7 @@ def _varied(sweep: Sweep) -> list[str]:
     for extra in sweep.include:
         for key, value in extra.items():
             values[key].add(repr(value))
-    return [f"{key} ({len(known)} value{'s' * (len(known) != 1)})" for key, known in values.items()]
+    return [f"{key} ({counted(len(known), 'value')})" for key, known in values.items()]
 
 
 def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> None:
@@ -108,15 +100,15 @@ def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> N
     for line in changed:
         emit(f"changed: {line}")
     for reason, count in plan.reasons().items():
-        emit(f"to run: {count} row{'s' * (count != 1)}, {reason}")
+        emit(f"to run: {counted(count, 'row')}, {reason}")
     for row, reason in rows:
         emit(f"row {row.number}: {reason}: {_values(sweep, row)}")
     if plan.to_run > len(rows):
         emit(f"... and {plan.to_run - len(rows)} more")
     if plan.repeated:
-        emit(f"repeated: {plan.repeated} rows equal an earlier one and are computed once")
+        emit(f"repeated: {counted(plan.repeated, 'row')}, equal to an earlier one and computed once")
     if plan.left:
-        emit(f"kept: {plan.left} finished rows no longer belong to the sweep and are not current")
+        emit(f"kept, not current: {counted(plan.left, 'finished row')} of an earlier sweep file")
     if plan.survey.count > MANY_ROWS:
         emit(f"{plan.survey.count} rows: the run needs --yes")
 
@@ -138,9 +130,7 @@ def _report(sweep: Sweep, result: SweepResult) -> None:
     place = result.folder / "rows.parquet"
     print_message(f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {place} ({state})")
     if result.plan.left:
-        print_message(
-            f"{sweep.name}: {result.plan.left} earlier rows no longer belong to the sweep; they are not current"
-        )
+        print_message(f"{sweep.name}: not current: {counted(result.plan.left, 'row')} of an earlier sweep file")
     rows = [[outcome, str(count)] for outcome, count in sorted(result.outcomes.items())]
     print_table(["outcome", "rows"], rows)
 
@@ -159,16 +149,17 @@ def sweep(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run every combination of a sweep file.
+    """Run all combinations of the values in a sweep file.
 
-    The results are a table with a row for each run, DIR/NAME/rows.parquet. Finished rows never run again: a sweep that
-    was interrupted or killed continues when it is called again, and after a change of the file only new rows run.
+    The result is a table with one row for each run, stored as DIR/NAME/rows.parquet. Finished rows are not run again.
+    To continue an interrupted or killed sweep, give the same command again. After a change of the sweep file, only new
+    rows are run. --set sets a key of the sweep file, such as base.T=20 or name=other.
     """
     from topcli.config.sweep import load_sweep
     from topcli.sweeps.run import SweepOptions
 
     if dask is not None and threads is not None:
-        raise UsageError("--threads does not go with --dask: each worker has its own number of threads")
+        raise UsageError("--threads cannot be used with --dask; each worker has its own number of threads")
     if not time_limit >= 0.0:
         raise UsageError(f"--time-limit {time_limit:g}: must be a number of seconds, at least 0")
     loaded = load_sweep(file, sets or [])

@@ -1,4 +1,4 @@
-"""A config as read: plain data with the place of every key, and the mistakes in it.
+"""Config as read from a file: plain data with the line of every key, and the mistakes in it.
 
 Plain data holds only what JSON has: dicts with text keys, lists, text, numbers, booleans and None. Mistakes are
 gathered, so that several are reported at once, each with its place and key.
@@ -33,7 +33,7 @@ MAX_DEPTH = 16
 MAX_INTEGER_BITS = 1024
 DOUBLE_DIGITS = 15
 """Every decimal text of at most this length is the shortest text of its double."""
-HALF_PAIR = "the text holds half of a surrogate pair, which is no character"
+HALF_PAIR = "the text holds half of a surrogate pair, which is not a character"
 
 
 class WrittenFloat(float):
@@ -96,7 +96,7 @@ def describe(value: object) -> str:
     """
     match value:
         case None:
-            return "nothing"
+            return "an empty value"
         case bool():
             return "true" if value else "false"
         case str():
@@ -142,7 +142,7 @@ def plain(value: object, document: Document, path: KeyPath = ()) -> Any:
         made: Any = None
         count += 1
         if count > MAX_NODES:
-            raise ConfigError(document.message((), f"more than {MAX_NODES} values; a config is small"))
+            raise ConfigError(document.message((), f"more than {MAX_NODES} values, which is too many for a config"))
         if len(path) > MAX_DEPTH:
             raise ConfigError(document.message(path[:1], f"nested deeper than {MAX_DEPTH} levels"))
         if hasattr(value, "tolist"):

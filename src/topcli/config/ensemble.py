@@ -1,4 +1,4 @@
-"""An ensemble, one experiment from many initial states, and the sources of its states: a list, a grid, random draws."""
+"""Ensembles: one experiment from many initial states, given by a list, a grid or random draws."""
 
 from __future__ import annotations
 
@@ -30,17 +30,21 @@ class Section(BaseModel):
 
     model_config = STRICT | {"json_schema_extra": {"anyOf": [{"required": [source]} for source in SOURCES]}}
 
-    states: Any = Field(default=None, description="a list of initial states; a vector left out is that of initial")
+    states: Any = Field(
+        default=None, description="a list of initial states; a vector that a state omits is taken from initial"
+    )
     grid: Any = Field(
         default=None,
-        description="for components of the state and parameters (top.NAME), a list of values or from, to, count; "
-        "every combination is a trajectory",
+        description="a list of values or a range (from, to, count) for components of the state and for parameters "
+        "(top.NAME); every combination is a trajectory",
     )
-    random: Any = Field(default=None, description="count, seed, and how each vector is drawn")
+    random: Any = Field(
+        default=None, description="random initial states: their count, a seed, and how each vector is drawn"
+    )
     store: Literal["trajectories", "final", "statistics"] = Field(
         default="trajectories",
-        description="what is kept: every recorded row, the last state of each trajectory, or neither; "
-        "the statistics of the invariants are kept always",
+        description="what to store: every recorded row (trajectories), the last state of each trajectory (final), or "
+        "neither (statistics); statistics of the invariants are always stored",
     )
 
 
@@ -92,7 +96,7 @@ def read_members(
     given = [source for source in SOURCES if raw.get(source) is not None] if isinstance(raw, dict) else []
     if len(given) != 1:
         named = f"has {' and '.join(given)}" if given else "has none of them"
-        problems.add(("ensemble",), f"must have one of {', '.join(SOURCES)}, and {named}; {_example(cls)}")
+        problems.add(("ensemble",), f"must have exactly one of {', '.join(SOURCES)}, and {named}; {_example(cls)}")
         return None
     if not isinstance(initial, dict):
         validate(initial_model(cls), initial, ("initial",), problems)
@@ -105,7 +109,7 @@ def read_members(
     for key, value in plain.items():  # a trajectory may replace any of them
         for item in value if isinstance(value, list) else [value]:
             if isinstance(item, float) and not math.isfinite(item):
-                problems.add(("initial", key), f"must hold finite numbers, not {item!r}")
+                problems.add(("initial", key), f"must be finite numbers, not {item!r}")
     if len(problems.messages) > before:
         return None
     kept = section.model_dump(exclude_none=True, by_alias=True)[given[0]]
@@ -231,7 +235,7 @@ def _drawn(
     drawn = Drawn(top, np.array(centre), draws, section.random.count, section.random.seed)
     if next(drawn.blocks(1), None) is None:
         energy = next(draw for draw in draws if draw.kind == "energy")
-        fault = f"no state has the energy {energy.size!r}: the potential alone exceeds it"
+        fault = f"no state has the energy {energy.size!r}: the potential energy alone exceeds it"
         problems.add(("ensemble", "random", energy.vector, "energy"), fault)
         return []
     return [Group(top, drawn)]

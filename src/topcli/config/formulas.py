@@ -1,4 +1,4 @@
-"""Formulas in a config: the section ``top`` of a top that the config declares, and ``output.quantities``."""
+"""Formulas in a config: the section ``top`` of a custom top, and ``output.quantities``."""
 
 from __future__ import annotations
 
@@ -28,18 +28,19 @@ class CustomSection(BaseModel):
 
     components: list[str] = Field(min_length=1, description="names of the components of the state, in order")
     parameters: dict[str, float] = Field(default={}, description="names of the parameters, with their values")
-    field: dict[str, Any] = Field(description="for each component, its rate of change: a formula")
+    field: dict[str, Any] = Field(description="for each component of the state, a formula of its time derivative")
     invariants: dict[str, Any] = Field(
         default={},
-        description="formulas of what is conserved; only on a level of others: {value: ..., on: {...}}",
+        description="formulas of conserved quantities by name; {value: F, on: {NAME: X}} if F is conserved only "
+        "where the invariant NAME is X",
     )
     angular_velocity: list[Any] | None = Field(
         default=None,
-        description="three formulas, in the body's frame: the top turns like a body, and its attitude can be recorded",
+        description="three formulas: the angular velocity in the frame of the body; the attitude can then be recorded",
     )
     vertical: list[Any] | None = Field(
         default=None,
-        description="three formulas: a vector in the body's frame that is fixed in space and shown upright",
+        description="three formulas: a vector that is fixed in space and drawn upright, in the frame of the body",
     )
 
 
@@ -49,7 +50,7 @@ class Relation(BaseModel):
     model_config = STRICT
 
     value: Any = Field(description="the formula")
-    on: dict[str, float] = Field(default={}, description="values of invariants where it is conserved")
+    on: dict[str, float] = Field(default={}, description="values of other invariants for which this one is conserved")
 
 
 CHECKED_TOPS = 64
@@ -126,7 +127,7 @@ def _check_names(section: CustomSection, problems: Problems) -> tuple[str, ...]:
             problems.add(("top", "field"), f"gives no rate of change of {name!r}")
     for name in section.field:
         if name not in section.components:
-            problems.add(("top", "field", name), f"is no component; {nearest(name, section.components)}")
+            problems.add(("top", "field", name), f"is not a component; {nearest(name, section.components)}")
     return (*section.components, *section.parameters)
 
 

@@ -1,4 +1,4 @@
-"""From a config file, a packaged scene or a dict to a validated ``Experiment``."""
+"""Loading of a config file, a packaged scene or a dict as a validated ``Experiment``."""
 
 from __future__ import annotations
 
@@ -38,14 +38,18 @@ Source = Path | str | Mapping[str, Any]
 def load(
     source: Source, overrides: Sequence[str] = (), changes: Mapping[str, Any] | None = None, *, rename: bool = False
 ) -> Experiment | EnsembleExperiment:
-    """Load an experiment or ensemble.
+    """Load an experiment or ensemble from a config.
 
-    ``changes`` replace whole keys; ``overrides``, which are ``key=value`` texts, are applied after them and before the
-    config is validated. Lists of a dict may be tuples or numpy arrays. The default name is that of the file or scene,
-    and for a dict made of its top and scheme. With ``rename``, a file or scene whose changes and overrides change what
-    is computed or recorded and do not name it gets the first digits of the digest: ``kowalevski_hybrid-3f2a9c``.
+    ``changes`` replace whole top-level keys of the config. ``overrides`` are texts ``key=value``; they are applied
+    after the changes and before the config is validated. If the config is a dict, its lists may also be tuples or numpy
+    arrays.
 
-    Raises ConfigError or UnknownNameError with ``file:line``, the key, what is wrong and what would be right.
+    The default name of the experiment is the name of the file or scene; for a dict, it is made from top and scheme.
+    With ``rename``, changes and overrides that change the computed or recorded data also change this name: the first
+    digits of the digest (a hash of the experiment) are appended, as in ``kowalevski_hybrid-3f2a9c``, unless a change or
+    override sets the name.
+
+    Raises ConfigError or UnknownNameError. The message gives ``file:line``, the key, what is wrong and what is right.
     """
     loaded = _experiment(*read_config(source, overrides, changes))
     named = "name" in (changes or {}) or any(parse_override(text)[0] == ("name",) for text in overrides)
@@ -66,15 +70,16 @@ def load_experiment(
     any_precision: bool = False,
     crossings: bool = False,
 ) -> Experiment:
-    """Load a single experiment; an ensemble is refused.
+    """Load a single experiment from a config; an ensemble is refused.
 
-    So is a precision other than double, unless the caller computes with it (``any_precision``). A section is left out,
-    so that every step is recorded, unless the caller wants the ``crossings``. Raises as ``load``.
+    A config with a precision other than double is refused too, unless ``any_precision`` is true. Unless ``crossings``
+    is true, a Poincaré section in the config is ignored, so that every step is recorded. Raises the same errors as
+    ``load``.
     """
     document, name = read_config(source, overrides, changes)
     loaded = _experiment(document, name)
     if not isinstance(loaded, Experiment):
-        fault = f"this is an ensemble of {loaded.count} trajectories, and a single one is needed here; "
+        fault = f"this is an ensemble of {loaded.count} trajectories, but a single trajectory is needed here; "
         commands = "`topcli run`, `topcli compare` and topcli.simulate_ensemble take ensembles"
         raise ConfigError(document.message(("ensemble",), fault + commands))
     if loaded.precision != DOUBLE and not any_precision:
@@ -132,7 +137,7 @@ def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]
 def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:
     """Return the experiment or ensemble of a document. Raises as ``load``."""
     if "base" in document.data:
-        fault = "this is a sweep, and an experiment is needed here; `topcli sweep` takes sweeps"
+        fault = "this is a sweep, but an experiment is needed here; `topcli sweep` takes sweeps"
         raise ConfigError(document.message(("base",), fault))
     problems = Problems(document)
     optional = ("name", "output", "ensemble", "section", "T", "precision", "max_digits")

@@ -1,4 +1,4 @@
-"""The models of a config: ``Config`` holds what a file says, ``Experiment`` the complete experiment."""
+"""Models of a config: ``Config`` is the content of a file, ``Experiment`` the complete experiment."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def name_fault(value: str) -> str:
     if not value.strip():
         return "must not be empty"
     if any(unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp") for letter in value):
-        return f"must not hold control characters: {quoted(value)}"
+        return f"must not contain control characters: {quoted(value)}"
     if len(value) > MAX_NAME or len(value.encode()) > MAX_NAME_BYTES:
         return f"must have at most {MAX_NAME} characters ({MAX_NAME_BYTES} bytes), not {len(value)}"
     if "/" in value or "\\" in value:
-        return f"must not hold a path separator: {quoted(value)}"
+        return f"must not contain a path separator: {quoted(value)}"
     if odd := next((letter for letter in value if letter in '<>:"|?*'), None):
-        return f"must not hold {odd!r}, which not every system allows in a file's name: {quoted(value)}"
+        return f"must not contain {odd!r}, which not every system allows in a file's name: {quoted(value)}"
     if value.lower() == "figures":
         return "must not be 'figures': the folder of that name holds the pictures"
     if value[0] in ".-":
@@ -102,16 +102,16 @@ class Output(BaseModel):
 
     model_config = STRICT
 
-    format: Literal["parquet", "csv"] = Field(default="parquet", description="the format of the series")
+    format: Literal["parquet", "csv"] = Field(default="parquet", description="the file format of the time series")
     every: Count = Field(default=1, description="the number of steps from one recorded row to the next (1 to N)")
     columns: Columns | None = Field(
         default=None,
-        description="the columns to record, by name or symbol: n, t, components, invariants; all when absent",
+        description="the columns to record, by name or symbol: step n, time t, components, invariants; by default all",
         json_schema_extra={"minItems": 1, "uniqueItems": True},
     )
     quantities: dict[str, Any] | None = Field(
         default=None,
-        description="observables to record too, by name: formulas of components, parameters, t and h",
+        description="further quantities to record: for each a name and a formula of components, parameters, t and h",
         json_schema_extra={"additionalProperties": {"type": ["string", "number"]}},
     )
     attitude: Literal["quaternion", "euler-angles"] | None = Field(
@@ -120,7 +120,7 @@ class Output(BaseModel):
     )
     digits: Annotated[int, Field(ge=1, le=MOST_WRITTEN), BeforeValidator(as_integer)] | None = Field(
         default=None,
-        description="with a precision other than double: also write decimal texts of this many digits",
+        description="if the precision is not double: also write each column as decimal text with this many digits",
     )
 
     def resolved(self) -> dict[str, Any]:
@@ -135,21 +135,21 @@ class Output(BaseModel):
 
 
 class PoincareSection(BaseModel):
-    """The surface of a Poincaré section, whose crossings a run records in the place of its steps."""
+    """The surface of a Poincaré section; a run records the crossings of this surface instead of its steps."""
 
     model_config = STRICT
 
     component: str | None = Field(
-        default=None, description="the component of the state whose value is that of the section", examples=["gamma2"]
+        default=None, description="the component of the state that is constant on the section", examples=["gamma2"]
     )
     quantity: Any = Field(
         default=None,
-        description="or a formula in its place, as in output.quantities",
+        description="instead of component: a formula that is constant on the section, written as in output.quantities",
         json_schema_extra={"type": ["string", "number", "null"]},
     )
-    value: float = Field(default=0.0, description="the value on the section")
+    value: float = Field(default=0.0, description="the value of this component or quantity on the section")
     direction: Literal["up", "down", "both"] = Field(
-        default="up", description="crossings with a growing value (up), a falling one (down), or both"
+        default="up", description="record crossings with increasing values (up), decreasing values (down), or both"
     )
 
     @property
@@ -178,25 +178,27 @@ class Config(BaseModel):
 
     name: Name | None = Field(
         default=None,
-        description="the name of the experiment and its run folder; the file's stem when absent",
+        description="the name of the experiment and of its run folder; by default the file name without its extension",
         json_schema_extra={"maxLength": MAX_NAME, "pattern": r"^[^./\\\s-][^/\\]*$"},
     )
     top: Any = Field(description="the top: its kind, or a section with its kind and parameters")
     initial: Any = Field(description="the initial state: the top's vectors, such as omega and gamma")
     ensemble: Any = Field(
         default=None,
-        description="many trajectories instead of one: their initial states as a list, a grid, or random draws",
+        description="compute many trajectories; their initial states are listed, lie on a grid, or are drawn at random",
     )
     scheme: Any = Field(description="the scheme: its name, or a section with its name and options")
     h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
     N: Count = Field(
         default=cast(int, None),  # which is replaced by T/h
-        description="the number of steps, a whole number from 1 to 1e12; or T in its place",
+        description="the number of steps, a whole number from 1 to 1e12; T may be given instead",
     )
-    T: StepSize | None = Field(default=None, description="the time N*h to run, in the place of N: N = T/h is whole")
+    T: StepSize | None = Field(
+        default=None, description="the duration of the run, instead of N; T/h must be a whole number"
+    )
     precision: Precision = Field(
         default=DOUBLE,
-        description="the arithmetic: double, a number of decimal digits, or rational (exact)",
+        description="the arithmetic: double, a number of decimal digits, or rational (exact fractions)",
         json_schema_extra={
             "anyOf": [
                 {"enum": [DOUBLE, RATIONAL]},
@@ -206,14 +208,14 @@ class Config(BaseModel):
     )
     max_digits: Annotated[int, Field(ge=1, le=10**7), BeforeValidator(as_integer)] | None = Field(
         default=None,
-        description=f"with precision rational: the length of the numbers at which the run stops ({MAX_DIGITS} digits "
-        "when absent)",
+        description="if the precision is rational: the run stops when a number has more digits than this "
+        f"({MAX_DIGITS} by default)",
     )
     section: PoincareSection | None = Field(
         default=None,
-        description="record the crossings of a Poincaré section only: its component or quantity, value and direction",
+        description="record only the crossings of a Poincaré section; its keys define the section",
     )
-    output: Output = Field(default=Output(), description="what is recorded and how it is written")
+    output: Output = Field(default=Output(), description="what to record, and in which format")
 
 
 OUTSIDE_IDENTITY = ("name", "output.format")

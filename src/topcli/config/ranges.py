@@ -1,4 +1,4 @@
-"""Lists and ranges of values, one grammar for ensembles and sweeps; and the time ``T`` to run, which gives N = T/h."""
+"""Lists and ranges of values for ensembles and sweeps, and the time ``T`` of a run, which gives N = T/h."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Interval(BaseModel):
 
     first: float = Field(alias="from", description="the first value")
     last: float = Field(alias="to", description="the last value")
-    spacing: Literal["linear", "log"] = Field(default="linear", description="linear or log")
+    spacing: Literal["linear", "log"] = Field(default="linear", description="linear or logarithmic (log)")
 
     @model_validator(mode="after")
     def check_signs(self) -> Self:
@@ -94,7 +94,7 @@ def read_numbers(raw: object) -> list[float] | Range:
     numbers = [number_of(value) for value in axis]
     for value, number in zip(axis, numbers, strict=True):
         if number is None or not math.isfinite(number):
-            raise ValueError(f"must hold finite numbers, not {describe(value)}")
+            raise ValueError(f"must be finite numbers, not {describe(value)}")
     return [number for number in numbers if number is not None]
 
 
@@ -126,7 +126,7 @@ def steps_of(T: float, h: float) -> int:
         return N
     ratio = T / h
     if ratio < 0.0:
-        raise UsageError(f"must have the sign of h = {h:g}, not {T:g}")
+        raise UsageError(f"must have the same sign as h = {h:g}, not {T:g}")
     if not ratio <= MAX_STEPS:
         raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.6g} steps; must be at most {MAX_STEPS}")
     counts = [N for N in (math.floor(ratio), math.floor(ratio) + 1) if 1 <= N <= MAX_STEPS]

@@ -1,4 +1,4 @@
-"""Rows of a sweep: what each computes, as plain data, read from the values of its varied keys.
+"""Rows of a sweep: the values of the varied keys in each row, and the experiment that they give.
 
 A row is the base with its values laid over it. A million rows are read without a million validations: each distinct
 top, scheme, initial state and set of steps is read once, by the functions that read a config, and kept with its
@@ -305,7 +305,7 @@ class RowReader:
             T = base.get("T")
         if (h is None) + (N is None) + (T is None) != 1:
             present = [key for key, value in (("h", h), ("N", N), ("T", T)) if value is not None]
-            text = f"two of h, N and T are needed, and there is {' and '.join(present) or 'none of them'}"
+            text = f"two of h, N and T are needed, but the row has {' and '.join(present) or 'none of them'}"
             problems.add((present[-1],) if present else (), text)
         if len(problems.messages) > before:
             return None
@@ -377,7 +377,7 @@ class RowReader:
             if single and isinstance(base, list) and len(base) == len(vector.components):
                 made[vector.name] = [single.get(*pair) for pair in zip(vector.components, base, strict=True)]
             elif single and not isinstance(base, list):
-                text = f"missing; {next(iter(single))} is varied, and the others need a vector"
+                text = f"missing; {next(iter(single))} is varied, and the other components need values"
                 problems.add(("initial", vector.name), text)
                 return None
         state = read_initial({**made, **free} if isinstance(made, dict) else made, cls, problems)
@@ -431,7 +431,7 @@ class RowReader:
             return made, centre
         state = first_drawn(made.value, np.array(centre.value), draws, seed_of(""))
         if state is None:
-            problems.add(("random",), "no state has the energy: the potential alone exceeds it")
+            problems.add(("random",), "no state has this energy: the potential energy alone exceeds it")
             return made, None
         return made, _state_part(cls, tuple(state.tolist()))
 

@@ -1,4 +1,4 @@
-"""The JSON Schema of a config, and commented configs to start a new experiment from.
+"""JSON Schema of a config, and commented starter configs.
 
 Both are built from the models and from the registries of tops and schemes.
 """
@@ -104,7 +104,7 @@ def _for_custom() -> Schema:
         "type": "object",
         "required": ["kind", *top["required"]],
         "properties": properties,
-        "additionalProperties": {"type": "number", "description": "a parameter, in the place of its value above"},
+        "additionalProperties": {"type": "number", "description": "the value of a parameter, instead of the one above"},
     }
     schemes = schemes_of(example_class().form)
     return {
@@ -345,10 +345,10 @@ def _initial(cls: type[Top]) -> list[Line]:
             start_values = [_COMPONENTS[i % len(_COMPONENTS)] for i in range(start, stop)]
             lines.append((name, start_values if stop - start > 1 else start_values[0], ""))
             continue
-        note = f"({names}); auto completes it to a unit vector, -auto with a minus sign" if unit else f"({names})"
+        note = f"({names})" + ("; auto completes it to a unit vector, -auto with a negative number" if unit else "")
         lines.append((name, list(_UNIT_VECTOR if unit else _VECTOR), note))
     if cls.unit_vectors:
-        lines.append(("normalize", False, f"true scales {', '.join(cls.unit_vectors)} to unit length"))
+        lines.append(("normalize", False, f"if true, {', '.join(cls.unit_vectors)} is scaled to unit length"))
     return lines
 
 

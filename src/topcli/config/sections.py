@@ -1,4 +1,4 @@
-"""The sections ``top``, ``scheme`` and ``initial``, and the recorded columns: their keys depend on the top."""
+"""Sections ``top``, ``scheme`` and ``initial`` and the recorded columns, which depend on the top."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Vector:
         """Components and how they may be given."""
         if len(self.components) == 1:
             return "a number"
-        auto = "; auto completes it to a unit vector, -auto with a minus sign" if self.unit else ""
+        auto = "; auto completes it to a unit vector, -auto with a negative number" if self.unit else ""
         return f"({', '.join(self.components)}){auto}"
 
     def read(self, raw: object, normalize: bool) -> list[float]:
@@ -182,7 +182,7 @@ def initial_model(cls: type[Top]) -> type[BaseModel]:
     vectors: dict[str, Any] = {
         vector.name: (vector.type, Field(description=vector.description)) for vector in vectors_of(cls)
     }
-    scaled = f"true scales {', '.join(cls.unit_vectors) or 'the unit vectors'} to unit length"
+    scaled = f"if true, {', '.join(cls.unit_vectors) or 'each unit vector'} is scaled to unit length"
     normalize = (bool, Field(default=False, description=scaled))  # first, because the vectors depend on it
     return create_model("Initial", __config__=STRICT, normalize=normalize, **vectors)
 

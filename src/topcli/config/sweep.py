@@ -1,4 +1,4 @@
-"""From a sweep file to a validated ``Sweep``: its base experiment, the varied keys and their values.
+"""Loading of a sweep file: the base experiment, the varied keys and their values.
 
 A sweep is never held as a list of rows: ``Sweep.assignments`` yields the values of the varied keys row by row, and
 ``config.rows`` turns each into what the row computes.
@@ -399,7 +399,7 @@ def _check_list(values: list[Any], key: str, unique: bool) -> None:
     for value in values if unique else ():
         text = repr(value)
         if text in seen:
-            raise ValueError(f"holds {text if isinstance(value, list) else describe(value)} twice")
+            raise ValueError(f"contains {text if isinstance(value, list) else describe(value)} twice")
         seen.add(text)
 
 

@@ -1,4 +1,4 @@
-"""YAML and TOML text to plain data with the line of every key, and plain data to YAML text.
+"""YAML and TOML text as plain data with the line of every key, and plain data as YAML text.
 
 Reading YAML follows the core schema of YAML 1.2: ``1e-3`` is a number, ``no`` is text. The text goes through
 ruamel.yaml's events once, so that nothing is built before it is checked: no tags, no duplicate keys, no merge keys,
@@ -189,7 +189,7 @@ class _Builder:
         self.nodes += nodes
         self.deepest = max(self.deepest, depth)
         if self.nodes > MAX_NODES:
-            self.refuse(event, f"more than {MAX_NODES} values (aliases expanded); a config is small")
+            self.refuse(event, f"more than {MAX_NODES} values (aliases expanded), which is too many for a config")
         if depth > MAX_DEPTH:
             self.refuse(event, f"nested deeper than {MAX_DEPTH} levels")
 

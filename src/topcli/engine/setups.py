@@ -1,4 +1,4 @@
-"""Set-ups of closed forms: kept on disk under a key made of their content, and computed in several processes.
+"""Set-ups of closed forms: stored on disk by their content, and computed in several processes.
 
 The key consists of the initial state and the constants of the top, bit by bit, and of the text that identifies the
 code of the set-up. The rules of storing are those of ``code_cache``.
@@ -198,7 +198,7 @@ def answer(request: dict[str, Any]) -> dict[str, str | None]:
     """Answer one request."""
     module, name = request["class"]
     if not module.startswith("topcli."):
-        raise ValueError(f"{module} is no part of topcli")
+        raise ValueError(f"{module} is not a part of topcli")
     setup = getattr(import_module(module), name)()
     y0 = np.array([float.fromhex(text) for text in request["y0"]])
     try:

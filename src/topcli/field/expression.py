@@ -1,4 +1,4 @@
-"""Formulas as text: ``((B - C)*w2*w3 + k*w2)/A``, read with Python's grammar and checked before anything is computed.
+"""Formulas as text, such as ``((B - C)*w2*w3 + k*w2)/A``, parsed and checked before they are evaluated.
 
 A formula has numbers, the names it is given, ``+ - * / **``, parentheses and the functions of ``FUNCTIONS``. Exponents
 are numbers, whole or half. Nothing of the text is run: the function of a formula is written from its checked tree.
@@ -30,7 +30,7 @@ FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sinh", "cosh", "
 LONGEST = 2000
 """Characters of a formula."""
 DEEPEST = 100
-"""Operations one within the other; a sum of n terms has n - 1."""
+"""Nested operations; a sum of n terms has n - 1."""
 HIGHEST = 24
 """Degree of a formula in its names, and its largest exponent."""
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -50,7 +50,7 @@ _OPERATORS: dict[type, Callable[[Fraction, Fraction], Fraction]] = {
 
 
 class ExpressionError(ValueError):
-    """A text that is no formula; the message begins with the line, if there are several, and the column."""
+    """Text that is not a formula; the message begins with the column, and with the line if there are several lines."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def parse(text: str, names: Iterable[str]) -> Expression:
     Raises
     ------
     ExpressionError
-        For anything that is no formula, with its line and column, what is wrong, and what would be right.
+        If the text is not a formula. The message gives line, column, what is wrong, and what would be right.
     """
     return _parsed(text, tuple(names))
 
@@ -117,7 +117,7 @@ class _Reader:
             reason = f"cannot be read from {quoted(text[at : at + 16])} on; a product is written 2*x"
             raise self.fault(at, reason) from None
         except (RecursionError, MemoryError):
-            raise ExpressionError(f"has more than {DEEPEST} operations one within the other") from None
+            raise ExpressionError(f"has more than {DEEPEST} nested operations") from None
 
     def place(self, node: ast.AST) -> int:
         """Position of a node in the text, which is ASCII."""
@@ -126,7 +126,7 @@ class _Reader:
     def checked(self, node: ast.expr, depth: int) -> tuple[ast.expr, Fraction | int]:
         """Node with its numbers as they are written, and its value, a fraction, or its degree if it has names."""
         if depth > DEEPEST:
-            raise self.fault(self.place(node), f"more than {DEEPEST} operations one within the other")
+            raise self.fault(self.place(node), f"more than {DEEPEST} nested operations")
         match node:
             case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
                 return node, self.number(node)
@@ -161,7 +161,7 @@ class _Reader:
         value = float(written) if re.fullmatch(r"[0-9.]+([eE][+-]?[0-9]+)?", written) else math.inf
         underflows = not value and re.match(r"[0.]*[1-9]", written)
         if not math.isfinite(value) or underflows:
-            raise self.fault(at, f"{quoted(written)} is no decimal number that a double holds")
+            raise self.fault(at, f"{quoted(written)} is not a decimal number that a double holds")
         exact = Fraction(written) if value else Fraction(0)
         if exact != Fraction(repr(value)):
             raise self.fault(at, f"{quoted(written)} has more digits than a double holds; make it a parameter")
@@ -186,7 +186,7 @@ class _Reader:
         return degree
 
     def power(self, node: ast.BinOp, left: ast.expr, right: ast.expr, depth: int) -> tuple[ast.expr, Fraction | int]:
-        """A power, whose exponent is a number; that of a half is a power of the square root."""
+        """Check a power: its exponent is a number; a half-integer exponent becomes a power of the square root."""
         base, value = self.checked(left, depth + 1)
         _, exponent = self.checked(right, depth + 1)
         at = self.place(right)
@@ -202,12 +202,12 @@ class _Reader:
         return made, self.degree(node, math.ceil(value * abs(exponent)))
 
     def reason(self, node: ast.expr) -> str:
-        """Message about a node that is no part of a formula."""
+        """Message about a node that is not a part of a formula."""
         match node:
             case ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
                 return f"{name} takes one argument"
             case ast.Call(func=ast.Name(id=name)) if name in self.names:
-                return f"{name} is no function; a product is written {name}*(...)"
+                return f"{name} is not a function; a product is written {name}*(...)"
             case ast.Call(func=ast.Name(id=name)):
                 return f"unknown function {quoted(name)}; {nearest(name, FUNCTIONS)}"
             case ast.Call():
@@ -239,13 +239,13 @@ def _written(node: ast.expr, places: Mapping[str, str], numbers: dict[float, int
             return ast.BinOp(inner(left), op, right if isinstance(op, ast.Pow) else inner(right))
         case ast.Call(func=function, args=[argument]):
             return ast.Call(function, [inner(argument)], [])
-    raise TypeError(f"{type(node).__name__} is no part of a formula")
+    raise TypeError(f"{type(node).__name__} is not a part of a formula")
 
 
 def function_of(
     name: str, expressions: Sequence[Expression], components: Sequence[str], parameters: Sequence[str]
 ) -> Callable[..., Any]:
-    """The function ``name(y, p)`` that returns the tuple of the values of formulas.
+    """Return a function ``name(y, p)`` that returns the values of formulas as a tuple.
 
     ``y`` holds the ``components`` and ``p`` begins with the ``parameters``.
     """
@@ -269,9 +269,9 @@ def uses_math(function: Callable[..., Any]) -> bool:
 def in_arithmetic(
     function: Callable[..., Any], number: Callable[[float], Any], functions: Any = None
 ) -> Callable[..., Any]:
-    """A function with ``number(c)`` in the place of each of its constants c that is a float.
+    """Return a function with ``number(c)`` instead of each float constant c in its code.
 
-    ``functions`` takes the place of the module ``math``. What is no plain Python function remains as it is.
+    ``functions`` replaces the module ``math``. Objects other than plain Python functions are returned unchanged.
     """
     if not isinstance(function, types.FunctionType):
         return function
@@ -291,7 +291,7 @@ def in_arithmetic(
 def value_of(
     expression: Expression, components: Sequence[str], parameters: Sequence[str]
 ) -> Callable[[Sequence[Any], Sequence[Any]], Any]:
-    """The function ``value(y, p)`` of a formula, where ``y`` are numbers of any arithmetic or columns of them.
+    """Return a formula as a function ``value(y, p)``; ``y`` contains numbers of any arithmetic, or columns of numbers.
 
     Columns of objects, such as numbers of another precision, are computed in their arithmetic.
     """

@@ -1,4 +1,4 @@
-"""Integrals of a field: whether a declared one is conserved, by its exact rate of change if it is a polynomial."""
+"""Test whether a field conserves a declared integral, by the exact rate of change of a polynomial."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def polynomial_value(value: Callable[[Array], Array], d: int) -> Polynomial:
 
 
 def remainder(dividend: Polynomial, divisors: Sequence[Polynomial]) -> Polynomial:
-    """Remainder of a polynomial by several ``divisors``; if zero, it vanishes wherever they do."""
+    """Remainder of a polynomial divided by ``divisors``; if it is 0, the polynomial vanishes where they all do."""
 
     def rank(monomial: Monomial) -> tuple[int, Monomial]:
         return len(monomial), tuple(-i for i in monomial)
@@ -58,7 +58,7 @@ def derivative_along(field: Field, function: Polynomial) -> Polynomial:
 def rate_of_change(field: Field, integral: Polynomial, zeros: Sequence[Polynomial] = ()) -> dict[Monomial, float]:
     """Coefficients of the derivative of ``integral`` along the motion where ``zeros`` vanish.
 
-    Those that are only rounding are left out.
+    Coefficients that are only rounding errors are left out.
     """
     exact = derivative_along(field, integral)
     sizes = derivative_along(tuple(map(Polynomial.magnitudes, field)), integral.magnitudes())
@@ -71,7 +71,7 @@ def rate_of_change(field: Field, integral: Polynomial, zeros: Sequence[Polynomia
 
 
 def exact_rate(field: Field, invariants: Sequence[Invariant], invariant: Invariant) -> dict[Monomial, float]:
-    """``rate_of_change`` of one of the ``invariants`` of a top, where those that it names have their values.
+    """Return ``rate_of_change`` of one of the ``invariants`` of a top, on the level that this invariant names.
 
     Raises NotPolynomialError.
     """
@@ -81,7 +81,7 @@ def exact_rate(field: Field, invariants: Sequence[Invariant], invariant: Invaria
 
 
 STATES = 12
-"""Random states at which an integral that is no polynomial is judged; the majority decides, for it may have poles."""
+"""Random states that test an integral that is not a polynomial; the majority decides, because it may have poles."""
 REACH = 1e-3
 """Length of the change of such a state along the field, relative to the state."""
 CONSERVED = 1e-8
@@ -89,7 +89,7 @@ CONSERVED = 1e-8
 
 
 def measured_change(top: Top, invariant: Invariant) -> str:
-    """Rate at which an invariant changes along the field, by differences, and a random state; empty if it does not.
+    """Return a text with the rate of change of an invariant at a random state; empty if it does not change.
 
     States at which the field or the invariant has no value are left out.
     """
@@ -117,8 +117,8 @@ def measured_change(top: Top, invariant: Invariant) -> str:
 def broken_integral(top: Top) -> str:
     """Name of a declared integral that the field of ``top`` does not conserve, and why; empty if there is none.
 
-    Polynomials are judged exactly, others at random states, unless they hold on a level. Code that raises is not
-    judged.
+    Polynomials are tested exactly. Other functions are tested at random states, unless they are conserved only on a
+    level. Code that raises an exception is not tested.
     """
     field: Field | None = None
     try:
@@ -130,7 +130,7 @@ def broken_integral(top: Top) -> str:
     names = {invariant.name for invariant in invariants}
     for invariant in invariants:
         if unknown := invariant.on.keys() - names:
-            return f"{invariant.name!r} holds on {min(unknown)!r}, which is no integral of the top"
+            return f"{invariant.name!r} holds on {min(unknown)!r}, which is not an integral of the top"
         try:
             if field is None:
                 raise NotPolynomialError
@@ -141,12 +141,12 @@ def broken_integral(top: Top) -> str:
                 with suppress(Exception):  # of a user's code, as above
                     change = measured_change(top, invariant)
             if change:
-                return f"{invariant.name!r} is no integral of the field: {change}"
+                return f"{invariant.name!r} is not an integral of the field: {change}"
             continue
         if rates:
             monomial, c = max(rates.items(), key=lambda item: abs(item[1]))
             term = "*".join([f"{c:.4g}", *(top.components[i] for i in monomial)])
-            return f"{invariant.name!r} is no integral of the field: its rate of change contains {term}"
+            return f"{invariant.name!r} is not an integral of the field: its rate of change contains {term}"
     return ""
 
 
@@ -199,7 +199,7 @@ def polynomial_integrals(field: Field, degree: int) -> list[Polynomial]:
 
 
 def further_integrals(field: Field, declared: Sequence[Polynomial], degree: int = 4) -> tuple[int, list[Polynomial]]:
-    """Polynomial integrals of a field that are no polynomials of the ``declared`` ones.
+    """Polynomial integrals of a field that are not polynomials of the ``declared`` ones.
 
     Returns the degree up to which they were looked for, at most ``degree`` and less for many components, and a basis.
     """
@@ -224,9 +224,9 @@ def further_integrals(field: Field, declared: Sequence[Polynomial], degree: int 
 
 
 def reversal(field: Field) -> tuple[int, ...] | None:
-    """Signs (d,) of components under which time runs backwards, as few minus signs as possible; None if there are none.
+    """Return signs of the components, shape (d,), that reverse time, with as few minus signs as possible; or None.
 
-    f(R y) = -R f(y) for the diagonal matrix R of the signs.
+    The diagonal matrix R of the signs satisfies f(R y) = -R f(y).
     """
     d = len(field)
     for minus in chain.from_iterable(combinations(range(d), k) for k in range(1, d + 1)):

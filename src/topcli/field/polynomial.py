@@ -30,7 +30,7 @@ MOST_PRODUCTS = 10**6
 
 
 class NotPolynomialError(ValueError):
-    """A field that is no polynomial of the state; the message is the reason, a verb phrase."""
+    """Field that is not a polynomial of the state; the message gives the reason as a verb phrase."""
 
 
 DECIDES = "makes a decision that depends on the state"
@@ -39,7 +39,7 @@ DECIDES = "makes a decision that depends on the state"
 class Polynomial:
     """Polynomial with rational coefficients: ``terms`` maps each monomial to its coefficient, which is not zero.
 
-    It has the arithmetic of numbers, as far as the result is a polynomial: the exponent of a power is a whole number,
+    A polynomial can be used like a number if the result is a polynomial: the exponent of a power is a whole number,
     and a divisor is a constant. Anything else raises NotPolynomialError. A constant can be compared and converted to a
     float as a number.
     """
@@ -62,7 +62,7 @@ class Polynomial:
         try:
             return Polynomial({(): decimal(value)})
         except (TypeError, ValueError, OverflowError):
-            raise NotPolynomialError(f"computes with {type(value).__name__}, which is no number") from None
+            raise NotPolynomialError(f"computes with {type(value).__name__}, which is not a number") from None
 
     def __add__(self, other: object) -> Polynomial:
         terms = dict(self.terms)
@@ -120,7 +120,7 @@ class Polynomial:
 
     def constant(self) -> Fraction:
         """Value of a constant. Raises NotPolynomialError for a function of the state."""
-        return self._constant("calls a function of the state that is no polynomial")
+        return self._constant("calls a function of the state that is not a polynomial")
 
     def _constant(self, otherwise: str) -> Fraction:
         if self.degree > 0:
@@ -201,7 +201,7 @@ Field = tuple[Polynomial, ...]
 
 
 def variational(field: Field) -> Field:
-    """The field (f(y), f'(y) v) of a state y and a tangent vector v, whose indices follow those of y."""
+    """Return the field (f(y), f'(y) v) of a state y and a tangent vector v; the indices of v follow those of y."""
     d = len(field)
     tangent = (
         sum((rate.derivative(j) * Polynomial.variable(d + j) for j in range(d)), start=Polynomial({})) for rate in field
@@ -220,12 +220,12 @@ def strongly_connected(links: Sequence[Iterable[int]], nodes: Sequence[int]) -> 
 
 
 def decimal(value: Any) -> Fraction:
-    """Number as a fraction: a float as the decimal number that it prints as.
+    """Number as a fraction; a float is taken as the decimal number that Python prints for it.
 
-    Raises TypeError for what is no number, ValueError for a number that is not finite.
+    Raises TypeError if ``value`` is not a number, and ValueError if it is not finite.
     """
     if isinstance(value, str):
-        raise TypeError("a text is no number")
+        raise TypeError("a text is not a number")
     return Fraction(repr(float(value))) if isinstance(value, float) else Fraction(value)
 
 
@@ -234,7 +234,7 @@ DIGITS = 170
 
 
 class ExactMath:
-    """Functions of the module ``math`` of constants: square roots of squares exactly, others to ``DIGITS``."""
+    """Functions of ``math`` for constants: square roots of squares are exact, others accurate to ``DIGITS`` digits."""
 
     def __getattr__(self, name: str) -> Any:
         return _function(name) if name in FUNCTIONS else getattr(math, name)
@@ -256,7 +256,7 @@ def _function(name: str) -> Callable[[object], Polynomial]:
                 return Polynomial.of(root)
         found = getattr(context, name)(context.mpf(exact.numerator) / exact.denominator)
         if not isinstance(found, context.mpf) or not context.isfinite(found):
-            raise NotPolynomialError(f"takes {name} of {float(exact):g}, which is no number")
+            raise NotPolynomialError(f"takes {name} of {float(exact):g}, which is not a number")
         return Polynomial.of(Fraction(*to_rational(found._mpf_)))
 
     return value
@@ -266,7 +266,7 @@ def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: 
     """Polynomials of the ``d`` components of ``field(y, p)``, where p are the ``constants``.
 
     Numbers in the field's own code and ``math`` of constants are exact too, but not in functions that it calls.
-    Raises NotPolynomialError for a field that is no polynomial of the state.
+    Raises NotPolynomialError for a field that is not a polynomial of the state.
     """
     y = tuple(map(Polynomial.variable, range(d)))
     try:
@@ -280,7 +280,7 @@ def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: 
 
 
 def field_of(top: Top, exact: Callable[[float], Fraction] = decimal) -> Field:
-    """Polynomials of the field of a top; its parameters are made ``exact``, numbers in its code are decimals.
+    """Return the polynomials of the field of a top. ``exact`` converts parameters; numbers in its code are decimals.
 
     Raises NotPolynomialError, also if the code of the top raises: it is reported where it is run with numbers.
     """
@@ -310,9 +310,9 @@ def _place(field: Callable[..., Any], error: BaseException | None = None) -> str
 def required_field(
     top: Top, needed_by: str, degree: float = math.inf, exact: Callable[[float], Fraction] = decimal
 ) -> Field:
-    """``field_of(top, exact)`` for something that needs a polynomial, of at most this ``degree``.
+    """Return ``field_of(top, exact)`` for a user that needs a polynomial of at most this ``degree``.
 
-    Raises UsageError with the reason; ``needed_by`` says what is in need, for example "scheme 'hk'".
+    Raises UsageError with the reason; ``needed_by`` names the user of the field, for example "scheme 'hk'".
     """
     wanted = "quadratic" if degree == 2 else "polynomial"
     try:

@@ -1,4 +1,4 @@
-"""Animations of stored runs: frames of the spinning body, and the files they are written to."""
+"""Animations of stored runs: frames of the spinning body, and the video files."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import subprocess
 import textwrap
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from topcli.figures.body import (
     PALE,
     TRACE,
     TRACE_FAR,
+    Body,
     BodyArtist,
     BodyMotion,
     body_of,
@@ -36,7 +37,9 @@ from topcli.store.files import io_failure, require_writable, write_whole
 
 FORMATS = (".gif", ".mp4")
 SMOOTH_TURN = 0.12
-"""Mean turn of the body between two frames, in radians, up to which a whole run is shown by default."""
+"""Mean turn of the body between two frames, in radians, up to which more than a nutation is shown by default."""
+STEADY = 1e-6
+"""Range of the height of the axis below which the motion has no nutation."""
 RECENT = 0.12
 """Part of the shown time in which the trace is drawn strongly."""
 GIF_TICK = 100.0
@@ -45,10 +48,14 @@ GIF_FRAMES = 2500
 """Largest number of frames of a GIF, which are all held in memory."""
 GIF_PIXELS = 1 << 30
 """Largest number of pixels of all frames of a GIF together, each a byte."""
-NAME_LENGTH = 28
+NAME_LENGTH = 25
 """Letters of a name that fit in a frame."""
 INCHES = 7.2
 """Width of a frame in inches, to which the sizes of letters refer."""
+FIXED = {"{m}": "angular momentum", "{p}": "vertical"}
+"""Direction of the arrow in words, by the letter of its label."""
+LARGE, NORMAL = 14.0, 12.0
+"""Sizes of letters in points: at a width of 480 pixels the small ones are 11 pixels high."""
 
 Progress = Callable[[int, int], None]
 
@@ -98,9 +105,10 @@ def encoder_for(path: Path, fps: float, seconds: float) -> Callable[[Path, Film,
 def planned(
     motion: BodyMotion, fps: float, seconds: float, width: int, start: float | None, stop: float | None
 ) -> Film:
-    """Times of the frames: from ``start`` to ``stop``, by default from the first row as far as the film is smooth.
+    """Times of the frames: from ``start`` to ``stop``, by default from the first row.
 
-    Raises UsageError for times outside the run.
+    Without ``stop`` the film goes on as long as it is smooth, and for at least one nutation. Raises UsageError for
+    times outside the run.
     """
     t = motion.t
     low, high = sorted((float(t[0]), float(t[-1])))
@@ -113,7 +121,7 @@ def planned(
     if begin == end:
         raise UsageError(f"--start and --stop are both {begin:g}; there is no motion between them")
     if stop is None:
-        end = _smooth_end(motion, begin, count)
+        end = max(_smooth_end(motion, begin, count), _nutation_end(motion, begin), key=lambda end: abs(end - begin))
     return Film(np.linspace(begin, end, count), fps, width)
 
 
@@ -123,6 +131,26 @@ def _smooth_end(motion: BodyMotion, begin: float, count: int) -> float:
     forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
     at = np.interp(forwards * begin, forwards * motion.t, turned)
     return forwards * float(np.interp(at + SMOOTH_TURN * count, turned, forwards * motion.t))
+
+
+def _nutation_end(motion: BodyMotion, begin: float) -> float:
+    """Time of one nutation after ``begin``: from the first to the third extremum of the height of the body's axis.
+
+    ``begin`` if there are fewer extrema; at most the last time.
+    """
+    heights = (matrices(motion.attitude) @ _body(motion).axis)[:, 2]
+    sense = np.sign(np.diff(heights))
+    forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
+    after = forwards * (motion.t[1:-1] - begin) >= 0.0
+    extrema = motion.t[1:-1][(sense[1:] * sense[:-1] < 0.0) & after]
+    if len(extrema) < 3 or np.ptp(heights) < STEADY:
+        return begin
+    return forwards * min(forwards * (begin + extrema[2] - extrema[0]), forwards * float(motion.t[-1]))
+
+
+def _body(motion: BodyMotion) -> Body:
+    """Body of the top in motion."""
+    return body_of(motion.experiment.top, None if motion.states is None else motion.states[0].tolist())
 
 
 def turns(q: Array) -> Array:
@@ -155,28 +183,34 @@ class Stage:
         self.motion, self.film = motion, film
         width, height = film.size
         one = motion.experiment
-        state = None if motion.states is None else motion.states[0].tolist()
-        body = body_of(one.top, state)
+        body = _body(motion)
         self.attitudes, self.rows = attitudes_at(motion, film.times)
         self.path = matrices(motion.attitude) @ body.axis
         self.first = int(self.rows[0])
         self.elapsed = np.abs(motion.t[self.first :] - film.times[0])
         with mpl.rc_context(fname=STYLE):
-            mpl.rcParams["figure.constrained_layout.use"] = False
+            mpl.rcParams.update({"figure.constrained_layout.use": False, "font.size": NORMAL})
             self.figure = Figure(figsize=(INCHES, INCHES * height / width), dpi=width / INCHES)
             self.canvas = FigureCanvasAgg(self.figure)
-            self.artist = BodyArtist(self.figure.add_axes((0.0, 0.0, 0.62, 1.0)), body, self.path[self.first :])
+            words = next((words for letter, words in FIXED.items() if letter in body.vertical), "")
+            labelled = replace(body, vertical=f"{words} {body.vertical}".strip())
+            self.artist = BodyArtist(self.figure.add_axes((0.0, 0.0, 0.62, 1.0)), labelled, self.path[self.first :])
             name = one.name if len(one.name) <= NAME_LENGTH else f"{one.name[: NAME_LENGTH - 1]}\N{HORIZONTAL ELLIPSIS}"
-            self.figure.text(0.62, 0.925, name.replace("$", r"\$"), fontsize=13, va="top")
+            self.figure.text(0.62, 0.965, name.replace("$", r"\$"), fontsize=LARGE, va="top")
             title = one.top.title.partition(" (")[0]
             about = (title[:1].upper() + title[1:], f"{scheme_label(one)}, h = {one.h:g}")
-            lines = [line for text in about for line in textwrap.wrap(text, 50)[:1]]
-            self.figure.text(0.62, 0.865, "\n".join(lines), fontsize=8.5, color="0.35", va="top")
-            self.time = self.figure.text(0.62, 0.755, "", fontsize=13, va="top")
+            lines = [line for text in about for line in textwrap.wrap(text, 34)[:1]]
+            self.figure.text(0.62, 0.905, "\n".join(lines), fontsize=NORMAL, color="0.35", va="top")
+            self.figure.text(0.62, 0.785, "$t =$", fontsize=LARGE, va="top")
+            self.time = self.figure.text(0.67, 0.785, "", fontsize=LARGE, va="top")
+            self._legend(body)
             self.values = self._table()
             self.cursor = self._heights(body.label)
             for one in self._moving():
                 one.set_animated(True)
+            self.letters: dict[Any, Any] = {
+                key: mpl.rcParams[key] for key in mpl.rcParams if key.startswith(("font.", "mathtext."))
+            }
             self.canvas.draw()
             self.still = self.canvas.copy_from_bbox(self.figure.bbox)
 
@@ -189,23 +223,43 @@ class Stage:
         known = {one.name: one for one in self.motion.experiment.top.invariants()}
         texts: list[tuple[Any, ...]] = []
         if known:
-            self.figure.text(0.98, 0.715, "change", fontsize=8.5, color="0.35", va="top", ha="right")
+            self.figure.text(0.98, 0.725, "change", fontsize=NORMAL, color="0.35", va="top", ha="right")
         for line, name in enumerate(self.motion.invariants):
-            y = 0.665 - 0.062 * line
-            self.figure.text(0.62, y, f"${known[name].tex}$", fontsize=10, va="top")
-            texts.append(tuple(self.figure.text(x, y, "", fontsize=10, va="top", ha="right") for x in (0.84, 0.98)))
+            y = 0.67 - 0.062 * line
+            self.figure.text(0.62, y, f"${known[name].tex}$", fontsize=NORMAL, va="top")
+            texts.append(tuple(self.figure.text(x, y, "", fontsize=NORMAL, va="top", ha="right") for x in (0.83, 0.98)))
         return texts
 
     def _heights(self, label: str) -> tuple[Any, Any]:
         """Height of the axis over the shown time, and the marks that move along it."""
-        lines = 0.665 - 0.062 * max(len(self.values), 1)
-        axes = self.figure.add_axes((0.685, 0.145, 0.295, max(0.14, min(0.24, lines - 0.20))))
+        lines = 0.67 - 0.062 * max(len(self.values), 1)
+        axes = self.figure.add_axes((0.67, 0.145, 0.31, max(0.12, min(0.24, lines - 0.22))))
         low, high = sorted((float(self.film.times[0]), float(self.film.times[-1])))
         heights = (matrices(self.attitudes) @ self.artist.body.axis)[:, 2]
         axes.plot(self.film.times, heights, "-", color=TRACE, lw=0.9)
-        axes.set(xlim=(low, high), ylim=(-1.08, 1.08), yticks=(-1, 0, 1), xlabel="$t$")
-        axes.set_title(f"height of {label}", loc="left", fontsize=9)
+        axes.set(xlim=(low, high), ylim=(-1.08, 1.08), yticks=(-1, 0, 1))
+        axes.tick_params(labelsize=NORMAL)
+        axes.set_xlabel("time $t$", fontsize=NORMAL, labelpad=1.0)
+        axes.set_title(f"height of {label}", loc="left", fontsize=NORMAL)
         return axes.axvline(low, color="0.4", lw=0.7, ls="-"), axes.plot([], [], "o", color=DOT, ms=4.5)[0]
+
+    def _legend(self, body: Body) -> None:
+        """Say what the marks are."""
+        from matplotlib.lines import Line2D
+
+        handles = [
+            Line2D([], [], color=DOT, marker="o", ls="none", label=f"end of the axis {body.label}"),
+            Line2D([], [], color=TRACE, lw=1.9, ls="-", label="its path, recent"),
+            Line2D([], [], color=OLD, lw=0.9, ls="-", label="earlier, or behind"),
+        ]
+        self.figure.legend(
+            handles=handles,
+            loc="upper left",
+            bbox_to_anchor=(0.0, 1.0),
+            fontsize=NORMAL,
+            handlelength=1.0,
+            frameon=False,
+        )
 
     def frame(self, index: int) -> Array:
         """Picture (height, width, 3) of frame ``index``, 8 bits per colour."""
@@ -216,7 +270,7 @@ class Stage:
         recent = RECENT * abs(float(self.film.times[-1] - self.film.times[0]))
         since = int(np.searchsorted(self.elapsed, abs(time - self.film.times[0]) - recent))
         self.artist.show(row - self.first, min(since, row - self.first), rotation)
-        self.time.set_text(f"$t = {time:.2f}$")
+        self.time.set_text(f"{time:.2f}".replace("-", "\N{MINUS SIGN}"))
         for (value, off), values in zip(self.values, self.motion.invariants.values(), strict=True):
             change = float(values[row] - values[0])
             value.set_text(f"{float(values[row]):.6g}")
@@ -224,7 +278,7 @@ class Stage:
         line, dot = self.cursor
         line.set_xdata([time, time])
         dot.set_data([time], [(rotation @ self.artist.body.axis)[2]])
-        with mpl.rc_context(fname=STYLE):
+        with mpl.rc_context(self.letters):
             self.canvas.restore_region(self.still)
             for one in self._moving():
                 self.figure.draw_artist(one)
@@ -298,7 +352,7 @@ def write_mp4(path: Path, film: Film, frames: Iterator[Array]) -> None:
 
     width, height = film.size
     raw = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", repr(film.fps), "-i", "-")
-    coded = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-preset", "slow", "-movflags", "+faststart")
+    coded = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-preset", "medium", "-movflags", "+faststart")
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", *raw, *coded, os.fspath(path.absolute())]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as encoder:
         assert encoder.stdin is not None

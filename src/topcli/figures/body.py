@@ -1,4 +1,4 @@
-"""A spinning body: its shape from the moments of inertia, its axis, the vertical; and its motion in a stored run.
+"""Drawing of a spinning body from its moments of inertia, with its axis and the vertical, along a stored run.
 
 The body is convex: the faces turned to the viewer hide all others. Its attitude is recorded in the run, or
 reconstructed from the rows.
@@ -236,7 +236,7 @@ class BodyArtist:
     def show(self, row: int, since: int, rotation: Array) -> None:
         """Show the attitude ``rotation`` (3, 3) after the trace up to ``row``, whose part from ``since`` is strong."""
         corners, colours = shown_faces(self.body, self.view, rotation)
-        self.faces.set(verts=list(corners), facecolor=colours, edgecolor=colours)
+        self.faces.set(verts=corners, facecolor=colours, edgecolor=colours)
         tip = self.view @ rotation @ self.body.axis
         first, last = since // self.stride, row // self.stride
         self._place(self.old, self.path[: first + 1])
@@ -292,7 +292,7 @@ def stored_body_motion(folder: Path) -> BodyMotion:
         notes.append(f"{name}: no attitude is recorded; reconstructed from the rows ({ASK} records the scheme's own)")
     good: NDArray[np.bool_] = np.isfinite(attitude).all(axis=1).reshape(-1)
     if not good[0] or good.sum() < 2:
-        raise UsageError(f"{folder}: the attitude is not finite or has a single row; there is no motion to show")
+        raise UsageError(f"{folder}: no motion to show: the attitude is not finite or has only one row")
     last = len(good) if good.all() else int(np.argmin(good))
     if last < len(good):
         notes.append(f"{name}: the attitude is not finite after row {last}")
@@ -310,7 +310,7 @@ def _experiment(run: StoredRun) -> Experiment:
     """Experiment of a run. Raises UsageError for an ensemble and for a scheme or top that is not known here."""
     config = run.manifest["config"]
     if "ensemble" in config:
-        raise UsageError(f"{run.folder}: an ensemble of many trajectories; run a single one of them")
+        raise UsageError(f"{run.folder}: is an ensemble; run a single one of its trajectories")
     try:
         return load_experiment(config, any_precision=True)
     except (UsageError, ConfigError) as error:

@@ -12,7 +12,7 @@ from topcli.errors import SchemeCodeError, UnknownNameError, nearest, quoted
 from topcli.figures.figure import Figure, Loaded, Request, deferred
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.scene3d import Polhodes, Sphere
-from topcli.figures.scenes import BodyPanel, VectorPanel, scene_figure
+from topcli.figures.scenes import BACK, BodyPanel, VectorPanel, scene_figure
 from topcli.figures.sweep import LAW, Choice, View, sweep_views
 from topcli.schemes.plugins import failed_plugin, known_failures, origin_of, plugin_failures, plugin_table
 
@@ -20,8 +20,8 @@ Load = Callable[[Request], Loaded]
 
 
 def _headed(figsize: tuple[float, float]) -> Grid:
-    """One row of panels under a line with the scheme, h and the distance from the upright position at the start."""
-    return Grid(figsize=figsize, heading=r"{scheme}, $h = {h}$, $\epsilon = \gamma_3(0) = {gamma3}$")
+    """One row of panels under a line with top, scheme, h and the distance from the upright position at the start."""
+    return Grid(figsize=figsize, heading=r"{top}, {scheme}, $h = {h}$, $\epsilon = \gamma_3(0) = {gamma3}$")
 
 
 def _components(vector: str) -> tuple[str, str, str]:
@@ -31,8 +31,8 @@ def _components(vector: str) -> tuple[str, str, str]:
 def _motion_figure(name: str, method: str, scene: str) -> Figure:
     """Figure of gamma on the left and omega on the right."""
     panels = (
-        Panel(tuple(map(Line, _components("gamma"))), r"$\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a)"),
-        Panel(tuple(map(Line, _components("omega"))), r"$\boldsymbol{\omega}$", title="(b)"),
+        Panel(tuple(map(Line, _components("gamma"))), r"vertical $\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a)"),
+        Panel(tuple(map(Line, _components("omega"))), r"angular velocity $\boldsymbol{\omega}$", title="(b)"),
     )
     title = f"Kowalevski top, {method}: gamma and omega"
     return scene_figure(name, title, scene, panels, _headed((7.0, 2.9)), rank=0)
@@ -40,18 +40,18 @@ def _motion_figure(name: str, method: str, scene: str) -> Figure:
 
 def _spheres() -> tuple[Sphere, Sphere]:
     """Traces of gamma, seen from the body."""
-    alike = {"azimuth": 35.0, "axes": ("e_1", "e_2", "e_3"), "band": False}
-    near = "near the homoclinic orbit, dots at $t = 0, 1, 2, ...$"
+    alike = {"elevation": -20.0, "azimuth": 35.0, "axes": ("e_1", "e_2", "e_3"), "band": False}
+    alike["name"] = r"vertical $\boldsymbol{\gamma}$"
     return (
-        Sphere(near, _components("gamma"), elevation=-55.0, time="t", **alike),
-        Sphere("generic", _components("kowalevski_generic_hk:gamma"), elevation=25.0, width=0.5, **alike),
+        Sphere("(a) near the homoclinic orbit", _components("gamma"), time="t", **alike),
+        Sphere("(b) generic", _components("kowalevski_generic_hk:gamma"), width=0.5, **alike),
     )
 
 
 _TO_100 = "$0 \\leq t \\leq 100$"
-_GENERIC = f"Kowalevski top, generic, {_TO_100}"
-_HEAVY = f"100 heavy tops at random, $h = 0.01$, {_TO_100}: medians and quartiles"
-_SPACING = "swing_spacing.first"
+_GENERIC = f"Kowalevski top, generic motion, {_TO_100}"
+_HEAVY = f"100 random heavy tops, $h = 0.01$, {_TO_100}: medians and quartiles"
+_SPACING = "first_swing_spacing"
 
 
 def _schemes(*names: str) -> tuple[str, ...]:
@@ -61,8 +61,8 @@ def _schemes(*names: str) -> tuple[str, ...]:
 
 _SWINGING = _schemes("hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor")
 """Schemes of the figure of swings: one of each kind."""
-_ERRING = _schemes("hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor")
-"""Schemes of the figure of errors: one of each kind; each takes seconds to compile."""
+_ERRING = ("hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor")
+"""Schemes that the figure of errors shows in colour: one of each kind."""
 
 FIGURES: dict[str, Figure] = {
     figure.name: figure
@@ -71,138 +71,147 @@ FIGURES: dict[str, Figure] = {
         _motion_figure("fig2", "Bohlin A", "kowalevski_bohlin_a"),
         scene_figure(
             "fig3",
-            "Kowalevski top, Bohlin A: E and 2l, and their changes",
+            "Kowalevski top, Bohlin A: energy E and vertical angular momentum 2l, and their changes",
             "kowalevski_bohlin_a",
-            (Panel((Line("energy"), Line("two_l")), change=True, whole=(0.0, 6.0)),),
+            (Panel((Line("energy"), Line("two_l")), "change since $t = 0$", change=True, whole=(0.0, 6.0)),),
             _headed((7.0, 3.1)),
             rank=0,
         ),
         _motion_figure("fig4", "hybrid scheme", "kowalevski_hybrid"),
         scene_figure(
             "polhodes",
-            "Euler top: polhodes on the energy ellipsoid, and the tennis racket's",
+            "Euler top: curves of omega in the body (polhodes), and one that starts near the middle axis",
             "euler_tennis_racket",
             (Polhodes((3.0, 2.0, 1.0)),),
-            Grid(figsize=(4.6, 5.6)),
+            Grid(figsize=(4.6, 5.9)),
         ),
         scene_figure(
             "modified",
-            "Euler top, HK scheme: physical and modified integrals",
+            "Euler top, HK scheme: deviations of an integral and of modified integrals that HK conserves",
             "euler_modified",
             (
                 Panel((Line("m_sq"), Line("modified_m_sq")), title="(a)"),
                 Panel(
                     (Line("m_sq"), Line("modified_m_sq"), Line("modified_k12", dots=40)),
-                    "relative deviation",
+                    "largest relative deviation so far",
                     title="(b)",
                     log=True,
                     deviation=True,
                     ylim=(1e-17, 1.0),
                 ),
             ),
-            Grid(figsize=(7.0, 2.9), heading="{scheme}, $h = {h}$"),
+            Grid(figsize=(7.0, 2.9), heading="{top}, {scheme}, $h = {h}$"),
         ),
         scene_figure(
             "sphere",
-            "Kowalevski top: the vertical seen from the body, near the homoclinic orbit and on a generic one",
+            "Kowalevski top: the vertical in the body frame, near the homoclinic orbit and on a generic orbit",
             "kowalevski_hybrid",
             _spheres(),
-            Grid(figsize=(6.4, 3.3)),
+            Grid(
+                figsize=(6.4, 3.6),
+                ncols=4,
+                heading=r"{top}: vertical $\boldsymbol{\gamma}$ in the body frame",
+                first=(r"vertical $\boldsymbol{\gamma}$", "on the far side"),
+            ),
             ("kowalevski_generic_hk",),
         ),
         scene_figure(
             "nutation",
-            "Lagrange top: the trace of its axis with cusps, loops and waves",
+            "Lagrange top: traces of the top's axis with cusps, loops and waves",
             "lagrange_cusps",
             (
-                Sphere("cusps", _components("lagrange_cusps:a")),
-                Sphere("loops", _components("lagrange_loops:a")),
-                Sphere("waves", _components("lagrange_waves:a")),
+                Sphere("(a) cusps", _components("lagrange_cusps:a")),
+                Sphere("(b) loops", _components("lagrange_loops:a")),
+                Sphere("(c) waves", _components("lagrange_waves:a")),
             ),
-            Grid(figsize=(7.0, 2.5)),
+            Grid(
+                figsize=(7.0, 3.0),
+                ncols=4,
+                heading=r"{top}: axis $\boldsymbol{a}$ about the vertical $\boldsymbol{p}$",
+                first=(r"axis $\boldsymbol{a}$", "on the far side", "its bounds"),
+            ),
             ("lagrange_loops", "lagrange_waves"),
         ),
         Figure(
             "bifurcation",
-            "Kowalevski top: bifurcation diagrams with the classes of tori, and the scenes",
+            "Kowalevski top: bifurcation diagrams with the classes of tori, and packaged scenes as points",
             "kowalevski_hk",
             deferred("motion:load_bifurcation"),
         ),
         Figure(
             "catalogue",
-            "Tops of the catalogue: motions of their gentle and hard scenes",
+            "Tops of the catalogue: a gentle and a hard motion of each top",
             "volterra_gentle",
             deferred("portraits:load_portraits"),
         ),
         Figure(
             "torus",
-            "Kowalevski top: a torus with the lines of the flows of E and k²",
+            "Kowalevski top: an invariant torus with lines of the flows of E and k²",
             "kowalevski_torus",
             deferred("torus:load_torus"),
         ),
         scene_figure(
             "body",
-            "Bodies in space with the traces of their axes: free, Lagrange, Kowalevski",
+            "Euler, Lagrange and Kowalevski tops: the bodies in space with the traces of their axes",
             "euler_attitude",
             (
                 BodyPanel("(a) Euler", until=0.45),
                 BodyPanel("(b) Lagrange", "lagrange_attitude", until=0.93),
                 BodyPanel("(c) Kowalevski", "kowalevski_attitude", until=0.5),
             ),
-            Grid(figsize=(7.0, 2.6)),
+            Grid(
+                figsize=(7.0, 3.1),
+                ncols=3,
+                heading=r"fixed directions: momentum $\boldsymbol{m}$, vertical $\boldsymbol{p}$",
+            ),
             ("lagrange_attitude", "kowalevski_attitude"),
         ),
         scene_figure(
             "traces",
-            "Traces of omega and gamma, seen from the body and from space",
+            "Euler top: the curve of omega in the body (polhode) and in space (herpolhode)",
             "euler_attitude",
             (
-                VectorPanel(r"(a) Euler: $\boldsymbol{\omega}$ in the body", "omega"),
-                VectorPanel(r"(b) Euler: $\boldsymbol{\omega}$ in space", "omega", in_space=True),
-                VectorPanel(r"(c) Kowalevski: $\boldsymbol{\gamma}$ in the body", "gamma", "kowalevski_attitude"),
-                VectorPanel(
-                    r"(d) Kowalevski: $\boldsymbol{\omega}$ in space", "omega", "kowalevski_attitude", in_space=True
-                ),
+                VectorPanel(r"(a) $\boldsymbol{\omega}$ in the body: polhode", "omega"),
+                VectorPanel(r"(b) $\boldsymbol{\omega}$ in space: herpolhode", "omega", in_space=True),
             ),
-            Grid(2, figsize=(7.0, 6.4)),
-            ("kowalevski_attitude",),
+            Grid(figsize=(7.0, 3.7), heading="Euler top", ncols=4, first=(r"$\boldsymbol{\omega}$", BACK)),
         ),
         Figure(
             "roundoff",
-            "Growth of round-off: biased, a random walk, compensated, and not at all",
+            "Round-off in invariants: linear growth by a bias, a random walk, compensated sums, and no growth",
             "lagrange_bs",
             deferred("growth:load_growth"),
             rank=1,
         ),
         Figure(
             "compare",
-            "Kowalevski top: errors and swings of five schemes",
+            "Kowalevski top: errors and swings (falls and rises) under five schemes",
             "kowalevski_hk",
             deferred("comparison:load_comparison"),
             takes_overrides=True,
         ),
         Figure(
             "period",
-            "Kowalevski top: why Figure 2 has another period than Figure 1",
+            "Kowalevski top: why the period in Figure 2 differs from that in Figure 1",
             "kowalevski_hk",
             deferred("period:load_period"),
         ),
         Figure(
             "order",
-            "Kowalevski top, generic: error over h, orders and the plateau of round-off",
+            "Kowalevski top, generic motion: errors against h, observed orders and the plateau of round-off",
             "topcli order",
             deferred("errors:load_order"),
         ),
         sweep_views(
             "swings",
-            "Kowalevski top: time between swings over eps and h, and each scheme's floor",
+            "Kowalevski top: time between swings against h and the distance eps from the homoclinic orbit",
             "kowalevski_swings",
             (
                 View(
                     "$h = 0.01$",
                     Choice("initial.gamma3", _SPACING, "scheme"),
                     (*_SWINGING, "h=0.01"),
-                    "$\\epsilon = \\gamma_3(0)$",
+                    "distance $\\epsilon = \\gamma_3(0)$ from the homoclinic orbit",
                     "time between swings",
                     law=spacing_law,
                     law_label=LAW,
@@ -211,70 +220,90 @@ FIGURES: dict[str, Figure] = {
                     "$\\epsilon = 10^{-8}$",
                     Choice("h", _SPACING, "scheme"),
                     (*_SWINGING, "initial.gamma3=1e-8"),
-                    "$h$",
+                    "step size $h$",
                     "time between swings",
                     xlog=True,
                 ),
             ),
-            Grid(figsize=(7.0, 3.7), ncols=4, title="scheme"),
+            Grid(figsize=(7.0, 3.9), ncols=4, title="scheme", heading="Kowalevski top near the homoclinic orbit"),
         ),
         sweep_views(
             "errors",
-            "Kowalevski top, generic: error and drift of the energy of eight schemes over h",
+            "Kowalevski top, generic motion: error and energy deviation of all schemes against h",
             "kowalevski_errors",
             (
-                View("", Choice("h", "error.max", "scheme"), _ERRING, "$h$", "largest error"),
-                View("", Choice("h", "deviation.energy", "scheme"), _ERRING, "$h$", "deviation of $E$"),
+                View(
+                    "error and its order in $h$",
+                    Choice("h", "max_error", "scheme"),
+                    xlabel="step size $h$; finer →",
+                    ylabel="largest error",
+                    coloured=_ERRING,
+                ),
+                View(
+                    "energy and its order in $h$",
+                    Choice("h", "max_deviation.energy", "scheme"),
+                    xlabel="step size $h$; finer →",
+                    ylabel="largest deviation of the energy $E$",
+                    coloured=_ERRING,
+                ),
             ),
-            Grid(figsize=(7.0, 5.2), ncols=4, title="scheme: slopes in (a), (b)", heading=_GENERIC),
+            Grid(figsize=(7.0, 4.8), ncols=4, heading=_GENERIC),
         ),
         sweep_views(
             "heavy-drift",
-            "Heavy tops, 100 at random: energy of five schemes",
+            "100 random heavy tops: deviation and drift of the energy under five schemes",
             "heavy_drift",
             (
-                View("", Choice("scheme", "deviation.energy", aggregate="median"), ylabel="deviation of $E$"),
-                View("", Choice("scheme", "drift.energy", aggregate="median"), ylabel="drift of $E$ per unit time"),
+                View(
+                    "",
+                    Choice("scheme", "max_deviation.energy", aggregate="median"),
+                    ylabel="deviation of the energy $E$",
+                ),
+                View(
+                    "",
+                    Choice("scheme", "drift.energy", aggregate="median", magnitude=True),
+                    ylabel="|drift| of $E$ per unit of time",
+                ),
             ),
-            Grid(figsize=(7.0, 3.1), heading=_HEAVY),
+            Grid(figsize=(7.0, 3.4), heading=_HEAVY, ncols=3, title="sign of the drift between the quartiles, in (b)"),
         ),
         Figure(
             "integrable",
-            "Energy over a long time: integrable and canonical maps, exact conservation, drift",
+            "Kowalevski and Euler tops: long-time energy errors under integrable, canonical and other schemes",
             "euler_hk",
             deferred("growth:load_long_energy"),
             rank=1,
         ),
         Figure(
             "chaos",
-            "Chaotic orbits of HK over the step size, and of a heavy top over its centre of gravity",
+            "Chaotic orbits under HK: Kowalevski top against h, heavy top against its centre of gravity, and gyrostat",
             "kowalevski_generic_hk",
             deferred("chaos:load_chaos"),
             rank=1,
         ),
         Figure(
             "error-and-cost",
-            "Kowalevski top, generic: error of the integrable map and others over h and over time",
+            "Kowalevski top, generic motion: errors of an integrable map and other schemes against h and CPU time",
             "kowalevski_generic_hk",
             deferred("errors:load_error_and_cost"),
             rank=1,
         ),
         Figure(
             "torus-points",
-            "Kowalevski top: a million points of the integrable map at h = 1 on the torus, and HK's",
+            "Kowalevski top: a million points on a torus, under an integrable map at h = 1 and under HK",
             "kowalevski_generic_backlund",
             deferred("torus:load_torus_points"),
             rank=1,
         ),
         Figure(
             "work-precision",
-            "Speed against error of schemes and peers",
+            "CPU time against error: schemes of topcli and integrators of other packages",
             "topcli bench",
             deferred("comparison:load_work_precision"),
         ),
         Figure(
             "stress",
-            "Every scheme in the hard cases of its top",
+            "Hard cases of each top: which schemes hold, degrade or break",
             "topcli stress",
             deferred("outcomes:load_stress"),
             rank=1,
@@ -294,20 +323,21 @@ def figure(name: str, *, title: str, scene: str = "") -> Callable[[Load], Load]:
     name : str
         Name of the figure and its files, in lower case.
     title : str
-        Description in one line.
+        Description on one line.
     scene : str, optional
-        Scene or command that the results come from.
+        Name of the scene whose results the figure shows, or command that computes these results.
 
     Returns
     -------
     callable
         Decorator that registers the function and returns it unchanged. The function takes a
-        ``topcli.figures.figure.Request`` and returns a ``Loaded``: panels, and the data that they draw.
+        ``topcli.figures.figure.Request`` and returns a ``topcli.figures.figure.Loaded``, which contains panels and the
+        data that they draw.
 
     Raises
     ------
     ValueError
-        If there is a figure of this name.
+        If there is already a figure with this name.
     """
 
     def register(load: Load) -> Load:

@@ -1,9 +1,9 @@
-"""Order and chaos: the exponents of an orbit, and the share of chaotic orbits of maps that are integrable or not.
+"""Figure ``chaos``: Lyapunov exponents of an orbit, and the share of chaotic orbits of several maps.
 
-The HK scheme of Kowalevski's top is no integrable map: with the step size, chaotic orbits appear and spread. That of
-Lagrange's top is integrable, and so is ``backlund``. A symmetric heavy top is integrable if its centre of gravity lies
-on the axis of symmetry, and chaotic motions appear as it is moved away. A gyrostat is integrable with any rotor, but
-its HK scheme with one on a principal axis only.
+The HK scheme of Kowalevski's top is not an integrable map: with the step size, chaotic orbits appear and spread. That
+of Lagrange's top is integrable, and so is ``backlund``. A symmetric heavy top is integrable if its centre of gravity
+lies on the axis of symmetry, and chaotic motions appear as it is moved away. A gyrostat is integrable with any rotor,
+but its HK scheme with one on a principal axis only.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import Grid, Line, Panel, caption
-from topcli.figures.style import MARKERS, Styles
+from topcli.figures.style import DASHES, MARKERS, Styles, looks
 from topcli.runs.identity import method_fingerprint
+from topcli.schemes.display import display_name
 from topcli.schemes.registry import find_scheme
 from topcli.studies.study import Result
 from topcli.tops import TOPS
@@ -47,7 +48,7 @@ def loaded_lyapunov(result: Result) -> Loaded:
         ylabel="exponent per unit of time",
         xlog=True,
         log=alone and bool((columns[names[0]] > 0.0).all()),
-        title=f"{config['scheme']['name']}, $h = {config['h']:g}$: {study['verdict']}",
+        title=f"{display_name(config['scheme']['name'])}, $h = {config['h']:g}$: {study['verdict']}",
     )
     return Loaded((panel,), lambda: columns, config, Grid(figsize=(5.4, 3.2)))
 
@@ -61,7 +62,7 @@ STEP_SIZES = (0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
 MAPS = (
     ("hk", "kowalevski", "HK, Kowalevski"),
     ("hk", "lagrange", "HK, Lagrange"),
-    ("backlund", "kowalevski", "backlund"),
+    ("backlund", "kowalevski", "Bäcklund, Kowalevski"),
 )
 ANGLES = tuple(np.linspace(0.0, 90.0, 10).tolist())
 """Angles between the axis of symmetry and the direction to the centre of gravity, in degrees."""
@@ -153,9 +154,9 @@ class ChaosMap:
         calm = np.where(found == 0.0, 0.0, np.nan)
         axes.pcolormesh(h, omega, calm, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
         bar = axes.figure.colorbar(drawn, ax=axes, pad=0.02)
-        bar.set_label("exponent of chaotic orbits")
+        bar.set_label("exponent of chaotic orbits per unit of time")
         axes.grid(False)
-        caption(axes, "$h$", r"$|\boldsymbol{\omega}(0)|$", self.title)
+        caption(axes, "step size $h$", r"initial angular speed $|\boldsymbol{\omega}(0)|$", self.title)
 
 
 @dataclass(frozen=True)
@@ -173,17 +174,20 @@ class SharePanel:
         x = x[np.isfinite(x)]
         for i, label in enumerate(self.labels):
             share, error = (100.0 * data[f"{kind}:{label}"][: len(x)] for kind in ("share", "error"))
-            axes.errorbar(x, share, error, label=label, marker=MARKERS[i], markersize=3.5, capsize=2.0, color=f"C{i}")
+            scheme = next((name for name, _, own in MAPS if own == label), "hk")
+            look = {"color": looks([scheme])[scheme]["color"], "linestyle": DASHES[i], "marker": MARKERS[i]}
+            size = 2.0 + len(self.labels) - i  # so that markers at one place are seen
+            axes.errorbar(x, share, error, label=label, markersize=size, capsize=2.0, **look)
         caption(axes, self.xlabel, "chaotic orbits in %", self.title)
         if len(self.labels) > 1:
-            axes.legend(loc="upper left", frameon=True)
+            axes.legend(loc="upper left", fontsize="small")
 
 
 def load_chaos(request: Request) -> Loaded:
     """Load the map and the shares of chaotic orbits."""
     panels = (
-        ChaosMap("(a) HK, Kowalevski top"),
-        SharePanel("h", [label for _, _, label in MAPS], "$h$", "(b) random orbits"),
+        ChaosMap("(a) HK, Kowalevski top; white: regular"),
+        SharePanel("h", [label for _, _, label in MAPS], "step size $h$", "(b) random orbits"),
         SharePanel(
             "angle", ["angle"], "centre of gravity off the axis, degrees", f"(c) heavy top, HK, $h = {ANGLE_H}$"
         ),

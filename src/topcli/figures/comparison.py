@@ -1,4 +1,4 @@
-"""Figures that compare schemes: of ``topcli compare`` and ``topcli analyse``, and speed against error.
+"""Figures that compare schemes, for ``topcli compare``, ``topcli analyse`` and ``topcli bench``.
 
 The first two show errors and swings over time, of schemes and of a series. The figure ``work-precision`` has a panel
 for each scene with a finished result of ``topcli bench``.
@@ -19,10 +19,12 @@ from topcli.analysis.swings import minima_times
 from topcli.config.load import load_experiment
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
+from topcli.figures.curves import plain
 from topcli.figures.figure import Loaded, NothingMeasuredError, Request, code_of
-from topcli.figures.picture import Grid, Line, Panel, below_panels, caption, component_symbol, number_text
+from topcli.figures.picture import Grid, Line, Panel, below_panels, caption, component_symbol, number_text, top_name
 from topcli.figures.scenes import scene_config
 from topcli.figures.style import MARKERS, REFERENCE, Styles, looks
+from topcli.schemes.display import display_name
 from topcli.studies.bench.contest import SCENES
 from topcli.studies.bench.result import DECADES, SETUP, pareto_front, points_of, ranking, stored_benches
 from topcli.studies.compare_runs import compare_schemes
@@ -31,6 +33,10 @@ from topcli.studies.study import Result
 
 SAME = 0.01
 """Schemes whose errors differ by less than this part of them at all times are drawn as one curve."""
+START = 100
+"""Number of parts of the rows, the first of which may be left out of the scale of the errors ..."""
+EMPTY = 30.0
+"""... if the scale becomes shorter by this factor without it."""
 LAST = 3
 """Number of swings that are shown of a run with more than twice as many."""
 
@@ -58,9 +64,18 @@ def last_swings(t: np.ndarray, values: np.ndarray) -> tuple[float, str]:
     return float(times[-LAST - 1] + times[-LAST]) / 2.0, f", last {LAST} of {len(times)} swings"
 
 
+def _least(errors: np.ndarray) -> float:
+    """Half of the smallest of the errors after the first of the rows, in which errors begin at nothing."""
+    later = errors[len(errors) // START :]
+    return 0.5 * float(np.nanmin(later)) if np.isfinite(later).any() else np.nan
+
+
 @dataclass(frozen=True)
 class ErrorsOverTime:
-    """Errors of the schemes ``labels`` over time; one curve for schemes that coincide, named as such."""
+    """Errors of the schemes ``labels`` over time; one curve for schemes that coincide, named as such.
+
+    Much smaller errors at the very start are below the scale.
+    """
 
     labels: tuple[str, ...]
 
@@ -69,8 +84,11 @@ class ErrorsOverTime:
         alike = groups(self.labels, data)
         own = looks(group[0] for group in alike)
         for group in alike:
-            axes.plot(data["t"], data[f"error:{group[0]}"], label=" ≈ ".join(group), **own[group[0]])
-        axes.set(xlabel="$t$", ylabel="error of the state", yscale="log", xlim=(data["t"][0], data["t"][-1]))
+            axes.plot(data["t"], data[f"error:{group[0]}"], label=" ≈ ".join(map(display_name, group)), **own[group[0]])
+        axes.set(xlabel="time $t$", ylabel="error of the state", yscale="log", xlim=(data["t"][0], data["t"][-1]))
+        low = min((_least(data[f"error:{group[0]}"]) for group in alike), default=np.nan)
+        if np.isfinite(low) and low > EMPTY * axes.get_ylim()[0]:
+            axes.set_ylim(bottom=low)
         axes.set_title("(a)", loc="left")
         handles, texts = axes.get_legend_handles_labels()
         below_panels(axes.figure, handles, texts, min(5, len(alike)))
@@ -101,9 +119,9 @@ class SwingPanel:
             near = np.clip(data[f"swing:{group[0]}"], low - 0.1 * size, high + 0.1 * size)
             axes.plot(t, reference + up, **styles[REFERENCE])
             axes.plot(t, near + up, **{**own[group[0]], "linestyle": "-"})
-            names.append((up + 0.5 * (low + high), "\n≈ ".join(group)))
+            names.append((up + 0.5 * (low + high), "\n≈ ".join(map(display_name, group))))
         axes.set_yticks(*zip(*names, strict=True), fontsize="small")
-        axes.set(xlabel="$t$", xlim=(start, t[-1]), ylim=(low - 0.2 * size, high + (len(alike) - 0.8) * size))
+        axes.set(xlabel="time $t$", xlim=(start, t[-1]), ylim=(low - 0.2 * size, high + (len(alike) - 0.8) * size))
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False, axis="y")
         axes.set_title(f"(b) {self.symbol}, reference in grey{note}", loc="left")
@@ -116,9 +134,10 @@ def _panels(labels: Sequence[str], component: str) -> tuple[ErrorsOverTime, Swin
     return ErrorsOverTime(tuple(labels)), SwingPanel(tuple(labels), component_symbol(component))
 
 
-def _layout(labels: Sequence[str], h: float) -> Grid:
-    """Two panels with room for a row for each scheme."""
-    return Grid(figsize=(7.0, min(9.0, 1.8 + 0.32 * max(5, len(labels)))), heading=f"$h = {number_text(h)}$")
+def _layout(labels: Sequence[str], what: str, h: float) -> Grid:
+    """Two panels with room for a row for each scheme, under the name of ``what`` is computed and the step size."""
+    height = min(9.0, 1.8 + 0.32 * max(5, len(labels)))
+    return Grid(figsize=(7.0, height), heading=f"{what}, $h = {number_text(h)}$")
 
 
 def _data(comparison: Result) -> dict[str, np.ndarray]:
@@ -139,7 +158,9 @@ def loaded_comparison(comparison: Result) -> Loaded:
     if not comparison.arrays:
         raise UsageError("the series are not in this file; topcli compare with --save stores them")
     panels = _panels(labels, data["reference"]["swing"])
-    return Loaded(panels, lambda: _data(comparison), source, _layout(labels, data["config"]["h"]))
+    return Loaded(
+        panels, lambda: _data(comparison), source, _layout(labels, plain(data["config"]["name"]), data["config"]["h"])
+    )
 
 
 def comparison_curves(comparison: Result, what: str = "error") -> tuple[Panel, Mapping[str, np.ndarray]]:
@@ -151,10 +172,10 @@ def comparison_curves(comparison: Result, what: str = "error") -> tuple[Panel, M
         raise UsageError("plot: the comparison of an ensemble has no series; see its table")
     labels = [scheme["label"] for scheme in comparison.data["schemes"]]
     if what == "error":
-        lines = tuple(Line(f"error:{label}", label) for label in labels)
+        lines = tuple(Line(f"error:{label}", display_name(label)) for label in labels)
         return Panel(lines, "error of the state", log=True), _data(comparison)
     if what == "swing":
-        lines = tuple(Line(f"swing:{label}", label) for label in (REFERENCE, *labels))
+        lines = tuple(Line(f"swing:{label}", display_name(label)) for label in (REFERENCE, *labels))
         return Panel(lines, component_symbol(comparison.data["reference"]["swing"])), comparison.arrays
     raise UsageError(f"plot: what={what!r} must be 'error' or 'swing'")
 
@@ -174,7 +195,7 @@ def load_comparison(request: Request) -> Loaded:
         _panels(labels, experiment.top.swing),
         lambda: _data(compare_schemes(experiment, COMPARED)),
         source,
-        _layout(labels, experiment.h),
+        _layout(labels, top_name(experiment.top), experiment.h),
         variant=experiment.digest[:6] if changed else "",
     )
 
@@ -234,7 +255,8 @@ class CompetitorCurve:
     @property
     def label(self) -> str:
         """Label in the legend."""
-        return f"{self.name} (after its set-up)" if self.setup else self.name
+        name = display_name(self.name) if self.ours else self.name
+        return f"{name} (after its set-up)" if self.setup else name
 
 
 @dataclass(frozen=True)

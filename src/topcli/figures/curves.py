@@ -1,4 +1,4 @@
-"""Panels of curves over a key, with observed slopes and the plateau of round-off, and of colours over two keys."""
+"""Panels of curves or colours over keys, with observed slopes and the plateau of round-off."""
 
 from __future__ import annotations
 
@@ -11,12 +11,19 @@ import numpy as np
 
 from topcli.analysis.order import convergence
 from topcli.contracts import Array
-from topcli.figures.picture import caption
+from topcli.figures.picture import caption, label_ends
 from topcli.figures.style import REFERENCE, Styles, looks
+from topcli.schemes.display import display_name
 
 LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 NOTHING = "no value"
 PLATEAU = "round-off"
+OTHER: dict[str, Any] = {"color": "0.62", "linewidth": 0.8, "markersize": 2.2, "zorder": 1.8}
+"""Look of curves that are not coloured."""
+CATEGORY = "0.2"
+"""Colour of the only curve over names."""
+SIGNS = {1.0: ("^", "positive"), -1.0: ("v", "negative"), 0.0: ("o", "both signs")}
+"""Markers and names of signs."""
 
 
 def curve_column(label: str, kind: str) -> str:
@@ -42,7 +49,8 @@ def symlog_ticks(threshold: float, low: float, high: float) -> list[float]:
 class CurvePanel:
     """Curves with markers, each over its own x.
 
-    The columns of a curve are its label with ``:x`` and ``:y``, and for a ``band`` with ``:low`` and ``:high``. If both
+    The columns of a curve are its label with ``:x`` and ``:y``, and for a ``band`` with ``:low`` and ``:high``. With
+    ``signs`` the column ``:sign`` chooses markers: up for 1, down for -1, a circle for values of both signs. If both
     axes are logarithmic, the legend has the slope at the smallest x above the plateau of round-off; markers on the
     plateau are open, and a dotted line is at its level. A cross at the lower edge marks a point without a value. The
     vertical scale ``symlog`` is linear up to ``threshold`` on both sides of zero and logarithmic beyond. On the scale
@@ -50,7 +58,8 @@ class CurvePanel:
     ``categories`` are the names of the values 0, 1, ... of x if they are not numbers. ``guide`` is the label of one
     more curve, a law, drawn broad and grey behind the others. ``prefix`` distinguishes the columns of several panels. A
     panel that is not ``alone`` leaves its legend to the layout. Curves in ``flat`` have no slope:
-    their x is not what limits the error.
+    their x is not what limits the error. With ``coloured`` the names are at the ends of the curves, a logarithmic x
+    falls to the right, and curves that are not among these are grey.
     """
 
     labels: tuple[str, ...]
@@ -61,6 +70,7 @@ class CurvePanel:
     threshold: float = 0.0
     ceiling: float = np.inf
     band: bool = False
+    signs: bool = False
     categories: tuple[str, ...] = ()
     title: str = ""
     legend: str = ""
@@ -68,6 +78,7 @@ class CurvePanel:
     prefix: str = ""
     alone: bool = True
     flat: tuple[str, ...] = ()
+    coloured: tuple[str, ...] = ()
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the curves and, if there is more than one, a legend to their right into ``axes``."""
@@ -76,17 +87,24 @@ class CurvePanel:
         extra: dict[str, Any] = {}
         for i, (label, style) in enumerate(looks(self.labels, markers=True).items()):
             size = 4.6 - 1.8 * i / max(1, len(self.labels) - 1)  # so that markers at one place are seen
-            self._curve(axes, data, label, style | {"markersize": size}, extra)
+            style |= {"markersize": size}
+            if self.coloured and label not in self.coloured:
+                style |= OTHER
+            self._curve(axes, data, label, style, extra)
         if self.guide:
             law = [data[self.column(self.guide, kind)] for kind in ("x", "y")]
             axes.plot(*law, **styles[REFERENCE], label=self.guide)
         if self.yscale == SYMLOG:
             axes.set_yticks(symlog_ticks(self.threshold, *axes.get_ylim()))
-        caption(axes, self.xlabel, self.ylabel, self.title)
+        explained = f" ({self.legend})" if self.coloured and self.alone and self.legend else ""
+        caption(axes, self.xlabel, self.ylabel, self.title + explained)
         if self.categories:
+            axes.set_xlim(-0.5, len(self.categories) - 0.5)
             axes.set_xticks(
                 range(len(self.categories)), self.categories, rotation=0 if len(self.categories) < 6 else 90
             )
+        if self.coloured:
+            self._name_ends(axes)
         if not self.alone:
             for name, handle in extra.items():
                 handle.set_label(name)
@@ -94,9 +112,12 @@ class CurvePanel:
             return
         handles, texts = axes.get_legend_handles_labels()
         handles, texts = [*handles, *extra.values()], [*texts, *extra]
-        if len(texts) == 1 and self.categories:
+        if not texts or texts == [plain(display_name(self.labels[0]))]:
             return  # the vertical axis says what it is
-        rows = 22
+        if self.coloured:
+            place: dict[str, Any] = {"loc": "outside lower center", "ncols": 4}
+            axes.figure.legend(handles, texts, fontsize="small", **place)
+            return
         axes.legend(
             handles,
             texts,
@@ -104,8 +125,20 @@ class CurvePanel:
             loc="upper left",
             bbox_to_anchor=(1.01, 1.02),
             fontsize="small",
-            ncols=-(-len(texts) // rows),
         )
+
+    def _name_ends(self, axes: Any) -> None:
+        """Move the names of the curves from the legend to their ends; a logarithmic horizontal axis is turned round."""
+        if self.xlog:
+            axes.invert_xaxis()
+        axes.autoscale_view()
+        named = [line for line in axes.lines if line.get_label()[0] != "_" and len(line.get_xdata())]
+        ends = []
+        for line in named:
+            last = int((np.argmin if self.xlog else np.argmax)(line.get_xdata()))
+            ends.append((line.get_xdata()[last], line.get_ydata()[last], line.get_label(), line.get_color()))
+            line.set_label(f"_{line.get_label()}")
+        label_ends(axes, ends)
 
     def column(self, label: str, kind: str) -> str:
         """Name of a column of a curve of this panel."""
@@ -123,12 +156,23 @@ class CurvePanel:
         drawn = np.isfinite(x) & np.isfinite(y) & (((y > 0.0) & (y <= self.ceiling)) | (not ylog))
         fitted = self.xlog and ylog and label not in self.flat
         found = convergence(x[drawn].tolist(), y[drawn].tolist()) if fitted else None
-        shown = plain(label)
-        text = shown if found is None or found.order is None else f"{shown}: {found.order:.2f}"
+        shown = plain(display_name(label))
+        text = shown if found is None or found.order is None else f"{shown}: {found.order:.2f}".replace(": -", ": −")
         hollow = drawn & (x <= found.onset) if found and found.onset is not None else np.zeros(len(x), dtype=bool)
         colour = style["color"]
         line = {"linestyle": "none"} if self.categories else {}
-        axes.plot(x[drawn], y[drawn], label=text, gid=shown, **(style | line))
+        if self.categories and len(self.labels) == 1:  # the vertical axis says what it is
+            colour, text = CATEGORY, None
+            line |= {"color": colour, "markersize": 5.0}
+        if self.signs:
+            sign = data[self.column(label, "sign")]
+            for value, (marker, name) in SIGNS.items():
+                at = drawn & (np.round(sign) == value)
+                if at.any():
+                    axes.plot(x[at], y[at], **(style | line | {"marker": marker}))
+                    extra[name] = Line2D([], [], linestyle="none", marker=marker, color="0.4", markersize=5.0)
+        else:
+            axes.plot(x[drawn], y[drawn], label=text, gid=shown if text else None, **(style | line))
         if self.band:
             low, high = (data[self.column(label, kind)][drawn] for kind in ("low", "high"))
             if ylog:

@@ -1,4 +1,4 @@
-"""Figures of errors over the step size: of ``topcli order``, and of the integrable map of the Kowalevski top.
+"""Figures of errors against the step size, for ``topcli order`` and for the map ``backlund``.
 
 The latter compares errors and times, measured as by ``topcli bench``, on the motion of the generic scene.
 """
@@ -21,10 +21,11 @@ from topcli.contracts import Scheme
 from topcli.engine.fingerprint import fingerprint
 from topcli.figures.curves import LOG, CurvePanel, curve_column, plain
 from topcli.figures.figure import Loaded, Request, current_study
-from topcli.figures.picture import Grid, caption
+from topcli.figures.picture import Grid, caption, halo
 from topcli.figures.style import Styles, looks
 from topcli.runs.identity import method_fingerprint
 from topcli.runs.report import finite
+from topcli.schemes.display import display_name
 from topcli.store.provenance import environment
 from topcli.studies import order, order_ladders
 from topcli.studies.bench.contest import Problem
@@ -44,14 +45,10 @@ FILE = Path("error-and-cost") / "error-and-cost.json"
 SCHEMA_VERSION = 1
 LARGEST = 3.0
 """Largest error that is drawn: the size of the state."""
-NAMES = {
-    "backlund": "backlund, order 2",
-    "backlund+suzuki4": "backlund, order 4",
-    "backlund+kahan-li6": "backlund, order 6",
-    "backlund+kahan-li8": "backlund, order 8",
-    "backlund:nodes=exact": "backlund, exact nodes",
-}
-ABSCISSAE = {"h": "step $h$", "time": "CPU time per unit of time, µs"}
+ORDERS = {"backlund+suzuki4": "order 4", "backlund+kahan-li6": "6", "backlund+kahan-li8": "8"}
+LEVEL = 1e-8
+"""Compositions have their orders written beside the point of about this error."""
+ABSCISSAE = {"h": "step size $h$", "time": "CPU time per unit of time, µs"}
 
 
 def column_name(scheme: str, kind: str) -> str:
@@ -61,7 +58,10 @@ def column_name(scheme: str, kind: str) -> str:
 
 @dataclass(frozen=True)
 class ErrorPanel:
-    """Errors of the ``schemes`` over the columns of a kind, both logarithmic; with ``keys`` the legend is beside."""
+    """Errors of the ``schemes`` over the columns of a kind, both logarithmic; with ``keys`` the legend is beside.
+
+    Compositions have their orders written beside them.
+    """
 
     schemes: tuple[str, ...]
     kind: str
@@ -75,10 +75,16 @@ class ErrorPanel:
         for scheme in self.schemes:
             x, y = data[column_name(scheme, self.kind)], data[column_name(scheme, "error")]
             shown = np.isfinite(x) & (y > 0.0) & (y <= LARGEST)
-            style = {**styles_of[scheme], "markersize": 3.5}
+            style = {**styles_of[scheme], "markersize": 4.0}
             if scheme == NODES:
                 style |= {"linestyle": "none", "markersize": 5.0}
-            axes.plot(x[shown], y[shown], label=NAMES.get(scheme, scheme), lw=1.0, mew=0.4, **style)
+            axes.plot(x[shown], y[shown], label=display_name(scheme), lw=1.0, mew=0.4, **style)
+            if scheme in ORDERS and shown.any():
+                at = int(np.argmin(np.abs(np.log(y[shown] / LEVEL))))
+                left = (self.kind == "h") != (scheme == FAMILY[-1])  # to the outer side of the curves
+                look = {"ha": "right" if left else "left", "va": "center", "fontsize": 8.5}
+                place = {"xytext": (-5 if left else 5, 0), "textcoords": "offset points"}
+                halo(axes.annotate(ORDERS[scheme], (x[shown][at], y[shown][at]), **place, **look))
         axes.set_ylim(top=2.0 * LARGEST)
         caption(axes, ABSCISSAE[self.kind], "largest error", self.title)
         if self.keys:
@@ -105,13 +111,15 @@ def loaded_study(study: Mapping[str, Any], source: str) -> Loaded:
         for kind, key, factor in (("h", "h", 1.0), ("time", "seconds", 1e6), ("error", "error", 1.0)):
             data[column_name(row["scheme"], kind)] = factor * points_of(row, key)
     schemes = tuple(row["scheme"] for row in study["schemes"] if row["points"])
-    span = rf"$0 \leq t \leq {study['duration']:g}$"
+    heading = rf"Kowalevski top, generic motion, $0 \leq t \leq {study['duration']:g}$"
     panels = (
-        ErrorPanel(schemes, "h", f"(a) over the step, {span}"),
-        ErrorPanel(schemes, "time", f"(b) over the time it takes, {span}", keys=True),
+        ErrorPanel(schemes, "h", "(a) against the step size"),
+        ErrorPanel(schemes, "time", "(b) against the computing time", keys=True),
     )
     measured = [[row["scheme"], [point["seconds"] for point in row["points"]]] for row in study["schemes"]]
-    return Loaded(panels, lambda: data, {"study": source, "measured": measured}, Grid(figsize=(7.0, 3.1)))
+    return Loaded(
+        panels, lambda: data, {"study": source, "measured": measured}, Grid(figsize=(7.0, 3.3), heading=heading)
+    )
 
 
 def compared_schemes() -> list[Scheme]:
@@ -188,7 +196,14 @@ def loaded_order(result: Result) -> Loaded:
     labels = tuple(row["scheme"] for row in study["schemes"] if row["points"])
     span = rf"largest error, $0 \leq t \leq {study['duration']:g}$"
     panel = CurvePanel(
-        labels, "$h$", span, True, LOG, ceiling=CEILING, title=plain(study["name"]), legend="scheme: order"
+        labels,
+        "step size $h$",
+        span,
+        True,
+        LOG,
+        ceiling=CEILING,
+        title=plain(f"{study['top'].partition(' (')[0]} ({study['name']})"),
+        legend="scheme: order",
     )
     source = {"study": result.source(), "code": fingerprint(order_data, compiled=False)}
     return Loaded((panel,), lambda: order_data(study), source, Grid(figsize=(6.4, 3.8)))

@@ -1,4 +1,4 @@
-"""A figure: a record with a function that loads it. Figures are drawn if they are not up to date, several at once."""
+"""Type of a figure, and the drawing of figures that are not up to date, several at once."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ import numpy as np
 from topcli import __version__
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import ExitCode, RunError, TopcliError, UsageError, clipped
-from topcli.figures.picture import DEFAULT_FORMATS, Drawable, Grid, draw, overlay_column, save
+from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS, Drawable, Grid, draw, overlay_column, save
 from topcli.figures.style import STYLE
 from topcli.runs.identity import method_fingerprint
 from topcli.schemes.registry import load_plugin_file, loaded_plugin_files
-from topcli.store.files import io_failure, require_writable, stored_study, write_study, write_whole
+from topcli.store.files import io_failure, require_new, require_writable, stored_study, write_study, write_whole
 from topcli.store.series import read_metadata, write_parquet
 from topcli.studies import imported
 
@@ -45,7 +45,7 @@ OnProgress = Callable[[str, int, int], None]
 
 
 class NothingMeasuredError(UsageError):
-    """A figure of measurements that have not been taken yet (exit code 2)."""
+    """Figure of measurements that have not been made yet; the exit code is 2."""
 
 
 def ignored(*news: object) -> None:
@@ -54,12 +54,12 @@ def ignored(*news: object) -> None:
 
 @dataclass(frozen=True)
 class Request:
-    """Folders of results and configs, and permissions to produce missing results.
+    """Request for a figure: folders of results and configs, and options.
 
-    With ``force`` existing results are produced again. With ``stored_only`` a figure whose results take minutes is
-    loaded from existing results or raises NothingMeasuredError. ``overrides`` are ``key=value`` texts for the configs
-    of the runs that are drawn, ``overlay`` draws the exact motion behind them, and the parameters of matplotlib in
-    ``style`` replace those of the print style.
+    With ``force``, existing results are computed again. With ``stored_only``, a figure that needs minutes of computing
+    is loaded from existing results; if there are none, it raises NothingMeasuredError. ``overrides`` are texts
+    ``key=value`` for the configs of the drawn runs. With ``overlay``, the exact motion is drawn behind these runs. The
+    parameters of matplotlib in ``style`` replace those of the print style.
     """
 
     results: Path = Path("results")
@@ -77,9 +77,9 @@ class Request:
 class Loaded:
     """Content of a figure.
 
-    ``source`` is plain data that identifies what the figure is made from; ``data`` is called only if the figure must be
-    drawn, and has the columns of the data file, at the latest once the panels are drawn. ``metadata`` is stored with
-    the plotted data. ``variant`` distinguishes the files of a figure that overrides have changed.
+    ``source`` is plain data that identifies the results in the figure. ``data()`` returns the columns of the data file,
+    some of which may be added while the panels are drawn; it is called only if the figure must be drawn. ``metadata``
+    is stored with the plotted data. ``variant`` distinguishes the files of a figure that overrides have changed.
     """
 
     panels: Sequence[Drawable]
@@ -108,7 +108,7 @@ def current_study(
     if stored is not None and stored.get("source") == source and (only_stored or not request.force):
         return stored
     if only_stored:
-        missing = f"no {slow} study" if stored is None else f"only a {slow} study of other code"
+        missing = f"no {slow} study" if stored is None else f"only a {slow} study made by other code"
         raise NothingMeasuredError(f"{missing} in {request.results}; topcli plot {slow} makes one in a few minutes")
     study = measured(request.on_progress)
     write_study(request.results / file, study, source)
@@ -206,14 +206,19 @@ def write_figure(
     out: Path,
     formats: Sequence[str] = DEFAULT_FORMATS,
     style: Mapping[str, Any] | None = None,
+    force: bool = True,
 ) -> tuple[Path, ...]:
     """Draw a loaded figure, write pictures and data into ``out``, and return their paths.
 
-    Raises RunError if they cannot be written.
+    Raises UsageError if files exist that show another figure, unless ``force``, and RunError if they cannot be written.
     """
     style = style or {}
     write = partial(save, style=style) if style else save
     *pictures, data_path = files = _files(name, out, formats)
+    drawn = read_metadata(data_path).get(SOURCE)
+    other = drawn != _source(loaded, style)
+    if other and not force:
+        require_new(files)
     data = loaded.data()
     data = _padded(data) if data else data  # the columns of runs are read when they are drawn
     metadata = {SOURCE: _source(loaded, style), **loaded.metadata}
@@ -224,6 +229,9 @@ def write_figure(
         for path in pictures:
             write_whole(path, lambda temporary: write(figure, temporary))
         write_whole(data_path, lambda temporary: write_parquet(temporary, _padded(data), metadata))
+        for path in _files(name, out, IMAGE_FORMATS) if drawn and other else ():
+            if path not in files:
+                path.unlink(missing_ok=True)  # shows the earlier figure
     except OSError as error:
         raise io_failure(error, out, "the figure was not drawn") from error
     except (ValueError, TypeError, RuntimeError, MemoryError) as error:
@@ -245,8 +253,11 @@ def make_figure(figure: Figure, request: Request, out: Path, formats: Sequence[s
     loaded = figure.load(request)
     name = f"{figure.name}-{loaded.variant}" if loaded.variant else figure.name
     files = _files(name, out, formats)
+    drawn = read_metadata(files[-1]).get(SOURCE)
+    if not request.force and drawn is None:
+        require_new(files)  # topcli did not draw them
     existing = all(path.is_file() for path in files)
-    if existing and not request.force and read_metadata(files[-1]).get(SOURCE) == _source(loaded, request.style):
+    if existing and not request.force and drawn == _source(loaded, request.style):
         return MadeFigure(name, files, "up to date")
     return MadeFigure(name, write_figure(name, loaded, out, formats, request.style), "drawn")
 

@@ -1,4 +1,4 @@
-"""Growth of errors over many steps: of round-off, as ``topcli roundoff`` measures it, and of the energy.
+"""Figures of growth over many steps: round-off in ``topcli roundoff``, and errors of the energy.
 
 The BS scheme of Lagrange's top turns the axis by Cayley's rotation. Written as a product of matrix and vector, it is
 biased; as axis + change, its errors are a random walk; with compensated sums, a smaller one. The hybrid recomputes xi
@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topcli.analysis.leaving import energy_of
 from topcli.analysis.roundoff import doubling_lags, structure
@@ -24,8 +25,9 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Array, Floats, Stepper
 from topcli.engine.run import Run
 from topcli.figures.figure import Loaded, Request, code_of
-from topcli.figures.picture import Grid, Line, Panel, caption, halo
+from topcli.figures.picture import Grid, Line, Panel, caption, label_ends
 from topcli.figures.style import MARKERS, Styles
+from topcli.schemes.display import display_name
 from topcli.schemes.layout import stepper
 from topcli.studies.entries import under_scheme
 from topcli.studies.roundoff_copies import copies_followed, sampling_of
@@ -35,11 +37,11 @@ if TYPE_CHECKING:
     from topcli.config.models import Experiment
 
 ULP = 2.0**-52
-CROWDED = 8.0
-"""If a curve is within this factor above a guide line, the line's label is put below."""
+GUIDE = "0.6"
+"""Colour of the guide lines."""
+MORE = 20.0
+"""Factor by which the scale may be longer for the guide lines."""
 STYLES = {"plain": "-", "compensated": "--"}
-LINE = 11.5
-"""Distance of the lines of labels in points."""
 
 
 @dataclass(frozen=True)
@@ -69,47 +71,26 @@ class GrowthPanel:
             drift = np.where(data[column] > 0.0, data[column], np.nan)  # a logarithmic axis has no zero
             look = {"linestyle": "-" if alone else STYLES[form], "marker": MARKERS[i % len(MARKERS)], "markersize": 3.0}
             axes.plot(n, drift, color=colour, **look)
-            ends.append((float(drift[-1]), label, colour))
+            ends.append((float(n[-1]), float(drift[-1]), label, colour))
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlim(float(n[0]) / 1.3, float(n[-1]) * 1.3)
         low, high = axes.get_ylim()
         corner = ULP * float(np.sqrt(n[0]))
-        low, high = min(low, 0.6 * corner), max(high, 1.6 * ULP * float(np.sqrt(n[-1])))
+        low, high = min(low, 0.6 * corner), max(high, min(1.6 * corner * float(n[-1] / n[0]), MORE * high))
         axes.set_ylim(low, high)
-        self._guide(axes, data, corner, high)
-        self._label(axes, ends, float(axes.get_xlim()[1]))
+        label_ends(axes, [*ends, *self._guides(axes, n, corner, high)])
         caption(axes, "number of steps $N$", "drift over $N$ steps (rms)", self.title)
 
-    def _guide(self, axes: Any, data: Mapping[str, np.ndarray], corner: float, high: float) -> None:
-        """Draw the guide lines from ``corner``, labelled below ``high``."""
-        n = data[self.steps]
+    def _guides(self, axes: Any, n: Array, corner: float, high: float) -> list[tuple[float, float, str, Any]]:
+        """Draw the guide lines from ``corner``; their last points below ``high``, with labels and colour."""
+        ends = []
         for power, label in ((0.5, r"$\epsilon\sqrt{N}$"), (1.0, r"$\propto N$")):
-            axes.plot(n, corner * (n / n[0]) ** power, color="0.75", linestyle="-", linewidth=0.9, zorder=1.0)
-            last = min(float(n[-1]), float(n[0]) * (0.35 * high / corner) ** (1.0 / power))
-            at = (last, corner * (last / float(n[0])) ** power)
-            near = int(np.argmin(np.abs(np.log(n / last))))
-            crowded = any(1.0 < data[column][near] / at[1] < CROWDED for column, _ in self.lines)
-            place: dict[str, Any] = {"xytext": (-2, -6), "va": "top"} if crowded else {"xytext": (-2, 3)}
-            text = axes.annotate(label, at, textcoords="offset points", ha="right", color="0.5", **place)
-            halo(text, 2.0)
-
-    def _label(self, axes: Any, ends: list[tuple[float, str, str]], x: float) -> None:
-        """Label the lines at the right of the axes, moved apart if labels would overlap."""
-        low, high = np.log(axes.get_ylim())
-        gap = (high - low) * LINE / (72.0 * 0.72 * axes.figure.get_figheight())
-        ends = sorted(ends, key=lambda end: end[0])
-        places: list[float] = []
-        for drift, _, _ in ends:
-            places.append(max(float(np.log(drift)), places[-1] + gap if places else -np.inf))
-        limit = float(high)
-        for i in range(len(places) - 1, -1, -1):  # back below the upper edge
-            places[i] = min(places[i], limit)
-            limit = places[i] - gap
-        style: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": "small"}
-        for (_, label, colour), y in zip(ends, places, strict=True):
-            axes.annotate(label, (x, np.exp(y)), xytext=(4, 0), color=colour, **style)
+            axes.plot(n, corner * (n / n[0]) ** power, color=GUIDE, linestyle="-", linewidth=0.9, zorder=1.0)
+            last = min(float(n[-1]), float(n[0]) * (0.9 * high / corner) ** (1.0 / power))
+            ends.append((last, corner * (last / float(n[0])) ** power, label, GUIDE))
+        return ends
 
 
 def growth_data(study: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], tuple[tuple[str, str], ...]]:
@@ -129,7 +110,7 @@ def loaded_roundoff(result: Result) -> Loaded:
     """The figure of ``topcli roundoff``; nothing is drawn if a run failed."""
     study = result.data
     data, lines = growth_data(study)
-    panel = GrowthPanel(lines, f"{study['forms'][0]['scheme']}, $h = {study['h']:g}$")
+    panel = GrowthPanel(lines, f"{display_name(study['forms'][0]['scheme'])}, $h = {study['h']:g}$")
     source = {key: study[key] for key in ("config", "steps", "copies")}
     completed = all(form["outcome"] == "completed" for form in study["forms"])
     return Loaded((panel,) if completed else (), lambda: data, source, Grid(figsize=(5.4, 3.2)))
@@ -196,7 +177,7 @@ def growth_code() -> str:
 
 GROWTH = (
     GrowthPanel(
-        (("a_sq:matrix", "matrix"), ("a_sq:plain", "old + change"), ("a_sq:compensated", "compensated")),
+        (("a_sq:matrix", "matrix × axis"), ("a_sq:plain", "axis + change"), ("a_sq:compensated", "compensated")),
         r"(a) $\boldsymbol{a}^2$, Lagrange top, BS",
     ),
     GrowthPanel(
@@ -213,6 +194,8 @@ def load_growth(request: Request) -> Loaded:
 
 ENERGY_STEPS = 1 << 20
 ENERGY_H = 0.05
+PARTS = 6
+"""Points of a curve in each octave of steps."""
 SCHEMES = {
     "kowalevski_generic_hk": ("splitting", "dmv", "hk", "midpoint4", "rk4"),
     "euler_hk": ("splitting", "dmv", "hk", "midpoint", "rk4"),
@@ -229,33 +212,27 @@ def _experiments() -> dict[str, Experiment]:
     }
 
 
-def largest_by_octave(times: Array, values: Array) -> Array:
-    """Largest of ``values`` (m,) from the start of each octave of steps to its end.
-
-    ``times`` (m,) are numbers of steps from 1; octave k has those from 2**k to 2**(k + 1) - 1.
-    """
-    octaves = np.log2(times).astype(int)
-    starts = np.flatnonzero(np.diff(octaves, prepend=-1))
-    return np.maximum.reduceat(values, starts)
+def ends_of_parts(steps: int) -> NDArray[np.int64]:
+    """Numbers of steps up to ``steps``, at most ``PARTS`` evenly spaced ones in each octave."""
+    return np.unique(np.round(2.0 ** np.arange(0.0, np.log2(steps) + 1e-9, 1.0 / PARTS)).astype(np.int64))
 
 
 def _energy_errors(experiment: Experiment) -> Array:
-    """Largest deviation of the energy in each octave, relative to the size of its terms at the start."""
-    top, found, numbers = experiment.top, [], []
+    """Largest deviation of the energy up to each of the ends, relative to the size of its terms at the start."""
+    top, found = experiment.top, []
     energy = energy_of(top)
     assert energy is not None
     first = np.array([experiment.y0])
     start, scale = float(energy.value(first)[0]), float(energy.scale(first)[0])
-    for chunk in Run(top, experiment.method(), experiment.y0, experiment.h, ENERGY_STEPS - 1):
+    for chunk in Run(top, experiment.method(), experiment.y0, experiment.h, ENERGY_STEPS):
         taken = chunk.n > 0
-        numbers.append(chunk.n[taken].astype(float))
         found.append(np.abs(energy.value(chunk.states[taken]) - start) / scale)
-    return largest_by_octave(np.concatenate(numbers), np.concatenate(found))
+    return np.maximum.accumulate(np.concatenate(found))[ends_of_parts(ENERGY_STEPS) - 1]
 
 
 def energy_columns() -> Mapping[str, Array]:
-    """Columns of the figure: times ``t:<scene>`` of the ends of octaves, and the energy errors of each curve."""
-    ends = ENERGY_H * 2.0 ** np.arange(1, int(np.log2(ENERGY_STEPS)) + 1)
+    """Columns of the figure: times ``t:<scene>``, and the largest energy error of each curve up to them."""
+    ends = ENERGY_H * ends_of_parts(ENERGY_STEPS).astype(float)
     columns: dict[str, Array] = {f"t:{scene}": ends for scene in SCHEMES}
     for name, experiment in _experiments().items():
         errors = _energy_errors(experiment)
@@ -265,13 +242,13 @@ def energy_columns() -> Mapping[str, Array]:
 
 def energy_code() -> str:
     """Digest of everything that the columns depend on; equal digests mean equal columns."""
-    return code_of(_experiments().values(), [_energy_errors], ENERGY_STEPS)
+    return code_of(_experiments().values(), [_energy_errors, ends_of_parts], ENERGY_STEPS)
 
 
 ENERGIES = tuple(
     Panel(
-        tuple(Line(f"{scene}:{name}", name) for name in names),
-        "energy error, relative",
+        tuple(Line(f"{scene}:{name}", display_name(name)) for name in names),
+        "largest relative energy error so far",
         x=f"t:{scene}",
         xlog=True,
         log=True,

@@ -23,7 +23,7 @@ from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.curves import plain
 from topcli.figures.figure import Loaded, Request
-from topcli.figures.picture import Drawable, Grid, Line, Panel, caption, component_symbol, halo
+from topcli.figures.picture import DASHED, Drawable, Grid, Line, Panel, caption, component_symbol, halo
 from topcli.figures.scene3d import Polhodes, Sphere
 from topcli.figures.scenes import scene_config
 from topcli.figures.style import Styles
@@ -43,11 +43,15 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "delone": (r"Delone: $k=0$", {"color": "#009E73", "linestyle": "-", "linewidth": 2.6}),
     "bobylev-steklov": ("Bobylev, Steklov", {"color": "#0072B2", "linestyle": (0, (1, 1.2)), "linewidth": 1.4}),
+    "change": (r"$E-2\ell^2=k$: no bifurcation", {"color": "0.5", "linestyle": "-", "linewidth": 0.6}),
 }
-"""Kinds of critical curves: labels and looks, in the order of the legend."""
+"""Kinds of critical curves and the boundary of II and III: labels and looks, in the order of the legend."""
+LEVELS = {"change": 2.5, "bobylev-steklov": 3.0}
+"""Kinds that others cover where they coincide."""
 PIXELS = (700, 500)
-SMALL, LARGE = 0.035, 0.1
-"""Radius of the largest circle in a region, relative to the panel, from which its name, and its tori, are written."""
+SMALL, MEDIUM, LARGE = 0.035, 0.045, 0.1
+"""Radius of the largest circle in a part of a region, relative to the panel, from which its name is written, and from
+which its tori are; these are also written, smaller, into the largest part of each region above the medium radius."""
 
 
 @dataclass(frozen=True)
@@ -77,10 +81,10 @@ class Diagram:
         for kind in self.kinds:
             label, look = KINDS[kind]
             x, y = (data[f"{self.number}:{kind}:{axis}"] for axis in AXES)
-            axes.plot(x, y, label=label, zorder=3 if kind == "bobylev-steklov" else 4, clip_on=False, **look)
+            axes.plot(x, y, label=label, zorder=LEVELS.get(kind, 4.0), **look)
         axes.set(xlim=self.energies, ylim=self.k_sq)
         axes.grid(False)
-        caption(axes, "$E$", "$k^2$", self.title or rf"({'abcdef'[self.number]}) $2\ell = {self.two_l:.6g}$")
+        caption(axes, "energy $E$", "$k^2$", self.title or rf"({'abcdef'[self.number]}) $2\ell = {self.two_l:.6g}$")
 
     def _mark(self, axes: Any, E: float, k_sq: float) -> None:
         """Draw the point of the scene and its name."""
@@ -90,7 +94,7 @@ class Diagram:
         halo(text)
 
     def _tint(self, axes: Any, point: tuple[float, float] | None) -> None:
-        """Tint the regions, and write their names and numbers of tori into those that are large enough."""
+        """Tint the regions, and write names and numbers of tori into their parts that are large enough."""
         from matplotlib.colors import ListedColormap
 
         E = _centres(*self.energies, PIXELS[0])[None, :]
@@ -105,15 +109,19 @@ class Diagram:
             beside = point[0] - 0.05 * np.ptp(self.energies) < E
             free &= ~(beside & (np.abs(k_sq - point[1]) < 0.12 * np.ptp(self.k_sq)))
         for code, (name, region) in enumerate(REGIONS.items(), 1):
-            for row, column, radius in _middles(codes == code, free):
-                if radius > SMALL * PIXELS[1]:
-                    label = f"{name}\n{region.tori} tori" if region.tori > 1 else f"{name}\n1 torus"
-                    text = label if radius > LARGE * PIXELS[1] else name
-                    at = (float(E[0, column]), float(k_sq[row, 0]))
-                    axes.text(*at, text, ha="center", va="center", color="0.25", fontsize=9, zorder=5)
+            parts = [part for part in _middles(codes == code, free) if part[2] > SMALL * PIXELS[1]]
+            for row, column, radius in sorted(parts, key=lambda part: -part[2]):
+                large, number = radius > LARGE * PIXELS[1], f"{region.tori} {'tori' if region.tori > 1 else 'torus'}"
+                widest = radius == max(part[2] for part in parts) and radius > MEDIUM * PIXELS[1]
+                text = f"{name}\n{number}" if large or widest else name
+                at = (float(E[0, column]), float(k_sq[row, 0]))
+                size = 9.0 if large or text == name else 7.0
+                axes.text(*at, text, ha="center", va="center", color="0.25", fontsize=size, zorder=5)
 
 
 AXES = ("E", "k_sq")
+SECOND = list(REGIONS).index("II") + 1
+"""Code of the region II; that of III follows."""
 
 
 def _centres(low: float, high: float, count: int) -> np.ndarray:
@@ -174,7 +182,7 @@ def load_bifurcation(request: Request) -> Loaded:
         panels.append(Diagram(number, two_l, window.energies, window.k_sq, name, tuple(curves)))
     code = fingerprint(regions, branches, _middles, compiled=False)
     source = {"panels": [repr(panel) for panel in panels], "code": code}
-    return Loaded(tuple(panels), lambda: data, source, Grid(2, (7.0, 6.2), ncols=5, fontsize=9.0))
+    return Loaded(tuple(panels), lambda: data, source, Grid(2, (7.0, 6.2), ncols=3, fontsize=9.0, handlelength=DASHED))
 
 
 def curve_columns(number: int, curves: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -188,6 +196,12 @@ def critical_curves(two_l: float, energies: tuple[float, float], k_sq: tuple[flo
     for branch in branches(0.5 * two_l, 1.0, energies, k_sq):
         if branch.kind in parts:
             parts[branch.kind] += [np.array([branch.E, branch.k_sq]), np.full((2, 1), np.nan)]
+    k = np.sqrt(np.linspace(*k_sq, SAMPLES + 1))
+    E = 0.5 * two_l**2 + k
+    sides = [regions(E + side * 1e-6 * np.ptp(energies), k**2, 0.5 * two_l, 1.0) for side in (-1.0, 1.0)]
+    between = (np.min(sides, axis=0) == SECOND) & (np.max(sides, axis=0) == SECOND + 1) & (energies[1] > E)
+    if between.any():
+        parts["change"].append(np.where(between, [E, k**2], np.nan))
     return {kind: np.hstack(some) for kind, some in parts.items() if some}
 
 
@@ -229,7 +243,7 @@ class PlaceDiagram(Diagram):
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the diagram and the legend into ``axes``."""
         super().paint(axes, data, styles)
-        axes.legend(loc="lower left", fontsize="small", frameon=False, handlelength=1.6, borderaxespad=0.3)
+        axes.legend(loc="lower left", fontsize="small", frameon=False, handlelength=DASHED, borderaxespad=0.3)
 
     def _mark(self, axes: Any, E: float, k_sq: float) -> None:
         """Draw the point of the motion, whose name is in the legend."""
@@ -271,7 +285,7 @@ def _trace(top: Lagrange | LagrangeInertial, motion: Motion) -> Drawn:
         state = _in_space(top, state)
     axis = reference_states(LagrangeInertial(), state.tolist(), _nutations(motion))[:, 3:]
     axis *= sign / np.linalg.norm(axis, axis=1)[:, None]
-    panel = Sphere("", AXIS, elevation=_elevation(axis))
+    panel = Sphere("", AXIS, elevation=_elevation(axis), alone=True)
     return panel, {name: axis[:, i] for i, name in enumerate(AXIS)}
 
 

@@ -1,4 +1,4 @@
-"""Figures of outcomes: every scheme in every hard case of its top, and verdicts on the paper's claims.
+"""Figures of outcomes: schemes in the hard cases of their tops, and verdicts on the paper's claims.
 
 The shades of the stress study differ in grey too. The claims have a bar for each part of the paper, and one for the
 findings beyond it.
@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
+from topcli.errors import counted
 from topcli.figures.figure import Loaded, Request, current_study
 from topcli.figures.picture import Grid, below_panels
 from topcli.figures.style import Styles
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, category_of
 from topcli.paper.ledger import ledger
+from topcli.schemes.display import display_name
 from topcli.studies.stress import trials
 from topcli.studies.stress.study import FILE, UNEXPLAINED, known_top
 from topcli.studies.study import Result
@@ -78,7 +80,7 @@ class StressPanel:
     @property
     def rows(self) -> tuple[str, ...]:
         """Names of the rows."""
-        return (*self.cases, *([f"{self.others} other{'s' * (self.others > 1)}"] if self.others else []))
+        return (*self.cases, *([counted(self.others, "other")] if self.others else []))
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the cells into ``axes``."""
@@ -100,7 +102,7 @@ class StressPanel:
         for row, column in np.argwhere(values == STRESS_OUTCOMES.index("not tried")):
             axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, **HATCH))
         axes.imshow(values, cmap=ListedColormap(SHADES), vmin=-0.5, vmax=3.5, aspect="auto", interpolation="nearest")
-        axes.set_xticks(range(len(self.schemes)), self.schemes, rotation=90, fontsize=7)
+        axes.set_xticks(range(len(self.schemes)), map(display_name, self.schemes), rotation=90, fontsize=7)
         axes.set_yticks(range(len(self.rows)), self.rows, fontsize=7)
         axes.xaxis.tick_top()
         axes.set_xticks(np.arange(len(self.schemes) + 1) - 0.5, minor=True)
@@ -145,7 +147,7 @@ class StressGrid(Grid):
 
         meanings = {
             "held": SHADES[1],
-            "degraded: claims kept, accuracy lost": SHADES[2],
+            "degraded: invariants kept, accuracy lost": SHADES[2],
             "broke, at the step in the cell (! undeclared)": SHADES[3],
         }
         handles = [Patch(facecolor=shade, edgecolor="0.6") for shade in meanings.values()]

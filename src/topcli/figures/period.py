@@ -1,4 +1,4 @@
-"""Figure of the period of the paper's Figures 1 and 2: order, not time reversal, decides.
+"""Figure ``period``: the periods of the paper's Figures 1 and 2 differ because of the order of the scheme.
 
 The scene lies at the distance eps = 1e-3 from a homoclinic orbit, and the time between swings there is
 2 sqrt 2 ln(8 sqrt 7/eps). The error of a scheme acts like a larger eps, of the size of sqrt(h) for Bohlin's method A,
@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
+from topcli.analysis.swings import first_swing_spacing, minima_times, spacing_law
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.engine.run import Run
 from topcli.figures.figure import Loaded, Request, code_of
-from topcli.figures.picture import Grid, caption
+from topcli.figures.picture import Grid, caption, halo
 from topcli.figures.style import Styles, looks
 from topcli.figures.sweep import LAW
+from topcli.schemes.display import display_name
 from topcli.studies.entries import under_scheme
 
 if TYPE_CHECKING:
@@ -64,9 +65,10 @@ SHOWN: tuple[tuple[str, float], ...] = (
 """Motions that are shown: scheme and step."""
 
 
+ABOVE = 0.27
+"""Height of the axes from which the legend leaves room."""
 ROW = 2.6
 """Distance between two rows, in units of gamma_1."""
-TITLES = {"hk": "HK", "rk2": "RK2", "rk4": "RK4", "hybrid": "hybrid", "bohlin-a": "Bohlin A"}
 ORDINALS = {1: "order 1", 2: "order 2", 4: "order 4"}
 
 
@@ -81,9 +83,9 @@ def _kind(scheme: DrawnScheme) -> str:
 def _row_label(name: str, h: float) -> str:
     """Text at the left of a row."""
     if name == EXACT:
-        return "motion\n(closed form)"
+        return "exact motion\n(closed form)"
     scheme = next(scheme for scheme in SCHEMES if scheme.name == name)
-    return f"{TITLES[name]}, {_power(h)}\n{_kind(scheme)}"
+    return f"{display_name(name)}, {_power(h)}\n{_kind(scheme)}"
 
 
 @dataclass(frozen=True)
@@ -105,12 +107,12 @@ class MotionRows:
         axes.set_yticks([height + 0.4 for height in heights], [_row_label(name, h) for name, h in SHOWN], fontsize=8.6)
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False)
-        caption(axes, "$t$", "", self.title)
+        caption(axes, "time $t$", "", self.title)
 
 
 @dataclass(frozen=True)
 class SpacingOverStep:
-    """Time between swings over h for each scheme, the law, and the distance eps to which each time belongs."""
+    """Time between swings against h for each scheme, the law, and the distance eps to which each time belongs."""
 
     title: str
 
@@ -122,12 +124,12 @@ class SpacingOverStep:
         for scheme in SCHEMES:
             h, spacing = data[f"h:{scheme.name}"], data[f"spacing:{scheme.name}"]
             hollow = {} if scheme.reversible else {"markerfacecolor": "white"}
-            label = f"{TITLES[scheme.name]}: {_kind(scheme)}"
+            label = f"{display_name(scheme.name)}: {_kind(scheme)}"
             look = {**styles_of[scheme.name], "markersize": 4.0, **hollow}
             axes.plot(h, spacing, label=label, **look)
-        axes.axvline(PAPER_STEP, color="0.75", linewidth=0.9, linestyle=":", zorder=1.0)
+        axes.axvline(PAPER_STEP, ABOVE, color="0.75", linewidth=0.9, linestyle=":", zorder=1.0)
         axes.text(PAPER_STEP * 1.15, 31.6, "the paper's $h$", fontsize=8, color="0.35", va="center")
-        axes.text(1.2e-6, law + 0.35, LAW + r", $\epsilon = 10^{-3}$", fontsize=9, va="bottom")
+        halo(axes.text(1.2e-6, law + 0.35, LAW + r", $\epsilon = 10^{-3}$", fontsize=9, va="bottom"))
         axes.annotate(
             "order 1:\n" + r"$\epsilon \propto \sqrt{h}$",
             (1e-5, 21.8),
@@ -141,29 +143,29 @@ class SpacingOverStep:
         axes.set_xscale("log")
         axes.tick_params(axis="y", right=False)
         axes.set_ylim(8.0, 33.0)
-        caption(axes, "$h$", "time between swings", self.title)
+        caption(axes, "step size $h$", "time between swings", self.title)
         axes.legend(loc="lower left", fontsize=8, handlelength=2.0)
         powers = (-1, -2, -3)
         scale = axes.secondary_yaxis("right")
         scale.set_yticks(spacing_law(10.0 ** np.array(powers)), [f"$10^{{{k}}}$" for k in powers])
-        scale.set_ylabel(r"distance $\epsilon$ of a motion with this time, by the law")
+        scale.set_ylabel(r"distance $\epsilon$ that the law gives for this time")
 
 
 PANELS = (
-    MotionRows(r"(a) $\gamma_1$ of the paper's Figures 1 and 2"),
-    SpacingOverStep("(b) the same scene, other steps"),
+    MotionRows(r"(a) $\gamma_1$; dashed: swings of the exact motion"),
+    SpacingOverStep("(b) the same scene, other step sizes"),
 )
 
 
 def load_period(request: Request) -> Loaded:
-    """Load the motions of the paper's scene, and the time between swings over h."""
+    """Load the motions of the paper's scene, and the time between swings against h."""
     source = {"study": period_code()}
     return Loaded(PANELS, lambda: period_columns(request.on_progress), source, Grid(figsize=(7.0, 4.4)))
 
 
 def motion_column(name: str, h: float) -> str:
     """Name of the column of gamma_1 under a scheme with the step ``h``."""
-    return f"gamma1:{name}:{h:.0e}"
+    return f"gamma1:{name}:{h:g}"
 
 
 def _steps(schemes: Sequence[DrawnScheme], shown: Sequence[tuple[str, float]]) -> list[tuple[str, int]]:
@@ -207,7 +209,7 @@ def period_columns(
     columns["swings"] = minima_times(*runs[EXACT, round(TIME / PAPER_STEP)])
     for scheme in schemes:
         own = {N: run for (name, N), run in runs.items() if name == scheme.name}
-        spacings = {N: swing_spacing(*run) for N, run in sorted(own.items())}
+        spacings = {N: first_swing_spacing(*run) for N, run in sorted(own.items())}
         columns[f"h:{scheme.name}"] = np.array([TIME / N for N in spacings])
         columns[f"spacing:{scheme.name}"] = np.array([np.nan if s is None else s for s in spacings.values()])
     return columns
@@ -217,4 +219,4 @@ def period_code() -> str:
     """Digest of everything that the columns depend on; equal digests mean equal columns."""
     steps = _steps(SCHEMES, SHOWN)
     experiments = map(_experiment, dict.fromkeys(name for name, _ in steps))
-    return code_of(experiments, [_gamma1, swing_spacing], *steps)
+    return code_of(experiments, [_gamma1, first_swing_spacing, motion_column], *steps)

@@ -12,18 +12,20 @@ import numpy as np
 
 from topcli.analysis.columns import SYMBOLS
 from topcli.figures.style import REFERENCE, REFERENCE_LOOK, Styles, looks, styled
+from topcli.schemes.display import display_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from topcli.config.models import Experiment
+    from topcli.contracts import Top
 
 IMAGE_FORMATS = ("png", "pdf", "svg")
 DEFAULT_FORMATS = ("png", "pdf")
 
 
 class Drawable(Protocol):
-    """Content of one pair of axes, drawn from the columns of a table."""
+    """Content of one pair of axes, which is drawn from the columns of a table."""
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw into matplotlib's ``axes``."""
@@ -94,10 +96,15 @@ def column_label(experiment: Experiment, column: str) -> str:
 
 
 def scheme_label(experiment: Experiment) -> str:
-    """Name of the scheme, with its options other than the defaults."""
+    """Display name of the scheme, with its options other than the defaults."""
     changed = experiment.options.model_dump(mode="json", exclude_defaults=True)
     options = ", ".join(f"{key}={value}" for key, value in changed.items())
-    return experiment.scheme.name + (f" ({options})" if options else "")
+    return display_name(experiment.scheme.name) + (f" ({options})" if options else "")
+
+
+def top_name(top: Top) -> str:
+    """Short name of a top, without the conditions in its title."""
+    return top.title.partition(" (")[0].removesuffix(" in the inertial frame")
 
 
 def number_text(value: float) -> str:
@@ -111,9 +118,10 @@ def number_text(value: float) -> str:
 
 
 def described(text: str, experiment: Experiment) -> str:
-    """``text`` with the values of the run in place of ``{scheme}``, ``{h}`` and components of the first state."""
+    """``text`` with the run's values in place of ``{top}``, ``{scheme}``, ``{h}`` and components of the first state."""
     named = {name: number_text(value) for name, value in zip(experiment.top.components, experiment.y0, strict=True)}
-    for key, value in {"scheme": scheme_label(experiment), "h": number_text(experiment.h), **named}.items():
+    own = {"top": top_name(experiment.top), "scheme": scheme_label(experiment), "h": number_text(experiment.h)}
+    for key, value in {**own, **named}.items():
         text = text.replace(f"{{{key}}}", value)
     return text
 
@@ -137,15 +145,15 @@ class Panel:
 
     ``ylim`` is the smallest vertical range, ``log`` makes the vertical axis logarithmic, ``xlog`` the other one.
     ``title`` is above the axes on the left; ``{scheme}``, ``{h}`` and components of the state in it become the run's
-    (``described``). An empty ``ylabel`` becomes the labels of the lines. ``deviation`` draws the absolute deviation
-    from the first value, relative to it; ``change`` the value minus the first one. With ``whole`` a small pair of axes
-    in the upper left corner shows the values themselves over this vertical range. Columns in ``overlaid`` have another,
-    ``exact:<column>``, of the exact motion, which is drawn in grey behind the lines.
+    (``described``). An empty ``ylabel`` becomes the labels of the lines. ``deviation`` draws the largest absolute
+    deviation from the first value so far, relative to it; ``change`` the value minus the first one. With ``whole`` a
+    small pair of axes in the upper left corner shows the values themselves over this vertical range. Columns in
+    ``overlaid`` have another, ``exact:<column>``, of the exact motion, which is drawn in grey behind the lines.
     """
 
     lines: tuple[Line, ...]
     ylabel: str = ""
-    xlabel: str = "$t$"
+    xlabel: str = "time $t$"
     x: str = "t"
     ylim: tuple[float, float] | None = None
     log: bool = False
@@ -195,7 +203,7 @@ class Panel:
         if self.change:
             return values - values[0]
         if self.deviation:
-            values = np.abs(values / values[0] - 1.0)
+            values = np.fmax.accumulate(np.abs(values / values[0] - 1.0))  # itself it would return to zero in spikes
             return np.where(values > 0.0, values, np.nan)  # a logarithmic axis has no zero
         return values
 
@@ -239,7 +247,7 @@ class Grid:
     """Layout of panels in ``rows`` of equal axes; ``figsize`` is in inches, ``heading`` a line above all panels.
 
     With ``ncols`` one legend in so many columns is below all panels, under the ``title``: each label once, those in
-    ``first`` first. Curves that have slopes are named by their ``gid``, with the slopes in all panels behind it.
+    ``first`` first. Lines in the legend have the length ``handlelength`` in letters.
     """
 
     rows: int = 1
@@ -249,6 +257,7 @@ class Grid:
     first: tuple[str, ...] = ()
     title: str = ""
     fontsize: float | str = "small"
+    handlelength: float | None = None
 
     def axes(self, figure: Any, panels: Sequence[Drawable]) -> Sequence[Any]:
         """Axes of the panels in their order."""
@@ -261,23 +270,21 @@ class Grid:
         """Add the legend."""
         if not self.ncols:
             return
-        handles: dict[str, Any] = {}
-        slopes: dict[str, list[str]] = {}
-        for axes in figure.axes:
-            for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
-                name = handle.get_gid() or text
-                handles.setdefault(name, handle)
-                slopes.setdefault(name, []).append(text.removeprefix(name).removeprefix(": ") or "–")
-        ordered = dict.fromkeys(name for name in (*self.first, *handles) if name in handles)
-        texts = [f"{name}: {', '.join(slopes[name])}" if set(slopes[name]) != {"–"} else name for name in ordered]
+        entries = legend_entries(figure)
+        ordered = dict.fromkeys(name for name in (*self.first, *entries) if name in entries)
         below_panels(
             figure,
-            [handles[name] for name in ordered],
-            texts,
+            [entries[name] for name in ordered],
+            list(ordered),
             self.ncols,
             title=self.title or None,
             fontsize=self.fontsize,
+            handlelength=self.handlelength,
         )
+
+
+DASHED = 2.4
+"""Length of a line in a legend, in letters, that shows all of a dash-dot pattern."""
 
 
 def below_panels(figure: Any, handles: Sequence[Any], texts: Sequence[str], ncols: int, **options: Any) -> None:
@@ -297,6 +304,51 @@ def halo(text: Any, width: float = 2.5) -> None:
     from matplotlib.patheffects import withStroke
 
     text.set_path_effects([withStroke(linewidth=width, foreground="white")])
+
+
+LINE = 10.5
+"""Distance of the lines of labels in points."""
+AXES_SHARE = 0.72
+"""Least part of the height of its row that a pair of axes takes."""
+GUTTER = 0.08
+"""Room for the leaders between the axes and the labels, relative to the width of the axes."""
+
+
+def label_ends(axes: Any, ends: Sequence[tuple[float, float, str, Any]]) -> None:
+    """Write a label for each curve at the right of the axes, on the height of its end.
+
+    Labels that would overlap are moved apart, by as little as possible; a thin leader joins each to the end.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Axes with their final scales and limits.
+    ends : sequence of (float, float, str, colour)
+        Last point of each curve, its label, and its colour.
+    """
+    from matplotlib.colors import to_rgb
+    from scipy.optimize import isotonic_regression
+
+    if not ends:
+        return
+    heights = np.array([axes.transAxes.inverted().transform(axes.transData.transform(end[:2]))[1] for end in ends])
+    order = np.argsort(heights, kind="stable")
+    rows = axes.get_gridspec().nrows
+    gaps = LINE * rows / (72.0 * AXES_SHARE * axes.figure.get_figheight()) * np.arange(len(ends))
+    places = isotonic_regression(heights[order] - gaps).x.clip(0.0, max(0.0, 1.0 - gaps[-1])) + gaps
+    leader = {"arrowstyle": "-", "linewidth": 0.5, "shrinkA": 1.0, "shrinkB": 2.0, "relpos": (0.0, 0.5)}
+    for at, place in zip(order, places, strict=True):
+        x, y, label, colour = ends[at]
+        axes.annotate(
+            label,
+            (x, y),
+            (1.0 + GUTTER, place),
+            textcoords="axes fraction",
+            va="center",
+            fontsize="small",
+            color=[0.75 * part for part in to_rgb(colour)],  # pale colours are hard to read as text
+            arrowprops={**leader, "color": colour},
+        )
 
 
 def draw(

@@ -1,4 +1,4 @@
-"""Portraits of the catalogue: motions of the two packaged scenes of each top, in the plane of two components."""
+"""Portraits of the tops of the catalogue: motions of their two scenes in the plane of two components."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ PLANES = {
     "so4": ("m12", "m13"),
 }
 CASES: dict[str, dict[str, Any]] = {
-    "gentle": {"color": "#0072B2", "linestyle": "-", "linewidth": 0.8},
-    "hard": {"color": "#D55E00", "linestyle": (0, (3, 1)), "linewidth": 0.7},
+    "gentle": {"color": "#56B4E9", "linestyle": "-", "linewidth": 0.8},
+    "hard": {"color": "#A84300", "linestyle": "-", "linewidth": 1.1},
 }
-"""The scenes of each top with their looks."""
+"""The scenes of each top with their looks: pale and dark, because a curve that is traced many times fills dashes."""
 DURATIONS, SAMPLES = {"gentle": 40.0, "hard": 80.0}, 1500
 
 
@@ -50,6 +50,7 @@ class Portrait:
             x, y = (data[f"{self.form}:{case}:{name}"] for name in self.plane)
             axes.plot(x, y, label=case, **look)
             axes.plot(x[:1], y[:1], "o", color=look["color"], markersize=2.5)
+        axes.plot([], [], "o", color="0.4", markersize=2.5, label="start")
         across, up = map(component_symbol, self.plane)
         caption(axes, across, up, self.form)
 
@@ -66,4 +67,4 @@ def load_portraits(request: Request) -> Loaded:
             data |= {f"{form}:{case}:{name}": states[:, scene.top.components.index(name)] for name in plane}
     panels = tuple(Portrait(form, PLANES[form]) for form in CATALOGUE)
     source = {"scenes": sources, "durations": DURATIONS, "samples": SAMPLES}
-    return Loaded(panels, lambda: data, source, Grid(3, (7.0, 5.8), ncols=2))
+    return Loaded(panels, lambda: data, source, Grid(3, (7.0, 5.8), ncols=3))

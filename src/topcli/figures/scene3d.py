@@ -1,4 +1,4 @@
-"""Spatial scenes in parallel projection: traces on the unit sphere, and polhodes on the energy ellipsoid.
+"""Three-dimensional pictures in parallel projection: traces on the unit sphere, polhodes on the energy ellipsoid.
 
 Matplotlib's three-dimensional axes sort whole surfaces and not their parts. Here everything is projected by a camera,
 the matrix (3, 3) that maps a point to (right, up, towards the viewer), and drawn behind or in front by its depth. The
@@ -21,13 +21,14 @@ from topcli.figures.picture import Runs, halo, overlay_column
 from topcli.figures.style import REFERENCE, Styles
 
 TRACE, TRACE_FAR = "#0072B2", "#74ABD1"
+START, START_FAR = "#D55E00", "#DD9560"
 BAND, BAND_FAR = "#D55E00", "#DD9560"
 MERIDIANS, PARALLELS = 12, 5
 NEAR, FAR = "0.62", "0.86"
 """Greys of the graticule."""
 REACH = 1.2
 """Distance of the arrowheads of the axes from the centre of the picture: outside of the sphere."""
-STEEP = 0.5
+STEEP = 0.55
 """An axis that appears shorter than this part of its length is seen from above and ends inside of the sphere."""
 
 
@@ -102,18 +103,33 @@ def quads(points: Array) -> Array:
     return np.stack(corners, axis=2).reshape(-1, 4, 3)
 
 
-def _line(axes: Any, points: Array, near: str, far: str, width: float, order: int, **style: Any) -> None:
-    """Draw a projected curve (m, 3), with the far part lighter, thinner and below the near part."""
-    pair = {"color": near, "lw": width, "zorder": order + 10}, {"color": far, "lw": 0.7 * width, "zorder": order}
-    pair_of_lines(axes, points, points[:, 2] >= 0.0, pair, **style)
+def _line(
+    axes: Any,
+    points: Array,
+    near: str,
+    far: str,
+    width: float,
+    order: int,
+    labels: tuple[str, str] = ("", ""),
+    **style: Any,
+) -> None:
+    """Draw a projected curve (m, 3), with the far part lighter, thinner and below the near part.
+
+    ``labels`` are those of both parts in the legend; empty ones are left out.
+    """
+    named = [{"label": label} if label else {} for label in labels]
+    front = {"color": near, "lw": width, "zorder": order + 10, **named[0]}
+    back = {"color": far, "lw": 0.7 * width, "zorder": order, **named[1]}
+    pair_of_lines(axes, points, points[:, 2] >= 0.0, (front, back), **style)
 
 
 @dataclass(frozen=True)
 class Sphere:
     """Trace of the unit vector with the components ``vector``, seen from ``elevation`` and ``azimuth`` in degrees.
 
-    A dot marks the start; arrows are the axes whose names ``axes`` are not empty; with ``band`` the two parallels that
-    enclose the trace are drawn too. Small dots are at every unit of the column ``time``, if there is one. With
+    A diamond marks the start; arrows are the axes whose names ``axes`` are not empty; with ``band`` the two parallels
+    that enclose the trace are drawn too. Small dots are at every unit of the column ``time``, if there is one. ``name``
+    is that of the vector in the legend, which is below the panel if it is ``alone``, and else up to the layout. With
     the columns ``overlaid`` the exact motion is drawn in grey behind the trace.
     """
 
@@ -125,6 +141,8 @@ class Sphere:
     band: bool = True
     width: float = 1.25
     time: str = ""
+    name: str = r"axis $\boldsymbol{a}$"
+    alone: bool = False
     overlaid: tuple[str, ...] = ()
 
     def of_runs(self, runs: Runs) -> Sphere:
@@ -141,25 +159,33 @@ class Sphere:
         seen = points[rows] @ camera.T
         axes.set_aspect("equal")
         axes.set_axis_off()
-        room = REACH + 0.24 if any(self.axes[:2]) else 1.04
+        outside = np.hypot(*camera[:2]) > STEEP
+        room = REACH + 0.24 if any(name and out for name, out in zip(self.axes, outside, strict=True)) else 1.04
         axes.set(xlim=(-room, room), ylim=(-1.04, room))
         axes.set_title(self.title)
         _globe(axes, camera)
         heights = points[rows, 2]
-        for height in (heights.min(), heights.max()) if self.band else ():
-            _line(axes, parallel(float(height)) @ camera.T, BAND, BAND_FAR, 0.7, 3, linestyle=(0, (4, 2.5)))
+        for height, label in ((heights.min(), "its bounds"), (heights.max(), "")) if self.band else ():
+            dashed = {"labels": (label, ""), "linestyle": (0, (4, 2.5))}
+            _line(axes, parallel(float(height)) @ camera.T, BAND, BAND_FAR, 0.7, 3, **dashed)
         if self.time:
             _time_dots(axes, seen, data[self.time][rows])
         if self.overlaid:
             exact = np.column_stack([data[overlay_column(name)] for name in self.vector])[rows]
             grey = styles[REFERENCE]["color"]
             _line(axes, exact @ camera.T, grey, grey, 2.6 * self.width, 4)
-        _line(axes, seen, TRACE, TRACE_FAR, self.width, 5)
+        hidden = "on the far side" if (seen[:, 2] < 0.0).any() else ""
+        _line(axes, seen, TRACE, TRACE_FAR, self.width, 5, (self.name, hidden))
         for i, name in enumerate(self.axes):
             if name:
                 _axis(axes, camera[:, i], name)
-        look = {"markersize": 3.4, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 20}
-        axes.plot(*seen[:1, :2].T, "o", color=TRACE if seen[0, 2] >= 0.0 else TRACE_FAR, **look)
+        look = {"markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 20}
+        axes.plot(*seen[:1, :2].T, "D", color=START if seen[0, 2] >= 0.0 else START_FAR, label="start", **look)
+        if self.alone:
+            entries = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+            entries = {self.name: entries[self.name], **entries}
+            place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.02)}
+            axes.legend(entries.values(), entries, ncols=4, fontsize="small", **place)
 
 
 def _globe(axes: Any, camera: Array) -> None:
@@ -195,12 +221,15 @@ def _time_dots(axes: Any, seen: Array, times: Array) -> None:
     units = np.arange(math.floor(elapsed[-1] + 1e-9) + 1)
     at = seen[np.searchsorted(elapsed, units - 1e-9)]
     for colour, mask, level in ((TRACE_FAR, at[:, 2] < 0.0, 6), (TRACE, at[:, 2] >= 0.0, 16)):
-        axes.plot(*at[mask, :2].T, linestyle="none", marker=".", markersize=4.5, color=colour, zorder=level)
+        look = {"linestyle": "none", "marker": ".", "markersize": 4.5, "zorder": level}
+        axes.plot(*at[mask, :2].T, color=colour, label="$t = 0, 1, 2, ...$" if level == 16 else None, **look)
 
 
 Curve = np.ndarray
 """Points (m, 3)."""
 RUN = "#B2182B"
+BLUE, OCHRE = (0.44, 0.63, 0.80), (0.93, 0.72, 0.42)
+"""Tints of the ellipsoid around the axes of the largest and the smallest moment."""
 FACING = 0.1
 """Smallest cosine of the angle between the line of sight and the surface's normal at which an arrow can be read."""
 
@@ -264,15 +293,21 @@ class Polhodes:
     def _legend(self, axes: Any) -> None:
         """Explain lines and dots below the ellipsoid."""
         from matplotlib.lines import Line2D
+        from matplotlib.patches import Patch
 
         dot: dict[str, Any] = {"color": "none", "marker": "o", "markeredgecolor": "0.1"}
+        small, _, large = np.argsort(self.moments) + 1
         entries = {
             self.label: Line2D([], [], color=RUN, linestyle="-", linewidth=1.8),
             "separatrix": Line2D([], [], color="0.15", linestyle="-", linewidth=1.2),
+            "other polhodes": Line2D([], [], color="0.15", linestyle="-", linewidth=0.6),
             "stable rotation": Line2D([], [], markerfacecolor="0.1", **dot),
-            "unstable": Line2D([], [], markerfacecolor="white", **dot),
+            "unstable rotation": Line2D([], [], markerfacecolor="white", **dot),
+            "on the far side": Line2D([], [], color="0.15", alpha=0.45, linestyle="-", linewidth=0.5),
+            rf"around $\omega_{large}$": Patch(facecolor=BLUE),
+            rf"around $\omega_{small}$": Patch(facecolor=OCHRE),
         }
-        axes.legend(entries.values(), entries, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=len(entries))
+        axes.legend(entries.values(), entries, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, fontsize=9)
 
 
 def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> None:
@@ -290,7 +325,7 @@ def _shade(axes: Any, moments: np.ndarray, camera: np.ndarray, pixels: int) -> N
     small, middle, large = np.sort(moments)
     level = np.where(size**2 > middle, (size**2 - middle) / (large - middle), (size**2 - middle) / (middle - small))
     level = np.clip(level, -1.0, 1.0)[..., None]
-    white, blue, ochre = (np.array(rgb) for rgb in ((0.985, 0.975, 0.955), (0.44, 0.63, 0.80), (0.93, 0.72, 0.42)))
+    white, blue, ochre = (np.array(rgb) for rgb in ((0.985, 0.975, 0.955), BLUE, OCHRE))
     colour = white + np.where(level > 0.0, level * (blue - white), -level * (ochre - white))
     image = lit(colour, normal, np.array([-0.45, 0.55, 0.75]) @ camera, camera[2], (0.70, 0.31), (0.07, 24))
     slope = np.maximum((normal @ camera[2]), 0.0)

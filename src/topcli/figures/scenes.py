@@ -1,7 +1,8 @@
-"""Figures of the runs of scenes, and panels of bodies and of the traces of vectors in them."""
+"""Figures of packaged scenes, and panels of bodies and traces of vectors."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -133,9 +134,10 @@ class _Columns(dict[str, Any]):
         return self[name]
 
 
-SHADOW, FRAME, START = "0.80", "0.45", "#D55E00"
+SHADOW, FRAME, START = "0.87", "0.45", "#D55E00"
 LENGTH = 1.18
 """Length of the axes of a frame, relative to the longest vector."""
+BACK = "its rear part"
 VECTORS = {"omega": r"\omega", "gamma": r"\gamma"}
 
 
@@ -177,6 +179,9 @@ class BodyPanel:
         artist.show(last, 0, rotations[last])
         for line in artist.new:
             line.set_linewidth(0.8 * line.get_linewidth() / 1.9)
+        labels = "trace of the axis", "on the far side", "the axis at the end"
+        for line, label in zip((*artist.new, artist.dot), labels, strict=True):
+            line.set_label(label)
         axes.set_title(self.title)
 
 
@@ -184,7 +189,9 @@ class BodyPanel:
 class VectorPanel:
     """Curve of the vector ``vector`` of the run of ``scene``, seen from the body or, ``in_space``, from outside.
 
-    It is drawn in parallel projection with the three axes of its frame and its shadow on the plane below.
+    It is drawn in parallel projection with the three axes of its frame, a tick on each, and its shadow on the plane
+    below. The part behind the plane through the origin and across the line of sight is paler. The legend is up to the
+    layout.
     """
 
     title: str
@@ -211,21 +218,39 @@ class VectorPanel:
         flat = points @ camera.T
         floor = np.column_stack([points[:, :2], np.full(len(points), min(0.0, points[:, 2].min() - 0.1))])
         floor = floor @ camera.T
-        axes.plot(floor[:, 0], floor[:, 1], "-", color=SHADOW, lw=0.6, zorder=1)
-        self._frame(axes, camera)
-        looks = {"color": TRACE, "lw": 1.1, "zorder": 6}, {"color": TRACE_FAR, "lw": 0.8, "zorder": 3}
-        pair_of_lines(axes, flat, flat[:, 2] >= 0.0, looks)
-        axes.plot([flat[0, 0]], [flat[0, 1]], "o", color=START, ms=4.0, mec="white", mew=0.6, zorder=8)
+        axes.plot(floor[:, 0], floor[:, 1], "-", color=SHADOW, lw=2.8, zorder=1, label="shadow below")
+        self._frame(axes, camera, size)
+        name = rf"$\boldsymbol{{{VECTORS[self.vector]}}}$"
+        near = {"color": TRACE, "lw": 1.1, "zorder": 6, "label": name}
+        pair_of_lines(
+            axes, flat, flat[:, 2] >= 0.0, (near, {"color": TRACE_FAR, "lw": 0.8, "zorder": 3, "label": BACK})
+        )
+        look = {"ms": 4.0, "mec": "white", "mew": 0.6, "zorder": 8, "label": "start"}
+        axes.plot([flat[0, 0]], [flat[0, 1]], "D", color=START, **look)
         shown = np.vstack([flat[:, :2], floor[:, :2], 1.1 * LENGTH * camera[:2].T, np.zeros((1, 2))])
         low, high = shown.min(axis=0) - 0.1, shown.max(axis=0) + 0.1
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set_axis_off()
         axes.set_title(self.title)
 
-    def _frame(self, axes: Any, camera: Array) -> None:
-        """Draw the three axes of the frame, labelled by the components of the vector or of space."""
+    def _frame(self, axes: Any, camera: Array, size: float) -> None:
+        """Draw the three axes of the frame, labelled by the components of the vector or of space.
+
+        Each has a tick at the same value, where the longest vector has the length ``size``.
+        """
+        value = tick_value(size)
         for i, axis in enumerate(LENGTH * np.eye(3)):
             tip = camera @ axis
             arrow(axes, (0.0, 0.0), tip[:2], FRAME, 0.7, zorder=2)
             name = rf"${VECTORS[self.vector]}_{i + 1}$" if not self.in_space else ("$x$", "$y$", "$z$")[i]
             axes.text(*(1.1 * tip[:2]), name, ha="center", va="center", color="0.25", zorder=9)
+            at, across = value / size / LENGTH * tip[:2], np.array([-tip[1], tip[0]]) / math.hypot(*tip[:2])
+            axes.plot(*np.array([at - 0.02 * across, at + 0.02 * across]).T, "-", color=FRAME, lw=0.7, zorder=2)
+            side = 0.08 * across * (-1.0 if across[1] > 0.0 or i == 2 else 1.0)
+            axes.text(*(at + side), f"{value:g}", ha="center", va="center", color="0.25", fontsize=8, zorder=9)
+
+
+def tick_value(size: float) -> float:
+    """Largest of the numbers 1, 2 and 5 times a power of ten that is at most ``size``."""
+    power = 10.0 ** math.floor(math.log10(size))
+    return power * next(digit for digit in (5, 2, 1) if digit * power <= size * (1.0 + 1e-12))

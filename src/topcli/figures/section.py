@@ -18,6 +18,7 @@ from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError, nearest, quoted
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid, caption, component_symbol
+from topcli.schemes.display import display_name
 from topcli.store.manifest import StoredRun, stored_run
 from topcli.store.series import read_series
 
@@ -75,7 +76,9 @@ def section_figure(folders: Sequence[Path], x: str | None, y: str | None, colour
     first = _single(experiments[0])
     for run, other in zip(runs, map(_single, experiments), strict=True):
         if (other.top.kind, other.section) != (first.top.kind, first.section):
-            raise UsageError(f"{run.folder}: its top or section is not that of {runs[0].folder}; draw it by itself")
+            raise UsageError(
+                f"{run.folder}: its top or section differs from that of {runs[0].folder}; draw it in its own figure"
+            )
     columns = [name for name in first.recorded if name not in ("n", "t")]
     free = [name for name in columns if first.section and name != first.section.component]
     for option, name in (("--x", x), ("--y", y)):
@@ -134,7 +137,7 @@ def _load_section(
 
     component = first.section.component
     where = component_symbol(component) if component else first.section.formula
-    title = f"{first.scheme.name}, $h = {first.h:g}$: {where} = {first.section.value:g}"
+    title = f"{display_name(first.scheme.name)}, $h = {first.h:g}$: {where} = {first.section.value:g}"
     source = {
         "runs": [[run.manifest["digest"], run.manifest["code"]] for run in runs],
         "columns": [x, y, by_verdict],

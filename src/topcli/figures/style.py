@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import UsageError, clipped, nearest, quoted
+from topcli.schemes.display import FAMILIES, display_name
 
 STYLE = Path(__file__).parent / "print.mplstyle"
 
@@ -20,17 +21,8 @@ REFERENCE = "reference"
 
 
 REFERENCE_LOOK: dict[str, Any] = {"color": "0.8", "linewidth": 3.5, "linestyle": "-", "zorder": 1.5}
-FAMILIES = (
-    ("hk", "hk-projected", "hk-symproj", "hk-exact"),
-    ("bohlin-a", "bohlin-b", "bohlin-c", "bs", "bs-implicit"),
-    ("dg4", "midpoint4", "midpoint"),
-    ("rk2", "rk4", "taylor", "dop853"),
-    ("hybrid", "hybrid-sym", "hybrid-xi"),
-    ("splitting", "dmv"),
-    ("exact", "backlund:nodes=exact", "backlund", "backlund+suzuki4", "backlund+kahan-li6", "backlund+kahan-li8"),
-)
-"""Related schemes, for each colour of the style in its order; those of a family differ in marker and dashes."""
-MARKERS = "os^Dv<>"
+MARKERS = "os^Dv<>PXh"
+"""Markers; those of schemes that figures often show together are different."""
 DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)), ":", (0, (2, 1)))
 """Dashes of the first, second, ... line of a colour, where lines have markers too."""
 
@@ -38,6 +30,7 @@ DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)), ":", (0, (2, 1)))
 def looks(labels: Iterable[str], markers: bool = False) -> dict[str, dict[str, Any]]:
     """Look of each different label: that of a scheme is the same in all figures, any other has the next free one.
 
+    Schemes are recognized by their names and their display names; related ones and compositions have one colour.
     Lines of one figure differ in colour and dashes, those with ``markers`` also in marker and dashes.
     """
     import matplotlib as mpl
@@ -45,12 +38,17 @@ def looks(labels: Iterable[str], markers: bool = False) -> dict[str, dict[str, A
     cycle = list(mpl.rcParams["axes.prop_cycle"])
     places: dict[str, tuple[int, int]] = {}
     free = ((i % len(cycle), i // len(cycle)) for i in itertools.count())
-    own = {name: (i % len(cycle), k) for i, family in enumerate(FAMILIES) for k, name in enumerate(family)}
+    own: dict[str, tuple[int, int]] = {}
+    for i, family in enumerate(FAMILIES):
+        for k, name in enumerate(family):
+            own[name] = own[display_name(name)] = i % len(cycle), k
     different = list(dict.fromkeys(labels))
     for label in sorted(different, key=lambda label: label not in own):
-        place = own.get(label) or next(free)
+        base = own.get(label.split("+")[0].strip()) if "+" in label else None
+        turns = ((base[0], len(FAMILIES[base[0]]) + k) for k in itertools.count()) if base else free
+        place = own.get(label) or next(turns)
         while place in places.values():
-            place = next(free)
+            place = next(turns)
         places[label] = place
     places = {label: places[label] for label in different}
     if markers:
@@ -65,7 +63,7 @@ def looks(labels: Iterable[str], markers: bool = False) -> dict[str, dict[str, A
 
 def _marked(shade: Any, colour: int, turn: int) -> dict[str, Any]:
     """Look of a line with markers, number ``turn`` of its colour."""
-    marker = MARKERS[(colour + turn) % len(MARKERS)]
+    marker = MARKERS[(colour + 3 * turn) % len(MARKERS)]
     return {"color": shade, "marker": marker, "linestyle": DASHES[turn % len(DASHES)]}
 
 

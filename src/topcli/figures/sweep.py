@@ -1,4 +1,4 @@
-"""Figures of sweeps: a measure over a key, with a curve for each value of another, or as colours over two keys.
+"""Figures of sweeps: a measure as curves over one key, or as colours over two keys.
 
 A figure of the catalogue shows several views of a packaged sweep, and runs the rows that these show.
 """
@@ -19,6 +19,8 @@ from topcli.errors import RunError, UsageError
 from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, HeatPanel, KeyAxis, curve_column, plain
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid
+from topcli.glossary import in_words
+from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.store.files import sha256_of
 from topcli.sweeps.rows import SweepRows, key_labels, read_rows
@@ -31,10 +33,18 @@ if TYPE_CHECKING:
 
 LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
 """Time between the swings of the Kowalevski top at the distance eps from a homoclinic orbit."""
+KEYS = {"h": "step size h", "N": "number of steps N", "T": "time T"}
+"""Keys of a config in words."""
+TIMES = ("seconds", "nanoseconds_per_step")
+"""Measures that have no order in h."""
 DECADES = 2.0
 """Magnitudes over more decades than this have a logarithmic scale, on both sides of zero if there are both signs."""
 CROWDED = 20.0
 """Ratio of the largest to the smallest value and gap of a key from which its axis is logarithmic."""
+MOST_KEYS = 10
+"""Most curves with a legend; more have their names at their ends."""
+ROOM = 0.215
+"""Height of a figure in inches for each name at the end of a curve."""
 CEILING = 1e10
 """Values above this one, of runs that explode, are drawn at the upper edge."""
 DEEPEST = 1e-10
@@ -43,13 +53,17 @@ DEEPEST = 1e-10
 
 @dataclass(frozen=True)
 class Choice:
-    """Content of the figure: the measure ``y`` over ``x`` for each value of ``by``; or ``colour`` over x and y."""
+    """Content of the figure: the measure ``y`` over ``x`` for each value of ``by``; or ``colour`` over x and y.
+
+    With ``magnitude`` its absolute value is drawn, and the markers show the sign (``CurvePanel.signs``).
+    """
 
     x: str
     y: str
     by: str | None = None
     colour: str | None = None
     aggregate: str | None = None
+    magnitude: bool = False
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -65,7 +79,7 @@ class Choice:
         """Raise UsageError for names that the sweep does not have or that do not go together."""
         require_aggregate(self.aggregate)
         if self.colour and self.by:
-            raise UsageError("--colour and --by do not go together: a heat map has no curves")
+            raise UsageError("--colour and --by cannot be combined: a heat map has no curves")
         rows.require_key(self.x, "--x")
         if self.colour:
             rows.require_key(self.y, "--y")
@@ -106,15 +120,15 @@ def scale_of(values: Array) -> tuple[str, float]:
 def _axis(rows: SweepRows, key: str) -> tuple[KeyAxis, dict[Any, float]]:
     """Axis of a key, and the place of each of its values on it."""
     column = rows.columns[key]
-    labels = key_labels(column)
+    labels, words = key_labels(column), plain(KEYS.get(key, key))
     if column.dtype.kind in "OU":
-        return KeyAxis(plain(key), categories=tuple(map(plain, labels.values()))), {
+        return KeyAxis(words, categories=tuple(plain(display_name(label)) for label in labels.values())), {
             value: float(i) for i, value in enumerate(labels)
         }
     numbers = np.array([value for value in labels if value is not None], dtype=float)
     positive = bool(len(numbers)) and bool((numbers > 0.0).all())
     log = positive and (key in rows.log or _geometric(numbers) or _uneven(numbers))
-    return KeyAxis(plain(key), log), {value: np.nan if value is None else float(value) for value in labels}
+    return KeyAxis(words, log), {value: np.nan if value is None else float(value) for value in labels}
 
 
 def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], tuple[float, float, float]]:
@@ -133,8 +147,10 @@ def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], tuple[floa
 
 def _measure_label(choice: Choice) -> str:
     spread = {"quartiles": " and quartiles", "standard error": " ± standard error", "": ""}
-    note = f" ({choice.aggregate}{spread[SPREADS[choice.aggregate]]})" if choice.aggregate else ""
-    return plain(choice.measure) + (note if not choice.colour else f" ({choice.aggregate})" if choice.aggregate else "")
+    if not choice.aggregate:
+        return plain(in_words(choice.measure))
+    around = "" if choice.colour else spread[SPREADS[choice.aggregate]]
+    return plain(in_words(choice.measure)) + f" ({choice.aggregate}{around})"
 
 
 def _title(rows: SweepRows) -> str:
@@ -159,19 +175,30 @@ def _adaptive() -> tuple[str, ...]:
 def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.ndarray]]:
     """Panel and columns of the curves. Raises UsageError for several rows at a point without an aggregate."""
     axis, place = _axis(rows, choice.x)
-    points = {keys: point for keys, point in _points(rows, choice).items() if not np.isnan(place[keys[0]])}
+    signed = _points(rows, choice)
+    if choice.magnitude:
+        sizes = {choice.y: np.abs(rows.columns[choice.y].astype(float))}
+        points = _points(replace(rows, columns={**rows.columns, **sizes}), choice)
+    else:
+        points = signed
+    points = {keys: point for keys, point in points.items() if not np.isnan(place[keys[0]])}
     labels, legend = _labels(rows, choice)
     data = {}
     band = bool(choice.aggregate and SPREADS[choice.aggregate])
     for i, (value, label) in enumerate(labels.items()):
         beside = (i - 0.5 * (len(labels) - 1)) * min(0.12, 0.7 / len(labels)) if axis.categories else 0.0
-        mine = [(place[keys[0]] + beside, point) for keys, point in points.items() if not choice.by or keys[1] == value]
-        mine.sort(key=lambda pair: pair[0])
-        data[curve_column(label, "x")] = np.array([x for x, _ in mine])
+        mine = [keys for keys in points if not choice.by or keys[1] == value]
+        mine.sort(key=lambda keys: place[keys[0]])
+        data[curve_column(label, "x")] = np.array([place[keys[0]] + beside for keys in mine])
         for part, kind in enumerate(("y", "low", "high") if band else ("y",)):
-            data[curve_column(label, kind)] = np.array([point[part] for _, point in mine])
+            data[curve_column(label, kind)] = np.array([points[keys][part] for keys in mine])
+        if choice.magnitude:
+            both = [np.sign(signed[keys][1:] if band else signed[keys][:1]) for keys in mine]
+            data[curve_column(label, "sign")] = np.array([0.5 * (signs.min() + signs.max()) for signs in both])
     every = np.array([point[0] for point in points.values()])
     scale, threshold = scale_of(every)
+    slopes = axis.log and scale == LOG and choice.y not in TIMES
+    flat = _adaptive() if choice.by == "scheme" and choice.x == "h" else ()
     panel = CurvePanel(
         tuple(labels.values()),
         axis.label,
@@ -181,10 +208,12 @@ def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.nd
         threshold,
         CEILING,
         band=band,
+        signs=choice.magnitude,
         categories=axis.categories,
         title=_title(rows),
-        legend=": ".join([one for one in (legend, "slope" * (axis.log and scale == LOG)) if one]),
-        flat=_adaptive() if choice.by == "scheme" and choice.x == "h" else (),
+        legend=": ".join([one for one in (legend, "slope" * slopes) if one]),
+        flat=flat if slopes else tuple(labels.values()),
+        coloured=tuple(labels.values()) if len(labels) > MOST_KEYS and not axis.categories else (),
     )
     return panel, data
 
@@ -217,7 +246,7 @@ def sweep_notes(rows: SweepRows, choice: Choice) -> list[str]:
     if missing:
         said.append(f"{missing} of {len(rows)} values could not be computed (nan)")
     if scale_of(values)[0] == LOG and (zeros := int((values == 0.0).sum())):
-        said.append(f"{zeros} of {len(rows)} values are zero and have no place on a logarithmic scale")
+        said.append(f"{zeros} of {len(rows)} values are zero and cannot be shown on a logarithmic scale")
     axes = choice.keys if choice.colour else (choice.x,)
     if any(np.isnan(rows.columns[key]).any() for key in axes if rows.columns[key].dtype.kind == "f"):
         said.append(f"rows without a number for {' or '.join(axes)} are not drawn")
@@ -245,7 +274,8 @@ def _load_rows(rows: SweepRows, choice: Choice, request: Request) -> Loaded:
     source = {"rows": sha256_of(rows.path), "choice": repr(choice), "code": fingerprint(prepare, compiled=False)}
     for line in sweep_notes(rows, choice):
         request.on_message(line)
-    return Loaded((panel,), lambda: data, source, Grid(figsize=(6.4, 3.8)))
+    curves_named = len(panel.coloured) if isinstance(panel, CurvePanel) else 0
+    return Loaded((panel,), lambda: data, source, Grid(figsize=(6.4, min(9.4, max(3.8, ROOM * curves_named)))))
 
 
 @dataclass(frozen=True)
@@ -253,7 +283,8 @@ class View:
     """A panel of curves: a ``choice`` from the rows that satisfy ``where``, under a ``title``.
 
     ``xlabel`` and ``ylabel`` replace the names of the key and the measure, ``xlog`` makes the horizontal axis
-    logarithmic. ``law`` maps x (m,) to the values of a dashed line labelled ``law_label``.
+    logarithmic. ``law`` maps x (m,) to the values of a dashed line labelled ``law_label``. With ``coloured`` names are
+    at the ends of the curves, and others than these are grey.
     """
 
     title: str
@@ -264,6 +295,7 @@ class View:
     xlog: bool = False
     law: Callable[[Array], Array] | None = None
     law_label: str = ""
+    coloured: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -347,6 +379,7 @@ def _drawn(
         xlabel=view.xlabel or panel.xlabel,
         ylabel=view.ylabel or panel.ylabel,
         xlog=view.xlog or panel.xlog,
+        coloured=view.coloured,
     )
     if view.law is None:
         return panel, columns

@@ -1,4 +1,4 @@
-"""Tori of the Kowalevski top: one with the lines of the flows of E and k², and the points of two maps near another.
+"""Tori of the Kowalevski top: one with flow lines of E and k², and one with points of two maps.
 
 The surface is drawn as small facets from back to front. A line is cut where the surface hides it. The maps have a long
 step; their points are drawn beside the torus of the motion.
@@ -22,9 +22,10 @@ from topcli.engine.run import Run
 from topcli.errors import UsageError
 from topcli.figures.figure import Loaded, Request, code_of
 from topcli.figures.picture import Grid, caption, halo
-from topcli.figures.scene3d import TRACE, arrow, lit, projection, quads, split
+from topcli.figures.scene3d import arrow, lit, projection, quads, split
 from topcli.figures.scenes import scene_config
-from topcli.figures.style import Styles
+from topcli.figures.style import Styles, looks
+from topcli.schemes.display import display_name
 from topcli.studies.entries import under_scheme
 
 if TYPE_CHECKING:
@@ -43,9 +44,8 @@ LINES: dict[str, tuple[str, str, Any]] = {
     "k_sq": ("flow of $k^2$", "#1F4E9C", (0, (5, 1.5))),
 }
 """Kinds of lines: labels, colours and dashes."""
-COUNT, POINTS = 12, 361
-MIDDLE = 0.25
-"""Middle of the lines of the energy, in periods of the second angle from the initial state; their ends are behind."""
+COUNTS, POINTS = range(10, 17), 361
+"""Numbers of lines of one kind, of which the best is chosen (``_closing_count``), and points of a line."""
 RETURNS = 1.6
 """Periods of the second angle for which the motion itself is drawn."""
 CELLS = 400
@@ -188,9 +188,11 @@ def load_torus(request: Request) -> Loaded:
     y, c = tuple(experiment.y0), float(experiment.top.constants()[0])
     source = {
         "state": [*y, c],
-        "size": [ROWS, COLUMNS, COUNT, POINTS, MIDDLE, RETURNS],
+        "size": [ROWS, COLUMNS, list(COUNTS), POINTS, RETURNS],
         "projection": PROJECTION.tolist(),
-        "code": fingerprint(Torus.states, Torus.surface, Torus.motion_line, Torus._lines, compiled=False),
+        "code": fingerprint(
+            Torus.states, Torus.surface, Torus.motion_line, Torus._lines, _closing_count, compiled=False
+        ),
     }
     return Loaded((TorusPanel(elevation=32.0, azimuth=165.0),), lambda: _data(y, c), source, Grid(figsize=(5.4, 4.8)))
 
@@ -202,11 +204,18 @@ def _data(y: tuple[float, ...], c: float) -> dict[str, np.ndarray]:
         raise UsageError(f"torus: {error}") from None
     parts = {
         "surface": torus.surface(ROWS, COLUMNS).reshape(-1, 6) @ PROJECTION.T,
-        "energy": _separated(torus.energy_lines(COUNT, POINTS, MIDDLE) @ PROJECTION.T),
-        "k_sq": _separated(torus.k_sq_lines(COUNT, POINTS) @ PROJECTION.T),
+        "energy": _separated(torus.energy_lines(_closing_count(torus, 1), POINTS, 0.5 * RETURNS) @ PROJECTION.T),
+        "k_sq": _separated(torus.k_sq_lines(_closing_count(torus, 0), POINTS) @ PROJECTION.T),
         "motion": torus.motion_line(RETURNS, 2 * POINTS) @ PROJECTION.T,
     }
     return {f"{part}:{name}": values[:, i] for part, values in parts.items() for i, name in enumerate(AXES)}
+
+
+def _closing_count(torus: Torus, axis: int) -> int:
+    """Number of lines over one period of the angle ``axis`` of which each ends nearly where another begins."""
+    rates = torus.energy_rates if axis else torus.k_sq_rates
+    turn = rates[1 - axis] / rates[axis] * torus.periods[axis] / torus.periods[1 - axis]
+    return min(COUNTS, key=lambda count: abs(count * turn - round(count * turn)))
 
 
 def _separated(lines: np.ndarray) -> np.ndarray:
@@ -226,7 +235,7 @@ CUT, SECTION = 0, (1, 4)
 THICKNESS = 0.01
 """Largest ``abs(omega1)`` of a point of a map on the section."""
 
-SPANS = {"x": (-1.2, 1.45), "y": (-1.6, 1.6), "z": (-1.1, 1.15)}
+SPANS = {"x": (-1.7, 1.7), "y": (-1.9, 1.9), "z": (-1.8, 1.8)}
 """Parts of the axes omega1, omega2, gamma3 that are seen; each is shown with the same length."""
 SEEN_LABELS = {"x": r"$\omega_1$", "y": r"$\omega_2$", "z": r"$\gamma_3$"}
 ELEVATION, AZIMUTH = 52.0, 18.0
@@ -239,7 +248,7 @@ CORNER, ARROW = np.array([-1.05, -0.98]), 0.28
 
 @dataclass(frozen=True)
 class TorusView:
-    """Points of a map, of which nearer ones hide farther ones and are lighter.
+    """Points of a map in shades of the scheme's colour: nearer ones hide farther ones and are darker.
 
     A map with fewer than ``whole`` points has left the energy surface after them.
     """
@@ -258,7 +267,8 @@ class TorusView:
         seen = seen[np.abs(seen[:, :2]).max(axis=1) <= FRAME]
         right, up, depth = _not_hidden(seen[np.argsort(seen[:, 2], kind="stable")]).T
         size = 0.35 if len(right) > 100_000 else 0.8
-        axes.scatter(right, up, c=depth, s=size, lw=0.0, cmap="viridis", vmin=-1.2, vmax=1.2, rasterized=True)
+        shades = _shades(looks([self.scheme])[self.scheme]["color"])
+        axes.scatter(right, up, c=depth, s=size, lw=0.0, cmap=shades, vmin=-0.65, vmax=0.65, rasterized=True)
         for label, tip in zip(SEEN_LABELS.values(), ARROW * camera[:2].T, strict=True):
             style = {"arrowstyle": "->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
             axes.annotate("", CORNER + tip, CORNER, arrowprops=style)
@@ -266,6 +276,14 @@ class TorusView:
         axes.set(xlim=(-FRAME, FRAME), ylim=(-FRAME, FRAME), xticks=[], yticks=[], aspect="equal")
         end = "" if len(points) >= self.whole else ", then lost"
         axes.set_title(f"{self.title}, {len(points):,} points{end}", loc="left")
+
+
+def _shades(colour: str) -> Any:
+    """Map of depths to shades of a colour, from a pale one, of the farthest points, to a dark one."""
+    from matplotlib.colors import LinearSegmentedColormap, to_rgb
+
+    own = np.array(to_rgb(colour))
+    return LinearSegmentedColormap.from_list("shades", [0.8 + 0.2 * own, 0.55 * own])
 
 
 def _not_hidden(points: np.ndarray) -> np.ndarray:
@@ -287,7 +305,9 @@ class TorusSection:
         u, v, x, y = (data[f"{name}:{axis}"] for name in ("flow", self.scheme) for axis in "uv")
         axes.plot(u, v, "s", color="0.75", ms=3.4, mew=0.0, rasterized=True, label="motion")
         size = 1.8 if np.isfinite(x).sum() > 1000 else 3.0
-        axes.plot(x, y, ".", color=TRACE, ms=size, mew=0.0, rasterized=True, label=self.scheme)
+        colour, name = looks([self.scheme])[self.scheme]["color"], display_name(self.scheme)
+        axes.plot(x, y, ".", color=colour, ms=size, mew=0.0, rasterized=True, label=name)
+        axes.legend(loc="lower right", markerscale=3.0, fontsize="small")
         axes.set(xlim=(-2.1, 2.1), ylim=(-1.7, 1.7))
         caption(axes, r"$\omega_2$", r"$\gamma_2$", self.title)
 
@@ -297,12 +317,13 @@ def load_torus_points(request: Request) -> Loaded:
     ours, other = SCHEMES
     near = rf"$|\omega_1| < {THICKNESS:g}$"
     panels = (
-        TorusView(ours, f"(a) {ours}, $h = 1$", MAP_POINTS),
-        TorusView(other, f"(b) {other}, $h = 1$", MAP_POINTS),
-        TorusSection(ours, f"(c) {ours}, {near}; grey: the motion"),
-        TorusSection(other, f"(d) {other}, {near}"),
+        TorusView(ours, f"(a) {display_name(ours)}", MAP_POINTS),
+        TorusView(other, f"(b) {display_name(other)}", MAP_POINTS),
+        TorusSection(ours, f"(c) {near}"),
+        TorusSection(other, f"(d) {near}"),
     )
-    return Loaded(panels, torus_columns, {"study": torus_code()}, Grid(2, (7.0, 6.4)))
+    layout = Grid(2, (7.0, 6.7), heading="Kowalevski top, $h = 1$; in (a) and (b) nearer points are darker")
+    return Loaded(panels, torus_columns, {"study": torus_code()}, layout)
 
 
 def _experiment(scheme: str) -> Experiment:

@@ -1,4 +1,4 @@
-"""Content of a page: chapters of facts, tables, pictures and texts, as plain strings that the template escapes.
+"""Content of a page: chapters of facts, tables, pictures and texts, which the template escapes.
 
 The blocks on the origin of a result, its config, files and works, are common to all chapters.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -14,7 +15,10 @@ from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.config.text import to_yaml
 from topcli.errors import TopcliError, UsageError, shortened
+from topcli.runs.report import seconds_note
+from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.studies.citations import OWN, works_in
 from topcli.table import DASH, Cells, number
 from topcli.tops import CATALOGUE, TOPS
 
@@ -82,7 +86,7 @@ class Chapter:
     """One result on the page.
 
     ``state`` is its outcome in a word, which is ``good`` or not; ``missing`` lists what could not be shown, and why.
-    ``data`` is what comparisons with other results need.
+    ``blocks`` are shown, ``details`` folded below them. ``data`` is what comparisons with other results need.
     """
 
     title: str
@@ -93,20 +97,21 @@ class Chapter:
     message: str = ""
     missing: list[str] = field(default_factory=list)
     blocks: list[Block] = field(default_factory=list)
+    details: list[Block] = field(default_factory=list)
     data: dict[str, Any] = field(default_factory=dict)
 
-    def attempt(self, what: str, make: Callable[..., Block | None], *arguments: Any) -> None:
+    def attempt(self, what: str, make: Callable[..., Block | None], *arguments: Any, folded: bool = False) -> None:
         """Add the block that ``make`` returns, or note that ``what`` is missing; files may hold anything.
 
-        None, and a block without pictures, are left out.
+        None, and a block without content, are left out.
         """
         try:
             block = make(*arguments)
         except MALFORMED as error:
             self.missing.append(f"{what}: {reason_of(error)}")
         else:
-            if block is not None and block != Pictures([]):
-                self.blocks.append(block)
+            if block is not None and (block.pictures if isinstance(block, Pictures) else block.lines):
+                (self.details if folded else self.blocks).append(block)
 
     def drawn(self, draw: Callable[[Picture], str]) -> dict[str, str]:
         """Draw all pictures, and return them by name; those that cannot be drawn are noted as missing."""
@@ -172,24 +177,39 @@ def text_block(title: str, text: str) -> Text:
     return Text(title, lines if left <= 0 else [*lines[:LONGEST_TEXT], f"... and {left} more lines"])
 
 
+def file_block(title: str, path: Path) -> Text:
+    """A text file. Raises OSError."""
+    return text_block(title, path.read_text(encoding="utf-8"))
+
+
 def config_block(config: Mapping[str, Any]) -> Text:
     """The resolved config as YAML."""
     return text_block("Resolved config", to_yaml(dict(config)))
 
 
-def _seconds(value: Any) -> Any:
-    """Seconds of a manifest, or several by name, with few digits."""
+def local_time(text: object, timespec: str = "seconds") -> str:
+    """Time of a manifest in the local time zone, such as "2026-11-23 15:55:43 CET"; any other text as it is."""
+    try:
+        time = datetime.fromisoformat(str(text)).astimezone()
+    except ValueError:
+        return str(text)
+    return f"{time.replace(tzinfo=None).isoformat(' ', timespec)} {time.tzname()}"
+
+
+def _seconds(value: Any) -> str | None:
+    """Seconds of a manifest with few digits, or those of a run in a sentence."""
     if isinstance(value, Mapping):
-        return {name: _seconds(part) for name, part in value.items()}
-    return number(value) if isinstance(value, float) else value
+        return seconds_note(value).removesuffix(".")
+    return number(value) if isinstance(value, float) else None
 
 
 def provenance_block(manifest: Mapping[str, Any]) -> Facts:
     """Times, versions, machine, commit and digests of a manifest or a study."""
     commit, dirty = manifest.get("commit"), " with uncommitted changes" if manifest.get("dirty") else ""
+    started, ended = manifest.get("started"), manifest.get("ended", manifest.get("written"))
     facts = {
-        "started": manifest.get("started"),
-        "ended": manifest.get("ended", manifest.get("written")),
+        "started": started and local_time(started),
+        "ended": ended and local_time(ended),
         "seconds": _seconds(manifest.get("seconds")),
         **(manifest.get("environment") or {}),
         "commit": f"{commit}{dirty}" if commit else None,
@@ -225,34 +245,54 @@ def parts_of(experiment: Experiment | None) -> Parts:
     return [(experiment.top.form, experiment.scheme.name)] if experiment else []
 
 
-def citation_block(parts: Parts, version: object) -> Notes:
-    """References to cite: the program, the paper, and the sources of all tops and schemes."""
+def sources_of(parts: Parts) -> list[str]:
+    """Sources of all tops and schemes; a part without a scheme is that of a top alone."""
     sources: list[str] = []
     for form, name in dict.fromkeys(parts):
         if form in TOPS:
-            sources.append(f"{TOPS[form].kind} top: {TOPS[form].citation}")
+            title = TOPS[form].title.partition(" (")[0]
+            sources.append(f"{title[:1].upper()}{title[1:]}: {TOPS[form].citation}")
+        if not name:
+            continue
         try:
-            sources.append(f"scheme {name}: {find_scheme(name, form).citation}")
+            sources.append(f"{display_name(name)}: {find_scheme(name, form).citation}")
         except UsageError:  # of a top that only a config or a plugin declares
             like = [scheme.citation for scheme in all_schemes() if scheme.name == name and scheme.top in CATALOGUE]
-            source = like[0] if like else "its source is unknown to this topcli"
-            sources.append(f"scheme {shortened(name)}: {source}")
-    release = shortened(version) if isinstance(version, str) else "unknown"
-    own = f"the topcli authors, topcli: numerical experiments on discrete spinning tops, version {release}"
-    return Notes("Citation", [own, PAPER, *dict.fromkeys(sources)])
+            source = like[0] if like else "source unknown"
+            sources.append(f"{shortened(display_name(name))}: {source}")
+    return list(dict.fromkeys(sources))
+
+
+def citation_block(sources: Sequence[str], version: object) -> Notes:
+    """Citations: the program, the paper, and the ``sources`` of tops and schemes."""
+    release = f", version {shortened(version)}" if isinstance(version, str) else ""
+    own = f"the topcli authors, topcli: numerical experiments on discrete spinning tops{release}"
+    return Notes("Citation", [own, PAPER, *sources])
+
+
+def works_block(sources: Sequence[str]) -> Notes:
+    """Works that ``sources`` name, in full."""
+    works = {work.key: work.text for source in sources for work in works_in(source) if work.key not in OWN}
+    return Notes("Works cited", list(works.values()))
 
 
 def add_origin(chapter: Chapter, manifest: Mapping[str, Any], parts: Callable[[], Parts] | Parts = ()) -> None:
-    """Add config, provenance and citation of a result, of which its ``manifest`` or the data of a study tell."""
+    """Add config, provenance and citation of a result, from its ``manifest`` or from the data of a study."""
     if isinstance(config := manifest.get("config"), Mapping) and config:
-        chapter.attempt("config", config_block, config)
+        chapter.attempt("config", config_block, config, folded=True)
     if manifest.keys() - {"config"}:
-        chapter.attempt("provenance", provenance_block, manifest)
+        chapter.attempt("provenance", provenance_block, manifest, folded=True)
     environment = manifest.get("environment")
     version = environment.get("topcli") if isinstance(environment, Mapping) else None
-    chapter.attempt("citation", lambda: citation_block(parts() if callable(parts) else parts, version))
+    sources: list[str] = []
+    try:
+        sources = sources_of(parts() if callable(parts) else parts)
+    except MALFORMED as error:
+        chapter.missing.append(f"citation: {reason_of(error)}")
+    chapter.attempt("citation", citation_block, sources, version)
+    chapter.attempt("works cited", works_block, sources, folded=True)
 
 
 def add_files(chapter: Chapter, folder: Path, manifest: Mapping[str, Any], damage: Mapping[str, str]) -> None:
     """Add the list of the files in ``folder``."""
-    chapter.attempt("files", lambda: files_block(folder, manifest["files"], damage))
+    chapter.attempt("files", lambda: files_block(folder, manifest["files"], damage), folded=True)

@@ -1,16 +1,16 @@
-"""One self-contained HTML page on results: no script, no request, light and dark, for paper and phones."""
+"""Self-contained HTML page on results: no scripts, no requests; for screens, phones and paper."""
 
 from __future__ import annotations
 
-import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from topcli import __version__
-from topcli.errors import UsageError, nearest, printable, quoted
-from topcli.pages.contents import Chapter, Picture
+from topcli.errors import UsageError, counted, printable
+from topcli.pages.contents import Chapter, Picture, local_time
 from topcli.pages.pictures import svg_of
 from topcli.pages.results import comparisons, damaged_chapter, part_chapter, run_chapter, sweep_chapter
 from topcli.pages.studies import bench_chapter, study_chapter
@@ -18,14 +18,20 @@ from topcli.store.files import SEAL, DamagedError, check_study, read_json
 from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run
 from topcli.store.parts import is_part, linked_file, parts_of
 from topcli.store.provenance import now
-from topcli.studies import STUDIES, find_study
-from topcli.studies.study import stored_result
+from topcli.studies import STUDIES
+from topcli.studies.study import stored_result, study_file, study_of
 from topcli.sweeps.rows import ROWS_FILE
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
+from topcli.sweeps.sweep_list import missing_result
 
+_EXPONENT = re.compile(r"(?:(?<!\w)-)?\d[\d.]*e[-+]\d+")
 FOLDER = Path(__file__).parent
 TEMPLATE = "page.html.jinja"
 STYLES = "page.css"
+MOST_NAMED = 3
+"""Largest number of results whose names make the title of a page."""
+LONGEST_WORD = 30
+"""Longest word, in letters, that no line breaks; digests and paths are longer."""
 
 
 def _shown(value: object) -> object:
@@ -33,10 +39,18 @@ def _shown(value: object) -> object:
     return printable(value) if type(value) is str else value
 
 
+def _prose(text: object) -> Any:
+    """Text that is never broken within a number such as 1e-07, where browsers break after the sign."""
+    from markupsafe import Markup, escape
+
+    shown = printable(text) if isinstance(text, str) else text
+    return Markup(_EXPONENT.sub(r'<span class="number">\g<0></span>', str(escape(shown))))
+
+
 def _environment() -> Any:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    return Environment(
+    made = Environment(
         loader=FileSystemLoader(FOLDER),
         autoescape=True,
         undefined=StrictUndefined,
@@ -45,6 +59,9 @@ def _environment() -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    made.filters["prose"] = _prose
+    made.tests["unbroken"] = lambda text: max(map(len, str(text).split()), default=0) > LONGEST_WORD
+    return made
 
 
 def rendered(chapters: Sequence[Chapter], title: str, draw: Callable[[Picture], str] = svg_of) -> str:
@@ -62,7 +79,7 @@ def rendered(chapters: Sequence[Chapter], title: str, draw: Callable[[Picture], 
             svgs=svgs,
             safe=Markup,
             version=__version__,
-            written=now(),
+            written=local_time(now(), "minutes"),
         )
     )
     return text.lstrip()
@@ -85,10 +102,12 @@ class Page:
 def page_of(chapters: Sequence[Chapter], title: str | None = None, draw: Callable[[Picture], str] = svg_of) -> Page:
     """Page on ``chapters``, after comparisons of the runs among them that share a top; ``draw`` draws the pictures."""
     whole = [*comparisons(chapters), *chapters]
-    return Page(whole, rendered(whole, title or ", ".join(chapter.title for chapter in chapters), draw))
+    titles = [chapter.title for chapter in chapters]
+    named = ", ".join(titles) if len(titles) <= MOST_NAMED else counted(len(titles), "result")
+    return Page(whole, rendered(whole, title or named, draw))
 
 
-STUDY_FILES = ("stress.json", "order.json")
+STUDY_FILES = tuple(f"{name}.json" for name in STUDIES)
 """Files of studies, found in a folder of their own."""
 _RUN_FILES = ("report.json", "config.yaml", "series.parquet", "series.csv", "trajectories.parquet", "trajectories.csv")
 _KNOWN = "give the folder of a run or sweep, or a JSON file of topcli compare, order or stress"
@@ -125,21 +144,12 @@ def _chapters(place: str, results: Path, name: str) -> list[Chapter]:
     except OSError as error:
         raise UsageError(f"{place[:400]}: cannot be read ({error.strerror})") from None
     if not parts:
-        hint = f"; {nearest(place, known)}" if (known := _names(results)) else ""
-        raise UsageError(f"{quoted(place)}: no such file or folder, and no run of this name in {results}{hint}")
+        raise missing_result(place, results)
     return [part_chapter(part, place) for part in parts]
 
 
-def _names(results: Path) -> list[str]:
-    """Names of the folders in ``results``."""
-    try:
-        return [entry.name for entry in os.scandir(results) if entry.is_dir() and not entry.name.startswith(".")]
-    except OSError:
-        return []
-
-
 def _link_in(folder: Path) -> Path | None:
-    """A link, or anything but a regular file, in the place of a file of a result; None if there is none."""
+    """Return the path of a result's file that is not a regular file, such as a link; None if there is none."""
     others = (folder / name for name in (ROWS_FILE, SWEEP_FILE, *STUDY_FILES))
     return linked_file(folder) or next((path for path in others if path.is_symlink()), None)
 
@@ -161,13 +171,12 @@ def _of_folder(folder: Path, name: str) -> Chapter:
         for part in parts_of(own.parent, own.name[1:].rpartition(".part-")[0]):
             if part.folder.name == own.name:
                 return part_chapter(part, own.name)
-    for file in STUDY_FILES:
-        if (folder / file).is_file():
-            return _of_file(folder / file, name)
+    if file := study_file(folder):
+        return _of_file(file, name)
     if any((folder / file).exists() for file in _RUN_FILES):
         return damaged_chapter(DamagedRun(folder, f"{MANIFEST}: missing; the run is not finished"), name)
     inside = [entry.name for entry in sorted(folder.iterdir()) if read_run(entry) or is_sweep(entry)]
-    hint = f"; name what is in it, such as {folder / inside[0]}" if inside else ""
+    hint = f"; give one of the results in it, such as {folder / inside[0]}" if inside else ""
     raise UsageError(f"{folder}: no run, sweep or study is stored here{hint}")
 
 
@@ -193,7 +202,5 @@ def _of_file(path: Path, name: str) -> Chapter:
 
 def _study(data: dict[str, Any], name: str) -> Chapter | None:
     """Chapter on a study; None if the data is that of none."""
-    for study in map(find_study, STUDIES):
-        if data.get("command") == study.name or study.known(data):
-            return study_chapter(study, stored_result(data), name)
-    return None
+    study = study_of(data)
+    return study and study_chapter(study, stored_result(data), name)

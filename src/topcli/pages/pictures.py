@@ -1,4 +1,4 @@
-"""Pictures of a page as SVG elements: panels of a study, vectors and deviations of a series, quantiles of an ensemble.
+"""Pictures of a page as SVG elements: panels of studies, series of runs, quantiles of ensembles.
 
 Their colours follow the scheme of the page, and the names of their parts are unique within it.
 """
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SMALL = (4.8, 2.8)
+TIME = "time $t$"
 COLOURS = {
     "#000000": "currentColor",
     "#ffffff": "var(--paper)",
@@ -42,6 +43,8 @@ COLOURS = {
 }
 """Colours of ``print.mplstyle``, and those of the page that replace them."""
 DEVIATION = "deviation:"
+VECTORS = {"omega": "angular velocity ω", "gamma": "vertical γ in the body", "m": "angular momentum m"}
+"""Vectors of a state in words."""
 MOST_LINES = 7
 """Lines of a picture that look different."""
 MOST_POINTS = 60
@@ -131,12 +134,17 @@ def before_explosion(data: dict[str, Array], names: Sequence[str]) -> dict[str, 
     return {name: values[:kept] for name, values in data.items()}
 
 
-def time_panel(names: Sequence[str], experiment: Experiment | None, deviation: bool = False) -> Panel:
-    """Panel of the components of one vector, or of columns of ``deviations``, over time."""
+def vector_in_words(vector: str) -> str:
+    """Name of a vector or another column in words."""
+    return VECTORS.get(vector, vector)
+
+
+def time_panel(names: Sequence[str], experiment: Experiment | None, vector: str = "", deviation: bool = False) -> Panel:
+    """Panel of the components of one ``vector``, or of columns of ``deviations``, over time."""
     lines = tuple(Line(name, _label(name.removeprefix(DEVIATION), experiment)) for name in names)
     if deviation:
-        return Panel(lines, "deviation from the first value", log=True)
-    return Panel(lines, ", ".join(line.label for line in lines))
+        return Panel(lines, "deviation from the first value", TIME, log=True)
+    return Panel(lines, vector_in_words(vector) or ", ".join(line.label for line in lines), TIME)
 
 
 def series_pictures(path: Path, experiment: Experiment | None, h: float, name: str) -> Pictures | None:
@@ -158,14 +166,14 @@ def series_pictures(path: Path, experiment: Experiment | None, h: float, name: s
     others = [column for column in names if column not in {"t", *INTEGERS, *moving, *observed}]
     bounded = before_explosion(data, moving) if moving else data
     cut = f", up to t = {bounded['t'][-1]:.6g} before the motion explodes" if len(bounded["t"]) < len(data["t"]) else ""
-    pictures = [
-        Picture(time_panel(own, experiment), bounded, f"{name}-{vector}", f"{vector} over time t{cut}", SMALL)
-        for vector, own in [*vectors.items(), *((column, [column]) for column in observed)]
-    ]
+    pictures = []
+    for vector, own in [*vectors.items(), *((column, [column]) for column in observed)]:
+        caption = f"{vector_in_words(vector)} over time{cut}"
+        pictures.append(Picture(time_panel(own, experiment, vector), bounded, f"{name}-{vector}", caption, SMALL))
     if moved := deviations(data, others):
         constant = [column for column in others if DEVIATION + column not in moved]
         note = f"; {', '.join(constant)} did not change" if constant else ""
-        caption = f"absolute deviations from the first values over time t{note}"
+        caption = f"absolute deviations from the first values over time{note}"
         panel = time_panel(list(moved)[:MOST_LINES], experiment, deviation=True)
         pictures.append(Picture(panel, data | moved, f"{name}-deviations", caption, SMALL))
     return Pictures(pictures)
@@ -182,18 +190,18 @@ def quantile_curves(deviations: Mapping[str, Sequence[float]]) -> tuple[CurvePan
         data[curve_column(label, "x")] = (at + 0.5) / max(len(known), 1)
         data[curve_column(label, "y")] = shown = positive(known[at])
         scale = LOG if np.isfinite(shown).any() else scale
-    return CurvePanel(tuple(deviations), "fraction of the trajectories", "max deviation", False, scale), data
+    return CurvePanel(tuple(deviations), "fraction of the trajectories", "largest deviation", False, scale), data
 
 
 def stored_quantiles(folder: Path, report: Mapping[str, Any]) -> tuple[CurvePanel, dict[str, np.ndarray]]:
     """``quantile_curves`` of the ensemble in ``folder``. Raises RunError if its table is damaged."""
     path = next(iter(sorted(folder.glob("trajectories.*"))), folder / "trajectories.parquet")
-    columns = {plain(str(row["symbol"])): f"{row['name']}_max_deviation" for row in report["invariants"]}
+    columns = {plain(str(row["symbol"])): f"max_deviation.{row['name']}" for row in report["invariants"]}
     table = read_series(path, list(columns.values()))
     return quantile_curves({symbol: table[column].tolist() for symbol, column in columns.items()})
 
 
 def quantile_pictures(folder: Path, report: Mapping[str, Any], name: str) -> Pictures:
     """Picture of the distribution of the deviations of an ensemble."""
-    caption = "largest deviation of each invariant: the value that a given fraction of the trajectories stays below"
+    caption = "largest deviation of each invariant, over the fraction of trajectories that stay below it"
     return Pictures([Picture(*stored_quantiles(folder, report), f"{name}-quantiles", caption, SMALL)])

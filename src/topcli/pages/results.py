@@ -1,6 +1,6 @@
-"""Chapters on runs, ensembles and sweeps: finished, interrupted, damaged or unfinished ones, and several compared.
+"""Chapters of a page on runs, ensembles and sweeps, also unfinished and damaged ones.
 
-A sweep has its rows, and pictures of the measures over the key that varies most.
+The chapter on a sweep shows its rows, and its measures over the key that varies most.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import contextlib
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,9 @@ from topcli.config.models import OUTSIDE_IDENTITY
 from topcli.config.rows import RowReader
 from topcli.config.sweep import MISSING, Sweep
 from topcli.contracts import Outcome
-from topcli.errors import TopcliError
+from topcli.errors import TopcliError, counted
 from topcli.figures.sweep import Choice, curves
+from topcli.glossary import in_words, label
 from topcli.pages.contents import (
     UNFINISHED,
     Chapter,
@@ -33,30 +33,42 @@ from topcli.pages.contents import (
     add_files,
     add_origin,
     experiment_of,
+    file_block,
     parts_of,
-    text_block,
     value_text,
 )
 from topcli.pages.pictures import quantile_pictures, series_pictures
 from topcli.runs.decision import flattened
-from topcli.runs.report import INVARIANTS, QUANTITIES, comparison_lines, ensemble_table, precision_note, warning_of
+from topcli.runs.report import (
+    INVARIANTS,
+    QUANTITIES,
+    VERDICT_MARKS,
+    comparison_lines,
+    ensemble_statements,
+    ensemble_table,
+    precision_note,
+    warning_of,
+)
+from topcli.schemes.display import display_name
 from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
 from topcli.store.files import DamagedError, read_json
 from topcli.store.manifest import MANIFEST, REPORT, DamagedRun, StoredRun, stored_sweep
 from topcli.store.parts import Part
 from topcli.sweeps.rows import SweepRows, encoded, key_labels, read_rows
 from topcli.sweeps.run import SWEEP_FILE, stored_sweep_file
-from topcli.sweeps.table_text import significant
-from topcli.table import DASH, Cells
+from topcli.table import DASH, Cells, number, significant
 
-VERDICT_MARKS = {"lost": "bad", "drifting": "middling", "exact": "good"}
+
+def outcome_in_words(outcome: str) -> str:
+    """Outcome of a run as people read it."""
+    return "left its energy surface" if outcome == Outcome.LEFT_MOTION.value else outcome.replace("_", " ")
 
 
 def run_chapter(run: StoredRun, name: str | None) -> Chapter:
     """Chapter on a finished or interrupted run; ``name`` is unique within the page, None leaves out pictures."""
     manifest = run.manifest
     chapter = Chapter(manifest["name"], "ensemble" if manifest.get("kind") == "ensemble" else "run")
-    chapter.state, chapter.good = run.outcome.value, run.outcome is Outcome.COMPLETED
+    chapter.state, chapter.good = outcome_in_words(run.outcome.value), run.outcome is Outcome.COMPLETED
     chapter.message = value_text(manifest.get("message", ""))
     damage = chapter.check(run)
     if run.interrupted:
@@ -70,15 +82,15 @@ def run_chapter(run: StoredRun, name: str | None) -> Chapter:
 
 
 def damaged_chapter(run: DamagedRun, name: str) -> Chapter:
-    """Chapter on a folder whose manifest is missing or cannot be trusted, of what else can be read."""
-    chapter = Chapter(run.folder.name, "run", message="what follows is not confirmed by a manifest")
+    """Chapter on a folder with a missing or damaged manifest; it shows everything else that can be read."""
+    chapter = Chapter(run.folder.name, "run", message="no manifest confirms the content shown here")
     chapter.damaged([run.reason])
     report = _report(chapter, run.folder)
     manifest: dict[str, Any] = {}
     try:
         manifest = read_json(run.folder / MANIFEST)
     except (OSError, DamagedError):
-        chapter.missing.append("provenance: it is part of the manifest")
+        chapter.missing.append("provenance: the manifest, which contains it, is missing or damaged")
     series = next(iter(sorted(run.folder.glob("series.*"))), run.folder / "series.parquet")
     manifest["config"] = config if isinstance(config := manifest.get("config"), dict) else {}
     _add_content(chapter, run.folder, manifest, report, series, name)
@@ -88,7 +100,7 @@ def damaged_chapter(run: DamagedRun, name: str) -> Chapter:
 def part_chapter(part: Part, title: str) -> Chapter:
     """Chapter on the part folder of a run that is in progress or was killed."""
     chapter = Chapter(title, "run", state=UNFINISHED, good=False)
-    chapter.message = "another process is running it" if part.alive else "it was killed before its end"
+    chapter.message = "the run is in progress in another process" if part.alive else "the run was killed before its end"
     chapter.missing.append("invariants, pictures and report: they are written at the end of a run")
     checkpoint = read_checkpoint(part.folder)
     if checkpoint is None:
@@ -98,9 +110,9 @@ def part_chapter(part: Part, title: str) -> Chapter:
     config = checkpoint.about["config"]
     resume = "" if part.alive else "; topcli run with --resume continues from there"
     chapter.missing.append(
-        f"rows after step {checkpoint.done} of {value_text(config.get('N'))}, its last checkpoint{resume}"
+        f"rows after step {checkpoint.done} of {value_text(config.get('N'))}, the last checkpoint{resume}"
     )
-    chapter.attempt("setup", _setup, config, {})
+    chapter.attempt("setup", _setup, config, {}, folded=True)
     add_origin(chapter, checkpoint.about, parts_of(experiment_of(config)))
     return chapter
 
@@ -122,25 +134,33 @@ def _add_content(
     config = manifest["config"]
     experiment = experiment_of(config) if config else None
     chapter.data = {"config": config, "report": report, "seconds": manifest.get("seconds")}
-    if config or report:
-        chapter.attempt("setup", _setup, config, report)
+    h = config.get("h", report.get("h", 1.0))
     if report:
-        chapter.subtitle = f"{value_text(report.get('top_title'))}; {value_text(report.get('scheme_title'))}"
-    if "ensemble" in (chapter.kind, report.get("kind")) and report:
-        chapter.attempt("invariants", _quantiles, report)
+        scheme = report.get("scheme")
+        named = display_name(scheme) if isinstance(scheme, str) else DASH
+        chapter.subtitle = f"{value_text(report.get('top_title'))}; {named}: {value_text(report.get('scheme_title'))}"
+        chapter.subtitle += f"; h = {h}"
+    many = "ensemble" in (chapter.kind, report.get("kind")) and bool(report)
+    if many:
+        chapter.attempt("verdicts", lambda: Notes("Verdicts", ensemble_statements(report)))
         chapter.attempt("outcomes", outcome_notes, report)
-        if name:
-            chapter.attempt("distribution", quantile_pictures, folder, report, name)
     elif report:
-        chapter.attempt("invariants", _invariants, report)
         chapter.attempt("verdicts", _verdicts, report)
+        chapter.attempt("notes", _warnings, report)
+    if many and name:
+        chapter.attempt("distribution", quantile_pictures, folder, report, name)
+    if chapter.kind != "ensemble" and name:
+        chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(h), name))
+    if report:
+        chapter.attempt("invariants", _quantiles if many else _invariants, report)
     if report.get("quantities"):
         chapter.attempt("quantities", QUANTITIES.cells, report)
-    if chapter.kind != "ensemble" and name:
-        h = config.get("h", report.get("h", 1.0))
-        chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(h), name))
+    if report and not many:
+        chapter.attempt("reasons of the verdicts", _reasons, report, folded=True)
+    if config or report:
+        chapter.attempt("setup", _setup, config, report, folded=True)
     if not config:
-        chapter.attempt("config", lambda: text_block("Config", (folder / "config.yaml").read_text(encoding="utf-8")))
+        chapter.attempt("config", file_block, "Config", folder / "config.yaml", folded=True)
     add_origin(chapter, manifest, parts_of(experiment))
 
 
@@ -177,21 +197,34 @@ def _setup(config: Mapping[str, Any], report: Mapping[str, Any]) -> Facts:
 
 
 def _invariants(report: dict[str, Any]) -> Cells:
-    return replace(INVARIANTS.cells(report), marks=VERDICT_MARKS)
+    return INVARIANTS.cells(report)
 
 
 def _counters(report: Mapping[str, Any]) -> dict[str, int]:
     return {key.replace("_", " "): count for key, count in report["counters"].items()}
 
 
-def _verdicts(report: dict[str, Any]) -> Notes:
-    """Reasons of the verdicts, with warnings about the run."""
-    lines = [f"{row['symbol']} ({row['name']}) {row['verdict']}: {row['reason']}" for row in report["invariants"]]
+def _verdicts(report: dict[str, Any]) -> Cells:
+    """Statements of the verdicts on the invariants, as they can be quoted."""
+    rows = report["invariants"]
+    lines = [[row["symbol"], row["statement"], number(row["max_deviation"], 2), row["name"]] for row in rows]
+    marks = {row["statement"]: VERDICT_MARKS.get(row["verdict"], "") for row in rows}
+    header = ["invariant", "verdict", label("max_deviation"), "name"]
+    return Cells("Verdicts", header, lines, numbers=False, marks=marks)
+
+
+def _warnings(report: dict[str, Any]) -> Notes:
+    """Warnings about the run, its precision, and events that the scheme counted."""
+    lines = [precision_note(report), warning_of(report)]
     if left := report.get("left_motion"):
-        lines.append(f"far off its energy surface from step {left['step']} (t = {left['t']:.6g})")
-    if counters := _counters(report):
-        lines.append(f"counters: {', '.join(f'{count} {key}' for key, count in counters.items())}")
-    return Notes("Verdicts", [*lines, *filter(None, (precision_note(report), warning_of(report)))])
+        lines.insert(0, f"the state is far off its energy surface from step {left['step']} (t = {left['t']:.6g})")
+    return Notes("Notes", list(filter(None, lines)))
+
+
+def _reasons(report: dict[str, Any]) -> Notes:
+    """Reasons of the verdicts, and counts of the scheme."""
+    lines = [f"{row['symbol']} {row['verdict']}: {row['reason']}" for row in report["invariants"]]
+    return Notes("Reasons of the verdicts", [*lines, *(f"{name}: {n}" for name, n in _counters(report).items())])
 
 
 def _quantiles(report: dict[str, Any]) -> Cells:
@@ -202,8 +235,11 @@ def _quantiles(report: dict[str, Any]) -> Cells:
 def outcome_notes(report: Mapping[str, Any]) -> Notes:
     """Numbers of trajectories by outcome, and those that failed."""
     total = report["trajectories"]
-    lines = [f"{count} of {total} trajectories: {outcome}" for outcome, count in report["outcomes"].items()]
-    lines += [f"trajectory {row['trajectory']}: {row['outcome']} at step {row['step']}" for row in report["failures"]]
+    lines = [
+        f"{count} of {total} trajectories: {outcome_in_words(outcome)}" for outcome, count in report["outcomes"].items()
+    ]
+    for row in report["failures"]:
+        lines.append(f"trajectory {row['trajectory']}: {outcome_in_words(row['outcome'])} at step {row['step']}")
     return Notes("Outcomes", [*lines, *(f"counter {key}: {count}" for key, count in _counters(report).items())])
 
 
@@ -218,7 +254,7 @@ def comparisons(chapters: Sequence[Chapter]) -> list[Chapter]:
     for title, runs in tops.items():
         if len(runs) > 1:
             good = all(run.good for run in runs)
-            made.append(Chapter("Comparison of the runs", "comparison", title, f"{len(runs)} runs", good))
+            made.append(Chapter("Comparison of the runs", "comparison", title, counted(len(runs), "run"), good))
             made[-1].attempt("comparison", _runs_table, runs)
     return made
 
@@ -241,7 +277,7 @@ def _runs_table(runs: Sequence[Chapter]) -> Cells:
         "Comparison",
         ["", *(run.title for run in runs)],
         [*lines, *comparison_lines(common)],
-        "Keys of the config are listed if the runs differ in them; invariants are those that all runs have.",
+        "Keys of the config in which the runs differ, and invariants that all runs have.",
         marks=VERDICT_MARKS,
     )
 
@@ -251,6 +287,8 @@ MOST_ROWS = 200
 MOST_PICTURES = 6
 MOST_CURVES = 12
 """Largest number of values of a key that is drawn as curves of their own."""
+KINDS = ("scheme", "top")
+"""Keys over whose values no median is taken."""
 
 
 def sweep_chapter(folder: Path, name: str | None) -> Chapter:
@@ -264,7 +302,7 @@ def sweep_chapter(folder: Path, name: str | None) -> Chapter:
     if stored is None:
         chapter.state, chapter.good = UNFINISHED, False
         chapter.missing.append("manifest: the sweep is not finished; topcli sweep continues it")
-        chapter.missing.append("provenance: it is part of the manifest")
+        chapter.missing.append("provenance: the manifest contains it")
     else:
         manifest, damage = stored.manifest, chapter.check(stored)
     try:
@@ -276,7 +314,7 @@ def sweep_chapter(folder: Path, name: str | None) -> Chapter:
         if name:
             chapter.attempt("pictures", sweep_pictures, rows, name)
         chapter.attempt("rows", rows_table, rows)
-    chapter.attempt("sweep file", lambda: text_block("Sweep file", (folder / SWEEP_FILE).read_text(encoding="utf-8")))
+    chapter.attempt("sweep file", file_block, "Sweep file", folder / SWEEP_FILE, folded=True)
     add_origin(chapter, manifest, lambda: _parts(stored_sweep_file(folder)))
     if stored is not None:
         add_files(chapter, folder, manifest, damage)
@@ -285,21 +323,18 @@ def sweep_chapter(folder: Path, name: str | None) -> Chapter:
 
 def _add_setup(chapter: Chapter, rows: SweepRows, folder: Path) -> None:
     """Say how many of the planned rows there are, and add their outcomes."""
-    chapter.message = f"{len(rows)} rows"
-    with contextlib.suppress(TopcliError):  # of the sweep file, which the chapter shows by itself
-        total = stored_sweep_file(folder).count
-        chapter.message = f"{len(rows)} of {total} rows"
-        if len(rows) < total:
-            chapter.missing.append(f"{total - len(rows)} of {total} rows, which have not run yet")
     outcomes = Counter(map(str, rows.columns["outcome"]))
-    facts = [
-        ("varied keys", ", ".join(rows.keys)),
-        ("measures", ", ".join(rows.measures)),
-        *((f"rows {outcome}", str(count)) for outcome, count in outcomes.items()),
-    ]
+    listed = ", ".join(f"{count} {outcome_in_words(outcome)}" for outcome, count in outcomes.items())
+    chapter.message = f"{counted(len(rows), 'row')}: {listed}"
+    with contextlib.suppress(TopcliError):  # of the sweep file, which the chapter shows by itself
+        sweep = stored_sweep_file(folder)
+        total = sum(1 for _ in sweep.assignments()) if sweep.exclude else sweep.count
+        if len(rows) < total:
+            chapter.missing.append(f"{total - len(rows)} of {counted(total, 'row')}, which have not run yet")
+    facts = [("varied keys", ", ".join(rows.keys)), ("measures", ", ".join(rows.measures))]
     if rows.left_out:
         facts.append(("rows left out", f"{rows.left_out}, of an earlier version of the sweep file"))
-    chapter.blocks.append(Facts("Setup", facts))
+    chapter.details.append(Facts("Setup", facts))
 
 
 def _parts(sweep: Sweep) -> Parts:
@@ -308,12 +343,12 @@ def _parts(sweep: Sweep) -> Parts:
     chosen = [key in ("top", "top.kind") or key.partition(".")[0] == "scheme" for key in sweep.keys]
     parts: dict[tuple[str, str], None] = {}
     seen: set[tuple[object, ...]] = set()
-    for number, values in enumerate(sweep.assignments()):
+    for row_number, values in enumerate(sweep.assignments()):
         # of other keys, such as vectors, it matters only whether they are there
         kind = tuple(id(value) if chooses else value is MISSING for chooses, value in zip(chosen, values, strict=True))
         if kind not in seen:
             seen.add(kind)
-            if row := reader.read(number, values, problems):
+            if row := reader.read(row_number, values, problems):
                 parts[row.form, json.loads(row.scheme)["name"]] = None
     problems.raise_any()
     return list(parts)
@@ -326,10 +361,13 @@ def rows_table(rows: SweepRows) -> Cells:
     for i in range(min(len(rows), MOST_ROWS)):
         keys = [labels[key].get(_plain(rows.columns[key][i]), DASH) for key in rows.keys]
         values = [significant(float(rows.columns[name][i]), 4) for name in rows.measures]
-        lines.append([str(int(rows.columns["row"][i])), *keys, str(rows.columns["outcome"][i]), *values])
+        lines.append(
+            [str(int(rows.columns["row"][i])), *keys, outcome_in_words(str(rows.columns["outcome"][i])), *values]
+        )
     more = len(rows) - len(lines)
     caption = f"The first {MOST_ROWS} rows; {more} more are in {rows.path}." if more > 0 else ""
-    marks = dict.fromkeys(map(str, rows.columns["outcome"][~rows.completed]), "bad")
+    failed = rows.columns["outcome"][~rows.completed]
+    marks = dict.fromkeys((outcome_in_words(str(outcome)) for outcome in failed), "bad")
     header = ["row", *rows.keys, "outcome", *rows.measures]
     return Cells("Rows", header, lines, caption, keys=1 + len(rows.keys), marks=marks)
 
@@ -341,9 +379,10 @@ def _plain(value: Any) -> Any:
 
 
 def sweep_choices(rows: SweepRows) -> Iterator[Choice]:
-    """Yield a choice for each measure: over the numeric key with most values, with curves of the next key if few.
+    """Yield a choice for each measure: over the numeric key with most values, with a curve for each scheme or top.
 
-    Values of rows that differ in other keys are combined by their median.
+    Without them the curves are those of the next key if it has few values. Values of rows that differ in other keys are
+    combined by their median.
     """
     codes = {key: encoded(rows.columns[key]) for key in rows.keys}
     counts = {key: len(values) for key, (_, values) in codes.items() if len(values) > 1}
@@ -351,7 +390,8 @@ def sweep_choices(rows: SweepRows) -> Iterator[Choice]:
     if not varied:
         return
     x = next((key for key in varied if rows.columns[key].dtype.kind in "fi"), varied[0])
-    by = next((key for key in varied if key != x and counts[key] <= MOST_CURVES), None)
+    named = [key for key in (*KINDS, *varied) if key in counts and key != x]
+    by = next((key for key in named if key in KINDS or counts[key] <= MOST_CURVES), None)
     combinations = set(zip(*(codes[key][0].tolist() for key in (x, by) if key), strict=True))
     aggregate = "median" if len(combinations) < len(rows) else None
     for measure in rows.measures:
@@ -362,8 +402,11 @@ def sweep_choices(rows: SweepRows) -> Iterator[Choice]:
 def sweep_pictures(rows: SweepRows, name: str) -> Pictures:
     """Pictures of the first measures; none if no key varies. Raises UsageError."""
     pictures = []
-    for number, choice in zip(range(MOST_PICTURES), sweep_choices(rows), strict=False):
+    for i, choice in zip(range(MOST_PICTURES), sweep_choices(rows), strict=False):
         combined = f", {choice.aggregate} over the rows" if choice.aggregate else ""
-        caption = f"{choice.y} over {choice.x}{f' for each {choice.by}' if choice.by else ''}{combined}"
-        pictures.append(Picture(*curves(rows, choice), f"{name}-measure{number}", caption))
+        measured = in_words(choice.y)
+        caption = f"{measured} against {choice.x}{f' for each {choice.by}' if choice.by else ''}{combined}"
+        panel, data = curves(rows, choice)
+        size = (5.6, max(3.2, 0.2 * len(panel.labels) + 1.0))  # as high as the legend
+        pictures.append(Picture(panel, data, f"{name}-measure{i}", caption, size))
     return Pictures(pictures)

@@ -1,8 +1,11 @@
-"""Chapters on studies, from their declarations, on benchmarks, and on the closed form of a motion."""
+"""Chapters of a page on studies, on benchmarks, and on the exact motion."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from topcli.analysis.motion import NEIGHBOURS, QUANTITIES, Motion
 from topcli.analysis.motion.of_top import closed_form_top
@@ -18,11 +21,13 @@ from topcli.pages.contents import (
     add_origin,
     citation_block,
     config_block,
+    sources_of,
+    works_block,
 )
 from topcli.store.manifest import StoredRun
 from topcli.studies import imported
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
-from topcli.studies.study import Result, Study
+from topcli.studies.study import Result, Study, parts_of
 from topcli.table import Table
 
 
@@ -31,11 +36,19 @@ def bench_chapter(run: StoredRun) -> Chapter:
     manifest = run.manifest
     chapter = Chapter(manifest["name"], "bench", "speed against error", "measured")
     damage = chapter.check(run)
+    chapter.attempt("words", lambda: Notes("In words", [row["words"] for row in run.report()["decades"]]))
     chapter.attempt("best by decade", lambda: DECADE_TABLE.cells(run.report()))
     chapter.attempt("all points", lambda: POINT_TABLE.cells(run.report()))
-    add_origin(chapter, manifest)
+    add_origin(chapter, manifest, lambda: _measured_parts(run.report()))
     add_files(chapter, run.folder, manifest, damage)
     return chapter
+
+
+def _measured_parts(report: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
+    """Top and schemes of a benchmark; the settings of a competitor follow its name."""
+    rows = [*report["competitors"], *report["closed_forms"]]
+    names = [re.split("[ :]", row["name"])[0] for row in rows if row.get("kind", "topcli") == "topcli"]
+    return parts_of(report["config"], names)
 
 
 def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
@@ -47,17 +60,18 @@ def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
     chapter = Chapter(study.name.capitalize(), study.name)
 
     def head() -> Block | None:
-        chapter.title, chapter.subtitle, chapter.state, chapter.good, chapter.message = study.head(data)
+        chapter.title, chapter.subtitle, chapter.state, chapter.good, message = study.head(data)
+        chapter.message = message or study.answer(data)
         return None
 
     chapter.attempt("outcome", head)
     tables: list[Table] = []
+    if name and study.figure:
+        chapter.attempt("pictures", lambda: _pictures(study, result, name))
     chapter.attempt("tables", lambda: tables.extend(study.tables_of(data)))
-    for i, table in enumerate(tables):
+    for table in tables:
         what = table.heading[:1].lower() + table.heading[1:]
-        chapter.attempt(what, lambda table=table: cells if (cells := table.cells(data)).lines else None)
-        if name and study.figure and i == 0:
-            chapter.attempt("pictures", lambda: _pictures(study, result, name))
+        chapter.attempt(what, table.cells, data)
     chapter.attempt("notes", lambda: _notes(study, result, chapter.message))
     add_origin(chapter, data, lambda: study.parts(data))
     return chapter
@@ -91,16 +105,18 @@ def motion_chapter(motion: Motion, experiment: Experiment, name: str | None) -> 
     from topcli import __version__
 
     chapter = Chapter(experiment.name, "motion", motion.top, motion.kind, message=motion.title)
+    if name:
+        chapter.attempt("pictures", lambda: _motion_picture(motion, experiment, name))
     chapter.blocks.append(replace(QUANTITIES.cells(motion), numbers=False))
     if motion.neighbours:
         chapter.blocks.append(NEIGHBOURS.cells(motion))
     if motion.notes:
         chapter.blocks.append(Notes("Notes", motion.notes))
-    if name:
-        chapter.attempt("pictures", lambda: _motion_picture(motion, experiment, name))
     config = experiment.resolved()
-    chapter.blocks.append(config_block({key: config[key] for key in ("top", "initial")}))
-    chapter.blocks.append(citation_block([], __version__))
+    chapter.details.append(config_block({key: config[key] for key in ("top", "initial")}))
+    sources = sources_of([(experiment.top.form, "")])
+    chapter.blocks.append(citation_block(sources, __version__))
+    chapter.details.append(works_block(sources))
     return chapter
 
 

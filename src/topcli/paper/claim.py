@@ -1,10 +1,12 @@
-"""Types of the ledger: what a check measures, the bound of a true statement, and the verdict that follows."""
+"""Types of the ledger of claims: measurement, bound and verdict of a check."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+from topcli.errors import counted
 
 HOLDS = "holds"
 HOLDS_WITHIN = "holds within"
@@ -14,14 +16,25 @@ NOT_TRIED = "not tried"
 
 
 def summary_of(claims: Mapping[str, int], findings: Mapping[str, int]) -> str:
-    """Number of claims of the paper and of findings of ours, each with the number for each verdict."""
+    """Number of claims of the paper and of our own findings, each with the number for each verdict."""
     parts = []
-    for counts, noun in ((claims, "claim{} of the paper"), (findings, "finding{} of ours")):
+    for counts, noun, origin in ((claims, "claim", "of the paper"), (findings, "finding", "of our own")):
         if counts:
-            total = sum(counts.values())
-            verdicts = ", ".join(f"{verdict}: {count}" for verdict, count in counts.items())
-            parts.append(f"{total} {noun.format('s' if total > 1 else '')}; {verdicts}")
-    return ". ".join(parts)
+            verdicts = ", ".join(f"{count} {_predicate(verdict, count)}" for verdict, count in counts.items())
+            parts.append(f"{counted(sum(counts.values()), noun)} {origin}: {verdicts}")
+    return "; ".join(parts)
+
+
+def _predicate(verdict: str, count: int) -> str:
+    """Verdict as what ``count`` claims do."""
+    one, several = {
+        HOLDS: ("holds", "hold"),
+        HOLDS_WITHIN: ("holds within its bound", "hold within their bounds"),
+        MISPRINT: ("is a misprint", "are misprints"),
+        FAILS: ("does not hold as stated", "do not hold as stated"),
+        NOT_TRIED: ("was not tried", "were not tried"),
+    }.get(verdict, (verdict, verdict))
+    return one if count == 1 else several
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Checks in rational numbers or with 50 digits: identities, exact laws, symmetries, equal maps, printed roots.
+"""Checks of claims in rational numbers or with 50 digits: identities, symmetries, equal maps, roots.
 
 A check takes the parameters that the ledger gives and returns what it measures. It knows neither the statement nor its
 recorded verdict.
@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from topcli.engine.precise import longest
+from topcli.errors import counted
 from topcli.paper import identities, printed
 from topcli.paper.algebra import Draws, Numbers, arguments, dual, exact, largest, plane, rank, rates
 from topcli.paper.claim import Measurement
@@ -65,7 +66,7 @@ def _moving(function: Callable[..., Any], draws: Draws) -> dict[str, Any]:
 def identity(difference: Formula, law: int | None = None, misprint: bool = False) -> Measurement:
     """Largest magnitude of a difference; with ``law``, of the rate of change of that one of some integrals.
 
-    Of a misprint, the formula as printed gives the figure, and the corrected one is measured too.
+    For a misprint, the formula as printed gives the figure, and the corrected one is measured too.
     """
 
     def figure(**reading: bool) -> float:
@@ -162,7 +163,7 @@ def reversal(scene: LedgerScene, paper: LedgerScene | None = None, varied: bool 
     rounding, notes = _rounding(maps[0], 2), []
     if figures[0] > rounding["limit"]:
         order = math.log2(figures[0] / _return_defect(maps[0], STEP / 2, maps[0].y0))
-        notes.append(f"of order {order:.2f} in h")
+        notes.append(f"scales as h^{order:.2f}")
     if paper is not None:
         run, scheme = paper.trajectory(), exact_map(paper.with_sets(*OVERRIDES["fifty"]))
         states = [scheme.numbers(y.tolist()) for y in run.states[:: len(run) // ALONG]]
@@ -306,8 +307,8 @@ def roots(orbits: dict[str, Any], crossing: int = 0, beside_axis: float | None =
     note = ""
     if beside_axis is not None:
         near = "{} of {} states".format(*_wrong(next_to_axis(beside_axis)))
-        note = f"{near} next to the negative real axis, in a step of {beside_axis:g}"
-    return Measurement(float(wrong), note=note, unit=f"of {count} orbit{'s' if count > 1 else ''}")
+        note = f"and at {near} next to the negative real axis, in one step of h = {beside_axis:g}"
+    return Measurement(float(wrong), note=note, unit=f"of {counted(count, 'orbit')}")
 
 
 def next_to_axis(h: float, count: int = 200) -> dict[str, Any]:

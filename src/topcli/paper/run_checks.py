@@ -1,4 +1,4 @@
-"""Checks by runs in doubles: orders, ranges, levels between swings, pictures, and how neighbours part.
+"""Checks of claims by runs in doubles: orders, ranges, levels between swings, pictures, neighbouring orbits.
 
 A check takes the parameters that the ledger gives and returns what it measures. It knows neither the statement nor its
 recorded verdict.
@@ -16,7 +16,7 @@ import numpy as np
 from topcli.analysis.lax import block_form, kowalevski_form, spectral_content
 from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
-from topcli.analysis.swings import minima_times, spacing_law, swing_spacing
+from topcli.analysis.swings import first_swing_spacing, minima_times, spacing_law
 from topcli.analysis.trajectory import Trajectory
 from topcli.contracts import Array, Top, checked_equations
 from topcli.paper.claim import Measurement
@@ -125,7 +125,7 @@ def slopes(scheme: str, other: str, orbits: dict[str, Any]) -> Measurement:
         runs = simulate_ensemble("kowalevski_hk", scheme=name, **orbits)
         series = [runs.trajectory(index) for index in range(len(runs))]
         sizes.append(np.array([abs(float(np.polyfit(run.t, run["energy"], 1)[0])) for run in series]))
-    note = f"{scheme} {np.median(sizes[0]):.1e}, {other} {np.median(sizes[1]):.1e} in the median"
+    note = f"median slope: {scheme} {np.median(sizes[0]):.1e}, {other} {np.median(sizes[1]):.1e}"
     return Measurement(float(np.median(sizes[0] / sizes[1])), note=note)
 
 
@@ -147,7 +147,7 @@ def levels_between_swings(run: Trajectory, column: str) -> tuple[Array, float]:
 
 
 def _listed(levels: Array) -> str:
-    return "between swings " + ", ".join(f"{value:.10g}" for value in np.round(levels, 9))
+    return "levels between swings " + ", ".join(f"{value:.10g}" for value in np.round(levels, 9))
 
 
 def returns(scenes: list[LedgerScene], column: str) -> Measurement:
@@ -230,9 +230,10 @@ def period(scenes: list[LedgerScene]) -> Measurement:
     """Smallest relative difference between the time between swings and that of the motion."""
     runs = [scene.trajectory() for scene in scenes]
     law = float(spacing_law(runs[0]["gamma3"][:1])[0])
-    spacings = {run.scheme: swing_spacing(run.t, run["gamma1"]) or math.nan for run in runs}
+    spacings = {run.scheme: first_swing_spacing(run.t, run["gamma1"]) or math.nan for run in runs}
     figure = min(abs(spacing / law - 1.0) for spacing in spacings.values())
-    note = ", ".join(f"{name} {spacing:.4f}" for name, spacing in spacings.items()) + f"; motion {law:.4f}"
+    listed = ", ".join(f"{name} {spacing:.4f}" for name, spacing in spacings.items())
+    note = f"time between swings: {listed}; exact motion {law:.4f}"
     return Measurement(figure, LINE / WIDTH * float(runs[0].t[-1]) / law, note=note)
 
 
@@ -272,7 +273,7 @@ def map_neighbours(scheme: str, h: float) -> Measurement:
     pairs = [(runs.trajectory(2 * index), runs.trajectory(2 * index + 1)) for index in range(PAIRS)]
     decades = [_decades(a, b) for a, b in pairs if len(a) == len(b) == PARTING_STEPS + 1]
     least = math.log10(PARTING_STEPS) + 2.0
-    note = f"more than the bound on {sum(value > least for value in decades)} of {len(decades)} orbits"
+    note = f"more than the bound for {sum(value > least for value in decades)} of {len(decades)} pairs of orbits"
     return Measurement(max(decades), least, note=note)
 
 

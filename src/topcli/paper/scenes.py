@@ -1,4 +1,4 @@
-"""Experiments of the ledger: packaged scenes with changed keys, in doubles, with 50 digits or in rational numbers."""
+"""Experiments for the ledger of claims: packaged scenes with changed keys and different precisions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ general position, whose decimals are rational numbers; the paper's scene to t = 
 VARIED = 3
 """Variants of a scene, with random parameters, on which a general statement is tried beside the scene itself."""
 VARIED_STEPS = 3
-AND_VARIED = f", and {VARIED} times with random parameters, state and h"
+AND_VARIED = f", and {VARIED} repetitions with random parameters, states and h"
 
 TIED = {"lagrange": "B", "kowalevski": "A"}
 """Parameter of a form of a top that its equations in the paper do not leave open."""

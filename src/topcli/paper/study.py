@@ -1,4 +1,4 @@
-"""``topcli claims``: the claims of the paper and findings beyond it, decided by experiments."""
+"""``topcli claims``: test the claims of the paper, and findings beyond it, by experiments."""
 
 from __future__ import annotations
 
@@ -25,38 +25,40 @@ def _claim_names() -> Sequence[str]:
 
 
 def measure(
-    ids: Annotated[Sequence[str] | str, Flag("", "ID", names=_claim_names)] = (),
+    ids: Annotated[Sequence[str] | str, Flag("", "ID", names=_claim_names, default="all")] = (),
     *,
     fast: bool = False,
     watch: Watch = SILENT,
 ) -> Result:
-    """Decide the paper's claims by experiments.
+    """Test the claims of the paper by experiments.
 
-    Findings beyond the paper are marked as ours. Claims that are named are shown with all details. Exits with status 4
-    if a verdict differs from the recorded one, or if a check does not find the defect of its positive control.
+    The list also has results of topcli that are not in the paper, marked as ours. Claims given by name are shown with
+    all details. Exits with status 4 if the verdict on a claim differs from the recorded one, or if a check accepts its
+    control, a statement with a deliberate error.
 
     Parameters
     ----------
     ids : str or sequence of str, optional
-        Names of claims; all by default. For example ``"hybrid-reversible"``.
+        Names of the claims to test. For example ``"hybrid-reversible"``; all by default.
     fast : bool, optional
-        Leave out claims that take longer. These take more than a few tenths of a second; a claim that is named is not
-        left out.
+        Skip claims that take longer than a few tenths of a second. Claims that are named are never skipped.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
     StudyReport
-        ``table`` has a row for each claim: origin, statement, source, experiment, figure, bound, verdict. ``rows`` are
-        the decided claims and ``controls`` the positive controls of the kinds of checks; ``counts`` and ``findings``
-        are the numbers of verdicts on the paper and beyond it, and ``changed``, ``failed`` and ``uncaught`` the names
-        of what differs from the record. ``to_markdown()`` is the page of the documentation.
+        Report on the claims. ``table`` has a row for each claim, with its origin (paper or ours), statement, source,
+        experiment, measured number, bound and verdict. ``rows`` contains the tested claims, and ``controls`` the
+        deliberate error that each kind of check must find. ``counts`` gives the number of claims of the paper with each
+        verdict, and ``findings`` the same for our own findings. ``changed`` lists the claims whose verdicts differ from
+        the recorded ones, ``failed`` lists the claims that could not be tested, and ``uncaught`` lists the checks that
+        missed their deliberate error. ``to_markdown()`` returns the documentation's page of claims as Markdown.
 
     Raises
     ------
     UnknownNameError
-        If there is no such claim; the message names the nearest ones.
+        If there is no claim with this name. The message gives the nearest names.
 
     Examples
     --------
@@ -84,13 +86,13 @@ TABLE = Table(
     "claims",
     (
         Column("id", "id"),
-        Column("origin", "origin"),
+        Column("origin", "origin", detail=True),
         Column("statement", "statement"),
         *(Column("", key) for key in ("source", "experiment")),
         Column("verdict", "verdict", key=""),
-        Column("figure", "figure", number_text),
+        Column("measured", "figure", number_text, key="figure"),
         Column("bound", "bound_text", key="bound"),
-        Column("source", "source", key=""),
+        Column("source", "source", key="", detail=True),
         *(Column("", key) for key in ("verdict", "note", "recorded", "seconds")),
     ),
     heading="Claims",
@@ -100,10 +102,31 @@ TABLE = Table(
 )
 
 
+def _holds(row: Data) -> bool:
+    return str(row["verdict"]).startswith(HOLDS)
+
+
+EXCEPTIONS = Table(
+    lambda data: [row for row in data["claims"] if not _holds(row)],
+    TABLE.columns,
+    name="exceptions",
+    title="claims that do not hold as stated, or were not decided",
+    numbers=False,
+)
+HOLDING = Table(
+    lambda data: [row for row in data["claims"] if _holds(row)],
+    TABLE.columns,
+    name="holding",
+    title="claims that hold",
+    detail=True,
+    numbers=False,
+)
+
+
 def printed(
-    result: Result, *, markdown: Annotated[bool, Flag("--markdown", alone=True)] = False
+    result: Result, verbose: bool, *, markdown: Annotated[bool, Flag("--markdown", alone=True)] = False
 ) -> Iterator[Table | str]:
-    """The table; of claims that were named, all details.
+    """Claims that do not hold, then with ``verbose`` the others; all details of claims that were named.
 
     Parameters
     ----------
@@ -118,7 +141,20 @@ def printed(
     elif claims.named:
         yield "\n".join(line for row in claims.rows for line in _details(row))
     else:
-        yield TABLE
+        yield answer(result.data)
+        if EXCEPTIONS.content(result.data)[0]:
+            yield EXCEPTIONS
+        if verbose:
+            yield HOLDING
+
+
+def answer(data: Data) -> str:
+    """Number of claims for each verdict."""
+    counts: dict[str, Counter[str]] = {"paper": Counter(), "ours": Counter()}
+    for row in data["claims"]:
+        counts[row["origin"]][category_of(row["verdict"])] += 1
+    paper, ours = (dict(counts[origin].most_common()) for origin in ("paper", "ours"))
+    return summary_of(paper, ours)
 
 
 def _details(row: Decided) -> Iterator[str]:
@@ -131,35 +167,28 @@ def _details(row: Decided) -> Iterator[str]:
     if measured is None or row.bound is None:
         yield f"  reason: {row.reason}"
     else:
-        yield f"  figure: {row.figure_text} ({row.check.measures})"
+        yield f"  measured: {row.figure_text} ({row.check.measures})"
         if measured.corrected is not None:
             yield f"  corrected: {number_text(measured.corrected)}"
         yield f"  bound: {row.bound_text} ({row.bound.reason})"
         if measured.note:
             yield f"  note: {measured.note}"
-    yield f"  control: {row.check.defect}"
+    yield f"  control (a deliberate error that the check must detect): {row.check.defect}"
 
 
 def head(data: Data) -> Head:
     """Head of the chapter."""
-    parts = []
-    for origin, title in (("paper", ""), ("ours", "findings of ours: ")):
-        counted = Counter(category_of(row["verdict"]) for row in data["claims"] if row["origin"] == origin)
-        if counted:
-            parts.append(title + ", ".join(f"{count} {verdict}" for verdict, count in counted.most_common()))
-    about = "each with the figure that decides it and its bound"
-    return Head("Claims of the paper", about, "decided", message="; ".join(parts))
+    about = "each with the measured value that decides it and its bound"
+    return Head("Claims of the paper", about, "decided")
 
 
 def notes(data: Data) -> Iterator[str]:
-    """Numbers of claims for each verdict, and claims that were not tried."""
-    if summary := summary_of(data.get("verdicts", {}), data.get("findings", {})):
-        yield summary
+    """Claims that were not tried."""
     yield from (f"{row['id']}: {row['note']}" for row in data["claims"] if str(row.get("note")).startswith(NOT_TRIED))
 
 
 def faults(data: Data) -> Faults:
-    """Failed runs, verdicts that differ from the record, and checks that did not find their defect."""
+    """Failed runs, verdicts that differ from the recorded ones, and checks that missed their deliberate error."""
     failed, changed = [], []
     for row in data["claims"]:
         if row["verdict"] == NOT_TRIED:
@@ -168,7 +197,7 @@ def faults(data: Data) -> Faults:
         elif category_of(row["verdict"]) != row["recorded"]:
             changed.append(f"{row['id']}: the verdict is {row['verdict']!r}; recorded: {row['recorded']!r}")
     changed += [
-        f"check {name!r}: did not find its positive control: {control['defect']}"
+        f"check {name!r}: did not detect its deliberate error: {control['defect']}"
         for name, control in data["controls"].items()
         if control["verdict"] != FAILS and not control["verdict"].startswith(NOT_TRIED)
     ]
@@ -181,7 +210,9 @@ CLAIMS = Study(
     measure,
     head,
     (TABLE,),
+    answer=answer,
     printed=printed,
+    frames=(EXCEPTIONS, HOLDING),
     notes=notes,
     faults=faults,
     figure="topcli.figures.outcomes:loaded_claims",

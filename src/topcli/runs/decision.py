@@ -1,4 +1,4 @@
-"""Decision on a run: run, continue, rewrite or leave what is stored, made from one look before anything is written."""
+"""Decision whether to run, resume, rewrite or keep a stored run, made before anything is written."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def require_no_link(target: Path) -> None:
 
 
 def _run(identity: Identity, folder: Folder, options: RunOptions, source: Resumable | None) -> Decision:
-    """Decision to run, from the start or from ``source``, in the place of the run that is there."""
+    """Return the decision to run, from the start or from ``source``, and to replace the stored run."""
     notes = _notes(identity, folder, options, source)
     begin = f"will continue from step {source.done}" if source else "will run"
     if folder.run is None:
@@ -191,9 +191,9 @@ def _source(identity: Identity, folder: Folder) -> Resumable | None:
     elif differs := difference(other.about.get("config", {}), config):
         why = f"is of a different experiment ({differs})"
     else:
-        why = "was begun by another version of topcli"
+        why = "was started by another version of topcli"
     raise UsageError(
-        f"{other.where.folder}: the unfinished run, at step {other.done}, {why}; nothing was written and it is kept",
+        f"{other.where.folder}: the unfinished run, at step {other.done}, {why}; it is kept, and nothing was written",
         "resume it with its own config and code, or start again without --resume",
     )
 
@@ -224,11 +224,11 @@ def flattened(data: Any, path: str = "") -> dict[str, Any]:
 
 
 def difference(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """First differences in half a line, such as ``h: 0.001 there, 0.002 here``; empty if both are equal.
+    """First differences in half a line, such as ``h: 0.001 stored, 0.002 requested``; empty if both are equal.
 
     The keys of a resolved config that do not belong to the identity of a run are left out.
     """
     old, new = flattened(there), flattened(here)
     keys = [key for key in dict.fromkeys([*old, *new]) if old.get(key) != new.get(key) and key not in OUTSIDE_IDENTITY]
-    shown = [f"{key}: {old.get(key, 'nothing')} there, {new.get(key, 'nothing')} here" for key in keys[:3]]
+    shown = [f"{key}: {old.get(key, 'nothing')} stored, {new.get(key, 'nothing')} requested" for key in keys[:3]]
     return "; ".join(shown) + ("; ..." if len(keys) > 3 else "")

@@ -1,4 +1,4 @@
-"""Recordings: a run or an ensemble on its way into its folder, from the first step to the manifest."""
+"""Recording of a run or an ensemble into its folder, from the first step to the manifest."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ class SingleRecording(Recording):
         return report, report_markdown(report), manifest | ({"resumed": self.resumed} if self.resumed else {})
 
     def failure(self, error: OSError) -> RunError:
-        """Error to report after a failed write; saves the run as interrupted, or its last checkpoint, if possible."""
+        """Return the error to report after a failed write, and save the run as interrupted or its last checkpoint."""
         writer, last = self.writer, None
         if writer.finished or not writer.folder.exists():
             return writer.failure(error)
@@ -206,7 +206,7 @@ class SingleRecording(Recording):
         stored, _ = self.carry_out(last, RunOptions(stop=lambda: True))
         if stored.interrupted:
             return f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
-        return "the finished run is in its place"
+        return "the finished run is stored in its folder"
 
 
 def _recorder(

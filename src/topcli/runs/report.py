@@ -1,4 +1,4 @@
-"""Reports of runs and ensembles: plain data for ``report.json``, Markdown for ``report.md``, cells for tables."""
+"""Reports on runs and ensembles: data for ``report.json``, Markdown for ``report.md``, cells for tables."""
 
 from __future__ import annotations
 
@@ -11,11 +11,24 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli import glossary
 from topcli.analysis.quantities import FIGURES
-from topcli.analysis.tally import LOST, QUANTILES, ROUND_OFF_ULPS, SIGNIFICANCE, TERMS, InvariantRow
+from topcli.analysis.tally import (
+    DEVIATIONS,
+    DOUBTFUL,
+    LOST,
+    PART,
+    QUANTILES,
+    ROUND_OFF_ULPS,
+    SIGNIFICANCE,
+    TERMS,
+    InvariantRow,
+)
 from topcli.contracts import Ending, Method, Outcome, Sampler
 from topcli.engine.run import NO_FAILURE, Endings
-from topcli.table import Column, Table, markdown_table, number, ten_digits, two_digits
+from topcli.errors import counted
+from topcli.glossary import label
+from topcli.table import Column, Table, markdown_table, number, plus_minus, rounded_up, ten_digits, two_digits
 
 if TYPE_CHECKING:
     from topcli.analysis.algebraic_growth import DigitGrowth
@@ -28,37 +41,110 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True)
 class ReportColumn(Column):
-    """Figure of the report on one invariant; the path is its key in ``report.json``.
+    """Column of the report on invariants; the path is its key in ``report.json``.
 
-    ``compared`` is the heading in comparisons of schemes, where {} is the invariant's symbol; empty if not shown there.
+    ``compared`` is True if comparisons of schemes show the column.
     """
 
     show: Callable[[Any], str] = number
-    compared: str = ""
+    compared: bool = False
+
+    def compared_head(self, symbol: str) -> str:
+        """Heading in comparisons, for the invariant of this symbol."""
+        return label(self.name, symbol) if self.name in glossary.QUANTITIES else f"{self.head} of {symbol}"
+
+
+def _quantity(key: str, show: Callable[[Any], str] = number, compared: bool = False) -> ReportColumn:
+    return ReportColumn(label(key), key, show, compared=compared)
 
 
 REPORT_COLUMNS = (
     ReportColumn("invariant", "symbol", str),
-    ReportColumn("first", "first", ten_digits),
-    ReportColumn("min", "min", ten_digits),
-    ReportColumn("max", "max", ten_digits),
-    ReportColumn("max deviation", "max_deviation", compared="{} max deviation"),
-    ReportColumn("relative", "max_deviation_relative"),
-    ReportColumn("rms deviation", "rms_deviation"),
-    ReportColumn("relative", "rms_deviation_relative"),
-    ReportColumn("drift per unit time", "drift", compared="{} drift per unit time"),
-    ReportColumn("± standard error", "drift_error", two_digits, compared="  its standard error"),
-    ReportColumn("over the run", "drift_over_run"),
-    ReportColumn("model", "model", str, compared="  model"),
-    ReportColumn("scatter", "scatter"),
-    ReportColumn("round-off bound", "round_off_bound"),
-    ReportColumn("verdict", "verdict", str, compared="  verdict"),
+    _quantity("first", ten_digits),
+    _quantity("min", ten_digits),
+    _quantity("max", ten_digits),
+    _quantity("max_deviation", compared=True),
+    _quantity("max_deviation_relative"),
+    _quantity("rms_deviation"),
+    _quantity("rms_deviation_relative"),
+    _quantity("drift", compared=True),
+    _quantity("drift_error", two_digits, compared=True),
+    _quantity("drift_bound", two_digits),
+    _quantity("drift_over_run"),
+    ReportColumn("model", "model", str, compared=True),
+    _quantity("round_off_bound"),
+    ReportColumn("verdict", "verdict", str, compared=True),
 )
 """Figures of the invariant report in the order of all its tables; the paths are fields of ``InvariantRow``."""
+VERDICT_MARKS = {"lost": "bad", "drifting": "middling", "exact": "good"}
+"""Looks of the verdicts on terminals and pages."""
 INVARIANTS = Table(
-    "invariants", REPORT_COLUMNS[1:], heading="Conservation laws", index="symbol", across=REPORT_COLUMNS[0]
+    "invariants",
+    REPORT_COLUMNS[1:],
+    heading="Conservation laws",
+    index="symbol",
+    across=REPORT_COLUMNS[0],
+    marks=VERDICT_MARKS,
 )
 """The invariant report, a column for each invariant."""
+
+
+def deviation_text(row: Mapping[str, Any]) -> str | None:
+    """Largest deviation of an invariant, relative to its first value; absolute, and marked so, if that is 0."""
+    relative, absolute = row["max_deviation_relative"], row["max_deviation"]
+    return number(relative) if relative is not None or absolute is None else f"{number(absolute)} abs"
+
+
+def drift_text(row: Mapping[str, Any], short: bool = False) -> str | None:
+    """Drift of an invariant per unit time: with its error if it is significant, and otherwise its bound, both 95 %.
+
+    A ``short`` text leaves out spaces, and an error below 10 % of the drift.
+    """
+    drift, bound = row["drift"], row["drift_bound"]
+    if drift is None or bound is None:
+        return None
+    if row["verdict"] != "drifting":
+        return f"< {two_digits(rounded_up(bound))}" if bound else "0"
+    error = bound - abs(drift)
+    if not short:
+        return plus_minus(drift, error)
+    return number(drift) if error < 0.1 * abs(drift) else plus_minus(drift, error).replace(" ", "")
+
+
+BRIEF = Table(
+    "invariants",
+    (
+        Column("invariant", "symbol"),
+        Column("first value", "first", ten_digits),
+        Column("max deviation", deviation_text),
+        Column("drift per unit time", drift_text),
+        Column("verdict", "verdict"),
+    ),
+    caption="Deviations are relative, drifts have 95 % bounds; -v prints all values.",
+    numbers=(1, 2, 3),
+    marks=VERDICT_MARKS,
+)
+"""The invariant report as a terminal shows it without ``--verbose``, a line for each invariant."""
+
+
+def open_lines(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
+    """Sentences on rows without a verdict on the drift, each with the labels of the rows that it is about."""
+    labels: dict[str, list[str]] = {}
+    for name, row in rows:
+        if row.get("verdict") in ("undecided", "unjudged"):
+            labels.setdefault(row["statement"], []).append(name)
+    return [f"{', '.join(dict.fromkeys(names))}: {statement}" for statement, names in labels.items()]
+
+
+def modified_line(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Verdicts on the integrals of the scheme itself in one line; empty if it has none."""
+    words: dict[str, list[str]] = {}
+    for row in rows:
+        within = "within_round_off" in row
+        word = f"{row['within_round_off']} of {row['judged']} within round-off" if within else row["verdict"]
+        words.setdefault(word, []).append(row["symbol"])
+    groups = "; ".join(f"{word}: {', '.join(symbols)}" for word, symbols in words.items())
+    return f"modified integrals: {groups}" if groups else ""
 
 
 def finite(data: Any) -> Any:
@@ -110,14 +196,14 @@ def precision_note(report: Mapping[str, Any]) -> str:
         return ""
     if growth is None:
         return f"computed with {precision} digits"
-    length = f"computed in rational numbers of {growth['bits']} bits at step {growth['step']}"
+    length = f"computed in rational numbers, which have {growth['bits']} bits at step {growth['step']}"
     if growth["law"] == "polynomial":
         word = POWERS.get(round(growth["power"]), "as a power")
-        return f"{length}; they grow {word} (as n^{growth['power']:.2f}), as on orbits of integrable maps"
+        return f"{length}; the bits grow {word} (as n^{growth['power']:.2f}), as for an integrable map"
     if growth["law"] == "exponential":
         factor = growth["factor"]
-        return f"{length}; they grow exponentially ({factor:.2f} times a step), which no integrable map does"
-    return f"{length}; too few rows for the law of their growth"
+        return f"{length}; the bits grow exponentially ({factor:.2f} times a step), as for no integrable map"
+    return f"{length}; the run has too few rows to tell how the bits grow"
 
 
 QUANTITIES = Table(
@@ -167,7 +253,7 @@ def section_note(experiment: Experiment, crossings: NDArray[np.int64] | None) ->
     total, never = int(crossings.sum()), int((crossings == 0).sum())
     if not total:
         return f"; never crossed the section {where}"
-    note = f"; {total} crossing{'s' * (total != 1)} of the section {where}"
+    note = f"; {counted(total, 'crossing')} of the section {where}"
     return note + (f"; {never} of {len(crossings)} trajectories never crossed it" if never else "")
 
 
@@ -177,17 +263,19 @@ ORDINARY = ("iterations", "evaluations", "expansions", "corrections", "chart_swi
 
 def warning_of(report: dict[str, Any]) -> str:
     """Events counted by the scheme that a user should know about, in one line; empty if there were none."""
-    counted = {name: count for name, count in report["counters"].items() if count and name not in ORDINARY}
-    if not counted:
+    notable = {name: count for name, count in report["counters"].items() if count and name not in ORDINARY}
+    if not notable:
         return ""
-    events = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counted.items())
-    return f"{events} in {report['step']} steps; topcli show {report['scheme']} lists its limits"
+    events = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in notable.items())
+    return (
+        f"{events} in {counted(report['step'], 'step')}; topcli show {report['scheme']} lists the limits of this scheme"
+    )
 
 
 def comparison_lines(schemes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     """Compared figures of each invariant as lines: a label, then a cell for each of the ``schemes``."""
     return [
-        [column.compared.format(rows[0]["symbol"]), *map(column.text, rows)]
+        [column.compared_head(rows[0]["symbol"]), *map(column.text, rows)]
         for rows in zip(*(scheme["invariants"] for scheme in schemes), strict=True)
         for column in REPORT_COLUMNS
         if column.compared
@@ -197,7 +285,7 @@ def comparison_lines(schemes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] = (), where: str = "") -> list[str]:
     """First lines of ``report.md``, of a run or an ensemble, up to the table of invariants.
 
-    ``extent`` comes before h, ``listed`` after the outcome, ``where`` after the word "Counters".
+    ``extent`` comes before h, ``listed`` (the verdicts) after the outcome, ``where`` after the word "Counters".
     """
     counters = ", ".join(f"{name.replace('_', ' ')}: {count}" for name, count in report["counters"].items())
     return [
@@ -206,7 +294,7 @@ def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] 
         f"{report['top_title']}, scheme **{report['scheme']}** ({report['scheme_title']}), "
         f"{extent}h = {report['h']!r}, N = {report['N']}. All quantities are dimensionless.",
         "",
-        f"**{report['outcome']}**: {report['message']}.",
+        f"**{report['outcome']}**: {report['message'].removeprefix('completed ')}.",
         *(["", *listed] if listed else []),
         *(["", f"{note[0].upper()}{note[1:]}."] if (note := precision_note(report)) else []),
         *(["", f"Counters{where}: {counters}."] if counters else []),
@@ -227,17 +315,27 @@ def _quantities_markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 def report_markdown(report: dict[str, Any]) -> str:
     """Content of ``report.md``."""
     lines = [
-        *report_head(report),
+        *report_head(report, listed=[f"- {row['symbol']}: **{row['statement']}**" for row in report["invariants"]]),
         *INVARIANTS.cells(report).markdown(),
         "",
-        *(f"- {row['symbol']} ({row['name']}) **{row['verdict']}**: {row['reason']}." for row in report["invariants"]),
+        *(f"- {row['symbol']} ({row['name']}) {row['verdict']}: {row['reason']}." for row in report["invariants"]),
         "",
-        f"Deviations are from the first value. *exact*: no deviation beyond {ROUND_OFF_ULPS:g} ulp × √steps of the "
-        f"invariant's terms. *lost*: a deviation of more than {LOST:g} of the first value (or of {TERMS:g} of the "
-        f"terms). *drifting*: the fitted slope exceeds {SIGNIFICANCE:g} standard errors and moves the mean "
-        "further than twice the scatter about it. *bounded*: neither. *unjudged*: too little to judge by. The standard "
-        "error is that of the model: a linear trend with noise that does not grow, or a random walk, which has a slope "
-        "in any one run.",
+        "A deviation is the difference from the first value of the invariant. The drift is the slope of a line fitted "
+        "to the deviation over time. The verdicts mean:",
+        "",
+        f"- *exact*: the deviation stays within the round-off bound, {ROUND_OFF_ULPS:g} ulp (units in the last place) "
+        "× √steps of the sum of the magnitudes of the invariant's terms.",
+        f"- *lost*: the deviation exceeds {LOST:g} of the first value. If the first value is a small difference of "
+        f"large terms, the deviation exceeds {LOST * TERMS:g} of the sum of their magnitudes.",
+        f"- *drifting*: the slope exceeds {SIGNIFICANCE:g} standard errors, and the drift over the run is more than "
+        f"{PART:.2g} of the range of the deviation.",
+        f"- *no drift seen*: the slope is below {DOUBTFUL:g} standard errors. With 95 % confidence, the true slope is "
+        "below the bound.",
+        "- *undecided*: none of the above, or the run is too short.",
+        "- *unjudged*: values are not finite, no step is recorded, or the invariant is not conserved on this motion.",
+        "",
+        "The standard error of the slope includes the scatter about the line, as noise or as a random walk, and the "
+        "differences between the slopes of the halves and of the thirds of the run.",
         "",
         *_quantities_markdown(report.get("quantities") or []),
         seconds_note(report["seconds"]),
@@ -281,11 +379,10 @@ def seconds_of(run: Timed) -> dict[str, Any]:
 
 def seconds_note(seconds: Mapping[str, Any]) -> str:
     """Times of a run in a sentence."""
-    parts = [f"Compiled or loaded in {seconds['compile']:.3g} s"]
+    parts = [f"Compiling or loading the code took {seconds['compile']:.3g} s"]
     if "setup" in seconds:
-        parts.append(f"{'loaded the set-up' if seconds['setup_cached'] else 'set up'} in {seconds['setup']:.3g} s")
-    parts.append(f"ran in {seconds['run']:.3g} s")
-    return f"{', '.join(parts)}."
+        parts.append(f"{'loading' if seconds['setup_cached'] else 'computing'} the set-up {seconds['setup']:.3g} s")
+    return f"{', '.join(parts)}, and the run {seconds['run']:.3g} s."
 
 
 def setup_message(experiment: EnsembleExperiment, threads: int | None = None) -> str:
@@ -321,7 +418,7 @@ def accuracy_note(report: Mapping[str, Any]) -> str:
         return ""
     change = accuracy["sensitivity"]
     then = (
-        "the sensitivity to the initial state is unknown, because a state one ulp away is not covered"
+        "the sensitivity to the initial state is unknown, because the closed form does not cover a state one ulp away"
         if change is None
         else f"one ulp in the initial state, which is taken as exact, changes the states by up to {change:.0e}"
     )
@@ -330,7 +427,6 @@ def accuracy_note(report: Mapping[str, Any]) -> str:
 
 SHOWN_TRAJECTORIES = 20
 """Failures listed in the report; the table of trajectories contains all of them."""
-TITLES = {"max_deviation": "max deviation", "rms_deviation": "rms deviation", "final_deviation": "deviation at the end"}
 
 
 WORDS = {
@@ -384,9 +480,9 @@ class EndingTally:
     def message(self) -> str:
         """Outcomes of the trajectories, and the first failure, in one line."""
         if self._counts[Outcome.COMPLETED] == self.total:
-            return f"all {self.total} trajectories completed {self.N} step{'s' * (self.N != 1)}"
-        counted = ", ".join(f"{count} {WORDS[Outcome(name)]}" for name, count in self.outcomes.items())
-        message = f"of {self.total} trajectories {counted}"
+            return f"all {self.total} trajectories completed {counted(self.N, 'step')}"
+        outcomes = ", ".join(f"{count} {WORDS[Outcome(name)]}" for name, count in self.outcomes.items())
+        message = f"of {self.total} trajectories {outcomes}"
         if self.failures:
             number, ending = self.failures[0]
             message += f"; the first of them, trajectory {number}, {ending.message}"
@@ -426,30 +522,68 @@ def ensemble_report(
 
 def ensemble_table(report: dict[str, Any]) -> list[list[str]]:
     """Ensemble report as lines of cells, a column for each invariant; the first line is the header."""
-    rows = report["invariants"]
-    lines = [
-        ["invariant", *(row["symbol"] for row in rows)],
-        ["within round-off", *(f"{row['within_round_off']} of {row['judged']}" for row in rows)],
-    ]
-    for measure, title in TITLES.items():
-        names = QUANTILES if measure == "max_deviation" else ("median", "max")
-        lines += [[f"{title}, {name}", *(number(row[measure][name]) for row in rows)] for name in names]
+    cells = ENSEMBLE.cells(report)
+    return [list(cells.header), *map(list, cells.lines)]
+
+
+ENSEMBLE = Table(
+    "invariants",
+    (
+        Column("within round-off", lambda row: f"{row['within_round_off']} of {row['judged']}"),
+        *(Column("", key) for key in ("within_round_off", "judged")),
+        *(
+            Column(f"{label(measure)}, {name}", f"{measure}.{name}", number)
+            for measure in DEVIATIONS
+            for name in (QUANTILES if measure == "max_deviation" else ("median", "max"))
+        ),
+    ),
+    heading="Conservation laws",
+    index="symbol",
+    across=Column("invariant", "symbol"),
+)
+"""The ensemble report, a column for each invariant."""
+
+
+def ensemble_statements(report: Mapping[str, Any]) -> list[str]:
+    """Conservation of each invariant over the trajectories, in a sentence."""
+    lines = []
+    for row in report["invariants"]:
+        middle, most = (two_digits(row["max_deviation"][name]) for name in ("median", "max"))
+        within = f"{row['within_round_off']} of {counted(row['judged'], 'trajectory')} within round-off"
+        lines.append(f"{row['symbol']}: {within}; largest deviation: median {middle}, maximum {most}")
     return lines
+
+
+ENSEMBLE_BRIEF = Table(
+    "invariants",
+    (
+        Column("invariant", "symbol"),
+        Column("within round-off", lambda row: f"{row['within_round_off']} of {row['judged']}"),
+        Column("max deviation, median", "max_deviation.median", number),
+        Column("max deviation, max", "max_deviation.max", number),
+    ),
+    caption="Quantiles over the trajectories; -v prints all values.",
+)
+"""Summary of an ensemble as a terminal shows it without ``--verbose``."""
 
 
 def ensemble_markdown(report: dict[str, Any]) -> str:
     """Content of ``report.md``."""
-    listed = [f"- trajectory {f['trajectory']}: {f['outcome']} at step {f['step']}" for f in report["failures"]]
+    failures = [f"- trajectory {f['trajectory']}: {f['outcome']} at step {f['step']}" for f in report["failures"]]
     failed = sum(count for outcome, count in report["outcomes"].items() if outcome not in NO_FAILURE)
-    if failed > len(listed):
-        listed.append(f"- and {failed - len(listed)} more")
+    if failed > len(failures):
+        failures.append(f"- and {failed - len(failures)} more")
+    listed = [*failures, *([""] if failures else []), *(f"- {line}" for line in ensemble_statements(report))]
     lines = [
-        *report_head(report, f"{report['trajectories']} trajectories, ", listed, ", all trajectories together"),
+        *report_head(
+            report, f"{counted(report['trajectories'], 'trajectory')}, ", listed, ", summed over all trajectories"
+        ),
         *markdown_table(ensemble_table(report)),
         "",
-        "Deviations of each trajectory are from its own first value, over its recorded rows; the lines give quantiles "
-        "over the trajectories. *Within round-off*: trajectories whose largest deviation stays below "
-        f"{ROUND_OFF_ULPS:g} ulp × √steps of the invariant's terms.",
+        "The deviation of a trajectory is the difference from its own first value, over its recorded rows. The table "
+        "gives quantiles over the trajectories. A trajectory is *within round-off* if its largest deviation stays "
+        f"below {ROUND_OFF_ULPS:g} ulp (units in the last place) × √steps of the sum of the magnitudes of the "
+        "invariant's terms.",
         "",
         *_quantities_markdown(report.get("quantities") or []),
         seconds_note(report["seconds"]),

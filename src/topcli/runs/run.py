@@ -1,4 +1,4 @@
-"""Run an experiment or an ensemble into a folder: look at it, decide, run, record, commit."""
+"""Run of an experiment or an ensemble into a folder: decide, compute, record, commit."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class RunResult:
             return ""
         earlier = stored_run(self.set_aside)
         if earlier is not None and earlier.same(self.stored.manifest):
-            return f"kept the earlier folder of this run, with files that are not topcli's, as {self.set_aside}"
+            return f"renamed the earlier folder of this run to {self.set_aside}; it has files that topcli did not write"
         return f"renamed the earlier, different run to {self.set_aside}"
 
     @property

@@ -1,4 +1,4 @@
-"""Runs in a folder as ``topcli list runs`` shows them: finished, interrupted, killed, running, damaged."""
+"""Runs in a folder for ``topcli list runs``: finished, interrupted, killed, running or damaged."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ def _item(name: str, outcome: object, about: Mapping[str, Any], step: object, re
     scheme, digest = config.get("scheme"), about.get("digest")
     return {
         "name": name,
+        "kind": "ensemble" if "ensemble" in config else "run",
         "outcome": outcome,
         "step": step,
         "resumable": resumable,

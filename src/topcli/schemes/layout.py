@@ -37,50 +37,56 @@ from topcli.contracts import Floats, Invariant, StepFunction, Stepper, Top, same
 from topcli.tops import BUILT_IN, CATALOGUE
 
 SINGULAR = (
-    "For certain step sizes of the order of 1/|omega| and larger, the determinant of the linear system vanishes, and "
-    "the new state is limited only by round-off. Such solves are counted; choose |h| |omega| well below 1."
+    "For certain step sizes of the order of 1/|omega| and larger, the determinant of HK's linear system vanishes, and "
+    "only round-off keeps the new state finite. The counter `near_singular_solves` counts such steps. Choose h such "
+    "that |h| |omega| is well below 1."
 )
 LONG_HK = (
-    "With steps of about one revolution the determinant changes sign along the motion, and the state jumps far away "
-    "whenever the determinant is close to zero."
+    "If h is about the time of one revolution of the body, the determinant of HK's linear system changes sign along "
+    "the motion. The state jumps far away whenever the determinant is close to zero."
 )
 NO_SOLUTION = (
-    "With steps of about one revolution or more, Newton's method may find no solution from HK's prediction; the run "
-    "ends as `no_convergence`."
+    "If h is the time of one revolution of the body or longer, Newton's method, which starts from a step of HK (the "
+    "scheme `hk`), may find no solution. The run then ends as `no_convergence`."
 )
 FAR_OVERFLOW = (
-    "The determinant of Newton's equations is cubic in omega and overflows beyond |omega| of about 1e103; the run ends "
-    "as `no_convergence`."
+    "The determinant of the linear system in Newton's method grows as |omega|³ and overflows if |omega| exceeds about "
+    "1e103. The run then ends as `no_convergence`."
 )
 LONG_NEWTON = (
-    "With steps of several units of time the equations may have no solution near the old state, and Newton's method "
-    "does not converge; the run ends as `no_convergence`."
+    "With steps of several units of time the equation of the step may have no solution near the old state. Newton's "
+    "method then does not converge, and the run ends as `no_convergence`."
 )
 NO_LONG_STEP = (
-    "A step turns the body by less than half a turn and has no solution beyond a length of the order of 1/|omega|; "
-    "the run ends as `no_convergence` and names the largest h that works."
+    "If h is longer than about 1/|omega|, the equation for the rotation of the body in a step has no solution. "
+    "The run then ends as `no_convergence`, and its message names the largest h that works."
 )
 LONG_SPLITTING = (
-    "With steps of several radians the kicks and rotations are no longer close to any motion: the energy wanders off "
-    "by several times its size."
+    "If the body turns by several radians in a step, the kicks and rotations no longer approximate the exact motion: "
+    "the energy deviates by several times its first value."
 )
 NEWTON_SINGULAR = (
-    "The iteration starts from HK's step, which is singular for this h, and does not converge; the run ends as "
-    "`no_convergence`."
+    "The iteration for the step starts from a step of HK (the scheme `hk`), whose linear system is singular for the h "
+    "of this case. The iteration does not converge, and the run ends as `no_convergence`."
 )
 OVERFLOW = (
-    "|xi|² is quartic in omega and overflows beyond |omega| of about 1e77. Choose a unit of time in which omega has a "
+    "|xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega has a "
     "moderate size."
 )
 NO_FAR_STEPS = (
-    "The method is explicit and does not conserve the energy: with steps of about one revolution the state grows "
-    "without bound within a few steps."
+    "The method is explicit and does not conserve the energy. If h is about the time of one revolution of the body, "
+    "the state grows without bound within a few steps."
 )
+
+
+def has_own_cases(top: Top) -> bool:
+    """True for the tops of the paper, which have hard cases of their own besides those of every top."""
+    return top.form in BUILT_IN and top.form not in CATALOGUE
 
 
 def explicit_limits(top: Top) -> Mapping[str, str]:
     """Limits of explicit Runge-Kutta methods."""
-    if top.form not in BUILT_IN or top.form in CATALOGUE:  # it has no such cases
+    if not has_own_cases(top):
         return {}
     limits = {"resonance": NO_FAR_STEPS}
     if top.form != "lagrange/inertial":
@@ -93,7 +99,7 @@ def rk2_limits(top: Top) -> Mapping[str, str]:
     limits = dict(explicit_limits(top))
     if top.kind == "lagrange":
         limits["drift"] = (
-            "The energy grows steadily, by h³ per unit time: with h = 0.1 the run ends as `blew_up` after about 1e4 "
+            "The energy grows steadily, at a rate of about h³. With h = 0.1 the run ends as `blew_up` after about 1e4 "
             "steps, and the linear integral is lost as well."
         )
     return limits
@@ -176,7 +182,7 @@ class CompensatedOption(BaseModel):
 
     compensated: bool = Field(
         default=False,
-        description="carry the rounding error of each sum state + change to the next: reduces round-off by about h",
+        description="compensated summation: round-off falls by a factor of about h",
     )
 
 

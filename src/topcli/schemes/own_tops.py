@@ -1,4 +1,4 @@
-"""Tops from outside topcli: the decorator that registers one, and what it requires of the declaration."""
+"""Tops from plugins and users' files: the decorator that registers a top and checks its declaration."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ STATES = 4
 
 
 def top(declared: type[Top]) -> type[Top]:
-    """Register the decorated class as a top, with every scheme that integrates its field.
+    """Register the decorated class as a top, with the general schemes (such as ``rk4``) that its field allows.
 
-    The class derives from ``topcli.Top`` and declares ``kind``, ``components``, its parameters as floats with defaults,
-    ``field(y, p)`` and, by name, its ``integrals(y, p)``; the first line of its docstring is its title. Everything is
-    dimensionless.
+    The class derives from ``topcli.Top``. It declares ``kind``, ``components``, its parameters as floats with defaults,
+    the right-hand side ``field(y, p)`` of the equations of motion (y is the state, p contains the constants) and, by
+    name, the ``integrals`` as functions of ``y`` and ``p``. The first line of its docstring is its title. All
+    quantities are dimensionless.
 
     Parameters
     ----------
@@ -41,9 +42,9 @@ def top(declared: type[Top]) -> type[Top]:
     Raises
     ------
     UsageError
-        For a declaration that cannot be used: a ``kind`` or ``form`` that is no name or is taken, a parameter that is
-        no float, a field that raises or does not return one number for each component, or an integral that the field
-        does not conserve. The message begins with the file and the line.
+        If the declaration cannot be used. Possible reasons are a ``kind`` or ``form`` that is not a name or already
+        exists, a parameter that is not a float, a field that raises an exception or does not return one number for each
+        component, and an integral that the field does not conserve. The message begins with the file and the line.
 
     Examples
     --------
@@ -84,16 +85,16 @@ def _require_names(declared: type[Top], where: str) -> None:
     """Raise UsageError unless kind, form and components are unused names, and the class has a field."""
     if not (isinstance(declared, type) and issubclass(declared, Top)):
         name = getattr(declared, "__name__", type(declared).__name__)
-        raise UsageError(f"{where}: {name!r} is no topcli.Top; declare it as class {name}(topcli.Top)")
+        raise UsageError(f"{where}: {name!r} is not a topcli.Top; declare it as class {name}(topcli.Top)")
     name = declared.__name__
     missing = [key for key in ("kind", "components", "field") if getattr(declared, key, None) is None]
     if missing:
         raise UsageError(f"{where}: top {name!r} does not declare {' and '.join(missing)}")
     kind, form = declared.kind, declared.form
     if not (isinstance(kind, str) and KIND.fullmatch(kind)):
-        raise UsageError(f"{where}: kind {kind!r} is no name in lower case, such as 'gyrostat'")
+        raise UsageError(f"{where}: kind {kind!r} is not a name in lower case, such as 'gyrostat'")
     if kind == CUSTOM:
-        raise UsageError(f"{where}: kind {CUSTOM!r} is that of tops that a config declares; choose another")
+        raise UsageError(f"{where}: kind {CUSTOM!r} is reserved for tops that a config defines; choose another")
     if form != kind and not form.startswith((f"{kind}+", f"{kind}/")):
         raise UsageError(f"{where}: form {form!r} is neither {kind!r} nor begins with '{kind}+' or '{kind}/'")
     if form in TOPS:
@@ -105,7 +106,7 @@ def _require_names(declared: type[Top], where: str) -> None:
     columns = [*TAKEN, *components, *declared.integrals]
     for i, column in enumerate(columns):
         if not column.isidentifier():
-            raise UsageError(f"{where}: {column!r} is no name of a component or an integral of top {kind!r}")
+            raise UsageError(f"{where}: {column!r} is not the name of a component or an integral of top {kind!r}")
         if column in columns[:i]:
             raise UsageError(f"{where}: top {kind!r} has two columns {column!r}; rename a component or an integral")
     for key in (*declared.symbols, *declared.holds_on):
@@ -114,7 +115,7 @@ def _require_names(declared: type[Top], where: str) -> None:
 
 
 def _require_parameters(declared: type[Top], where: str) -> None:
-    """Raise UsageError for a parameter that is no float or has no default."""
+    """Raise UsageError for a parameter that is not a float or has no default."""
     for name, parameter in declared.model_fields.items():
         if parameter.annotation is not float:
             shown = getattr(parameter.annotation, "__name__", parameter.annotation)

@@ -1,4 +1,4 @@
-"""``topcli.run`` and ``topcli.sweep``: experiments, ensembles and sweeps in folders of results."""
+"""``topcli.run`` and ``topcli.sweep``: run experiments, ensembles and sweeps, and store the results in folders."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class RunReport(Report):
-    """Report on a run or ensemble in a folder, as ``topcli.run`` returns it.
+    """Report on a stored run or ensemble, as returned by ``topcli.run``.
 
-    ``report[name]`` is a column of the stored series by name.
+    ``report[name]`` is the column ``name`` of the series, which contains the recorded rows of the run.
 
     Attributes
     ----------
     result : RunResult
-        Folder with its manifest, the content of ``report.json``, and the status of the call.
+        Folder of the run with its manifest (the description of the run), content of ``report.json``, and ``status``.
     table : pandas.DataFrame
-        A row for each invariant, indexed by its name: deviations, drift, verdict; of an ensemble, quantiles over the
-        trajectories.
+        One row per invariant, indexed by the name of the invariant. The columns contain deviations, drift and verdict;
+        for an ensemble, they contain quantiles over the trajectories.
     """
 
     result: RunResult
@@ -53,17 +53,17 @@ class RunReport(Report):
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the run; of an ensemble, that of the first trajectory that failed."""
+        """Outcome of the run; for an ensemble, the outcome of the first trajectory that failed."""
         return self.result.outcome
 
     @property
     def status(self) -> str:
-        """``"ran"``, ``"resumed"`` or ``"up to date"``."""
+        """``"ran"``, ``"resumed"`` or ``"up to date"``, depending on what the call of ``topcli.run`` did."""
         return self.result.status
 
     @property
     def is_ensemble(self) -> bool:
-        """True for an ensemble."""
+        """True if the report is on an ensemble."""
         return self.result.report.get("kind") == "ensemble"
 
     @property
@@ -104,14 +104,15 @@ class RunReport(Report):
         return run_chapter(self.result.stored, name)
 
     def plot(self, ax: Axes | None = None, *, columns: Sequence[str] = (), deviation: bool = False) -> Axes:
-        """Draw columns of the series over time; of an ensemble, quantiles of the deviations of all invariants.
+        """Draw columns of the recorded rows over time; for an ensemble, quantiles of the deviations of all invariants.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Axes to draw into, in their own style; new ones by default.
+            Axes to draw into, in their own style. By default, new axes are made.
         columns : sequence of str, optional
-            Names of columns; by default the last vector of the state, or with ``deviation`` the invariants.
+            Names of columns. The default is the last vector of the state, for example gamma; with ``deviation``, the
+            default is all recorded invariants.
         deviation : bool, optional
             True to draw absolute deviations from the first values, on a logarithmic axis.
 
@@ -123,7 +124,7 @@ class RunReport(Report):
         Raises
         ------
         UsageError
-            For an unknown column, or columns of an ensemble.
+            If a column is unknown, or if ``columns`` are given for an ensemble.
         """
         from topcli.pages import pictures
         from topcli.store.envelope import envelope
@@ -149,7 +150,7 @@ class RunReport(Report):
         if deviation:
             moved = pictures.deviations(data, chosen)
             chosen, data = list(moved), data | moved
-        return draw_panel(pictures.time_panel(chosen, experiment, deviation), data, ax)
+        return draw_panel(pictures.time_panel(chosen, experiment, deviation=deviation), data, ax)
 
 
 def run(
@@ -165,43 +166,46 @@ def run(
     progress: bool = True,
     **changes: Any,
 ) -> RunReport:
-    """Run an experiment or ensemble into a folder, unless it has been run before.
+    """Run an experiment or ensemble and store it in a folder; a finished run is not repeated.
 
     Parameters
     ----------
     config : path, str or mapping
-        Config file (YAML or TOML), name of a packaged scene, or the content of a config as nested mappings.
+        Config file (YAML or TOML), name of a scene (a packaged config), or the content of a config as nested mappings.
     out : path or str, optional
-        Folder for the run folder ``out/name``, as ``--out`` on the command line.
+        Folder in which the folder of the run, ``out/name``, is created, as for ``--out`` on the command line.
     overrides : sequence of str, optional
-        Texts ``"key=value"`` as for ``--set`` on the command line; applied after the ``changes``.
+        Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line. They are applied
+        after ``changes``.
     force : bool, optional
-        True to run again; an existing different run of the same name is renamed, not overwritten.
+        True to repeat a finished run. If the folder contains a different run, that run is renamed, not overwritten.
     resume : bool, optional
         True to continue an interrupted or killed run from its last checkpoint.
     retry_failed : bool, optional
         True to repeat a run that failed before.
     checkpoint_every : float, optional
-        Seconds between checkpoints; 0 writes one after every chunk. An ensemble writes none.
+        Seconds between checkpoints, from which an interrupted run can continue. With 0, a checkpoint is written after
+        every chunk of steps (the engine divides a run into chunks). An ensemble writes none.
     threads : int, optional
-        Number of threads of an ensemble, which does not change the results; all CPUs by default.
+        Number of threads for an ensemble, by default one per CPU. The results do not depend on this number.
     progress : bool, optional
         False to show no progress bar in a notebook or terminal.
     **changes
-        Values that replace whole top-level keys of the config, such as ``h=0.01``. A run that they or the overrides
-        change gets the first digits of its digest behind its name, unless ``name`` is given.
+        Values that replace whole top-level keys of the config, such as ``h=0.01``. If the changes or the overrides
+        alter the run, the first digits of its digest (a hash of the config) are appended to its name, unless ``name``
+        is given.
 
     Returns
     -------
     RunReport
-        The report with the folder of the run. A run that fails is reported too; see its ``outcome``.
+        Report with the folder of the run. A run that fails is reported too; ``outcome`` says how it ended.
 
     Raises
     ------
     ConfigError
-        If the config cannot be read or has a fault; the message names the key and, in a file, the line.
+        If the config cannot be read or is invalid. The message names the key and, for a file, the line.
     UsageError
-        If the folder holds something else.
+        If the folder of the run contains something other than this run.
     RunError
         If the results cannot be written.
 
@@ -227,15 +231,16 @@ def run(
 
 @dataclass(frozen=True, repr=False)
 class SweepReport(Report):
-    """Rows of a sweep, as ``topcli.sweep`` returns them.
+    """Report on a sweep, as returned by ``topcli.sweep``.
 
     Attributes
     ----------
     result : SweepResult
-        Folder of the sweep, its plan, and the numbers of rows by outcome.
+        Folder of the sweep, its plan (the list of its rows), and the number of rows with each outcome.
     table : pandas.DataFrame
-        A row for each row of the sweep, indexed by its number: the varied keys, ``outcome``, ``message``, the measures,
-        ``digest`` and ``cpu``. Rows of an earlier version of the file are left out.
+        The rows of the sweep, indexed by their numbers. The columns are the varied keys, ``outcome``, ``message``, the
+        measures, ``digest`` (a hash of the experiment) and ``cpu`` (the processor). Rows of an earlier version of the
+        sweep file are left out.
     """
 
     result: SweepResult
@@ -252,7 +257,7 @@ class SweepReport(Report):
 
     @property
     def table(self) -> pd.DataFrame:
-        """DataFrame of the rows, indexed by number."""
+        """DataFrame of the rows of the sweep, indexed by number."""
         import pandas as pd
 
         table = pd.read_parquet(self.folder / ROWS_FILE)
@@ -260,7 +265,7 @@ class SweepReport(Report):
 
     @property
     def rows(self) -> SweepRows:
-        """Rows with the names of keys and measures."""
+        """Rows of the sweep, with the names of its keys and measures."""
         return read_rows(self.folder)
 
     def as_dict(self) -> dict[str, Any]:
@@ -290,17 +295,19 @@ class SweepReport(Report):
         by: str | None = None,
         aggregate: str | None = None,
     ) -> Axes:
-        """Draw a measure over a key, with a curve for each value of another.
+        """Draw a measure against one key of the sweep, with a curve for each value of another key.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Axes to draw into; new ones by default.
+            Axes to draw into. By default, new axes are made.
         x, y, by : str, optional
-            Key on the horizontal axis, measure, and key of the curves. Without ``x``, ``by`` and ``aggregate`` those of
-            the page of ``topcli report``: the numeric key with most values, and the next one.
+            ``x`` is the key on the horizontal axis, ``y`` the measure on the vertical axis, and ``by`` the key whose
+            values distinguish the curves. If ``x``, ``by`` and ``aggregate`` are all left out, the plot is the one on
+            the page of ``topcli report``: ``x`` is the numeric key with the most values, and ``by`` the key with the
+            next most.
         aggregate : {"median", "mean", "max", "order"}, optional
-            How the values of rows that differ in other keys are combined.
+            Function that combines the values of ``y`` in rows that differ only in other keys than ``x`` and ``by``.
 
         Returns
         -------
@@ -310,7 +317,8 @@ class SweepReport(Report):
         Raises
         ------
         UsageError
-            For unknown names, and if several rows fall on one point without an ``aggregate``.
+            If the name of a key or measure is unknown, or if several rows fall on one point of a curve and
+            ``aggregate`` is not given.
         """
         from topcli.figures.sweep import Choice, curves
         from topcli.pages.results import sweep_choices
@@ -338,38 +346,41 @@ def sweep(
     dask: str | None = None,
     progress: bool = True,
 ) -> SweepReport:
-    """Run what is new in a sweep and return its rows.
+    """Run the unfinished rows of a sweep and return a report on all rows.
+
+    A row is one run of the sweep, with one combination of the values of the varied keys.
 
     Parameters
     ----------
     file : path, str or mapping
-        Sweep file (YAML or TOML), name of a packaged sweep, or the content of a file as nested mappings.
+        Sweep file (YAML or TOML), name of a packaged sweep, or the content of a sweep file as nested mappings.
     out : path or str, optional
-        Folder for the folder of the sweep, as ``--out`` on the command line. Finished rows found there do not run
-        again.
+        Folder in which the folder of the sweep is created, as for ``--out`` on the command line. Finished rows in that
+        folder do not run again.
     overrides : sequence of str, optional
-        Texts ``"key=value"`` as for ``--set`` on the command line, such as ``"base.N=100"``.
+        Texts ``"key=value"`` that replace keys of the sweep file, as for ``--set`` on the command line, such as
+        ``"base.N=100"``.
     retry_failed : bool, optional
-        True to run rows that failed before again.
+        True to repeat rows that failed before.
     threads : int, optional
-        Number of threads, which does not change the results; all CPUs by default.
+        Number of threads, by default one per CPU. The results do not depend on this number.
     dask : str, optional
-        Address of a Dask cluster that runs the rows, as for ``--dask`` on the command line; ``threads`` is then
-        ignored.
+        Address of a Dask cluster that runs the rows, as for ``--dask`` on the command line. With a cluster,
+        ``threads`` is ignored.
     progress : bool, optional
         False to show no progress bar.
 
     Returns
     -------
     SweepReport
-        The rows with the folder of the sweep. A row that failed has its outcome and message in the table.
+        Report with the rows and the folder of the sweep. The table gives the outcome and message of each failed row.
 
     Raises
     ------
     ConfigError
-        If the file has a fault; the message names the key and, in a file, the line.
+        If the sweep file is invalid. The message names the key and, for a file, the line.
     UsageError
-        If the folder is in use by another sweep or holds something else.
+        If another sweep is using the folder, or if the folder contains something other than this sweep.
     RunError
         If the results cannot be written.
 
@@ -378,13 +389,13 @@ def sweep(
     >>> import tempfile, topcli
     >>> start = {"omega": [2, 0, 0], "gamma": ["auto", 0, 0.1]}
     >>> base = {"top": "kowalevski", "initial": start, "scheme": "hk", "T": 10}
-    >>> study = {"base": base, "grid": {"h": [0.02, 0.01]}, "measure": ["deviation.energy"]}
+    >>> study = {"base": base, "grid": {"h": [0.02, 0.01]}, "measure": ["max_deviation.energy"]}
     >>> result = topcli.sweep(study, tempfile.mkdtemp())
-    >>> coarse, fine = result.table["deviation.energy"]
+    >>> coarse, fine = result.table["max_deviation.energy"]
     >>> bool(3.9 < coarse / fine < 4.1)
     True
     >>> result.plot().get_xlabel()
-    'h'
+    'step size h'
     """
     loaded = load_sweep(file, overrides)
     with Progress(loaded.name, progress, unit="rows") as bar:

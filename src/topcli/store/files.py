@@ -1,4 +1,4 @@
-"""Files on disk: written whole or not at all, JSON with a checksum of itself, and the messages when that fails."""
+"""Writing of complete files, JSON with a checksum of its content, and messages on failures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import os
 import stat
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +61,7 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def io_failure(error: OSError, path: Path, kept: str = "nothing was kept of this run") -> RunError:
+def io_failure(error: OSError, path: Path, kept: str = "nothing of this run was stored") -> RunError:
     """Error message for a failed write to ``path`` that says what was ``kept``.
 
     If ``error`` names another file, the message names that file in the folder of ``path``.
@@ -109,7 +109,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
     with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
-            raise DamagedError("no regular file")
+            raise DamagedError("not a regular file")
         if status.st_size > _LARGEST_JSON:
             raise DamagedError(f"longer than {_LARGEST_JSON} bytes")
         text = file.read()
@@ -139,7 +139,16 @@ def sealed(content: Mapping[str, Any], seal: str = SEAL) -> dict[str, Any]:
 def check_seal(content: Mapping[str, Any], seal: str = SEAL) -> None:
     """Raise DamagedError if an entry has changed since ``sealed``."""
     if content.get(seal) != sealed(content, seal)[seal]:
-        raise DamagedError("its SHA-256 differs from the one that it holds")
+        raise DamagedError("its SHA-256 differs from the one stored in it")
+
+
+def require_new(paths: Iterable[Path], option: str = "--out") -> None:
+    """Raise UsageError if one of ``paths`` exists; the message names ``--force``."""
+    for path in paths:
+        if os.path.lexists(path):
+            raise UsageError(
+                f"{option} {path}: exists already; choose another name or folder, or use --force to replace it".lstrip()
+            )
 
 
 def write_study(path: Path, data: Mapping[str, Any], source: str | None) -> Path:
@@ -159,7 +168,7 @@ def write_study(path: Path, data: Mapping[str, Any], source: str | None) -> Path
 
 
 def check_study(data: Mapping[str, Any], text: str | None = None) -> None:
-    """Compare a study with the checksum that it holds, and its ``text``, if given, with what is written of it.
+    """Compare a study with the checksum stored in it and, if ``text`` is given, with the form in which it is written.
 
     Raises DamagedError.
     """
@@ -167,7 +176,15 @@ def check_study(data: Mapping[str, Any], text: str | None = None) -> None:
         raise DamagedError(f"holds no {SEAL}; it is not a study that topcli stored")
     check_seal(data)
     if text is not None and text != json_text(data):
-        raise DamagedError("its text is not as it was written")
+        raise DamagedError("its text has changed since it was written")
+
+
+def is_study(path: Path) -> bool:
+    """True if topcli stored a study at ``path``, even one that is damaged now."""
+    try:
+        return SEAL in json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, TypeError):
+        return False
 
 
 def stored_study(path: Path, version: int, command: str) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-"""The folder of a run: looked at once, written under a temporary name, renamed into place when complete.
+"""Run folder: its inspection, and writing under a temporary name until it is complete.
 
 A folder ``<out>/<name>/`` holds ``series.parquet`` (or ``.csv``), ``report.json``, ``report.md``, ``config.yaml`` and,
 written last, ``manifest.json``. A folder without a manifest is an unfinished run and is never read as a result. An
@@ -40,7 +40,7 @@ from topcli.store.series import damaged
 
 FAULTS = NO_FOLDER, UNREADABLE, OCCUPIED = "no folder", "unreadable", "occupied"
 """Obstacles to a run: the output folder is a file, the place cannot be read, or holds something else."""
-_KEPT = "what its last checkpoint holds is kept, and --resume continues it when writing is possible again"
+_KEPT = "its last checkpoint is kept; --resume continues it when writing is possible again"
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ class Folder:
     def look(cls, out: Path, name: str, suffix: str = "") -> Folder:
         """Look at the place, before a run that is written in the format ``suffix``.
 
-        Of a finished run in another format, which may have to be rewritten, large files are compared whole: the new
-        ones get checksums of their own.
+        If a finished run has another format, it may have to be rewritten. Its large files are then compared whole,
+        because the new ones get checksums of their own.
         """
         target = out / name
         try:
@@ -266,12 +266,12 @@ class RunWriter:
         """True if the folder is complete and only has to be renamed into place."""
         return (self.folder / MANIFEST).exists()
 
-    def failure(self, error: OSError, kept: str = "nothing was kept of this run") -> RunError:
+    def failure(self, error: OSError, kept: str = "nothing of this run was stored") -> RunError:
         """Error to report after a failed write; says which data are kept."""
         if self.finished:
             kept = f"the finished run is kept in {self.folder}, and --resume puts it in its place"
         elif not self.folder.exists() and (self.target / MANIFEST).exists():
-            kept = "the finished run is in its place"
+            kept = "the finished run is stored in its folder"
         elif left := read_checkpoint(self.folder):
             kept = f"{_KEPT} (up to step {left.done})"
         return io_failure(error, self.target, kept)

@@ -1,4 +1,4 @@
-"""Series of other programs: columns of numbers from a CSV or Parquet file, with messages that name row and column.
+"""Time series of other programs: columns of a CSV or Parquet file, with row and column in every error.
 
 Rows are counted from 1, without the header. The content decides how a file is read, not the ending of its name.
 """
@@ -21,7 +21,7 @@ _SEPARATORS = (",", ";", "\t")
 _HEADER_BYTES = 1 << 20
 MAX_ROWS = 2_000_000
 MAX_LINE = 1 << 20
-"""Characters of a line of CSV, beyond which the file is no table of numbers."""
+"""Characters of a line of CSV, beyond which the file is not a table of numbers."""
 MAX_COLUMN = 64 * MAX_ROWS
 """Bytes of a decompressed Parquet column; numbers take 8 for each row, the rest is left for their encoding."""
 
@@ -142,7 +142,7 @@ class ForeignSeries:
     def _check_count(self, rows: int) -> None:
         """Raise UsageError for more rows than fit in memory."""
         if rows > MAX_ROWS:
-            raise UsageError(f"{self.path}: more than {MAX_ROWS} rows; at most these fit in memory, so write fewer")
+            raise UsageError(f"{self.path}: more than {MAX_ROWS} rows, which do not fit in memory; write fewer")
 
     def _read_csv(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         import pyarrow as pa

@@ -1,4 +1,4 @@
-"""Compare every file of a run folder, finished or not, with the checksums recorded when it was written."""
+"""Comparison of the files of a run folder, finished or not, with their recorded checksums."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CheckedRun:
 def _finished(run: StoredRun) -> CheckedRun:
     damage = run.damage()
     if MANIFEST not in damage and (run.folder / MANIFEST).read_bytes() != json_text(run.manifest).encode():
-        damage[MANIFEST] = "its text is not as it was written"
+        damage[MANIFEST] = "its text has changed since it was written"
     names = (MANIFEST, *run.manifest["files"])
     return CheckedRun(
         run.folder, True, tuple(CheckedFile(name, name in damage, damage.get(name, "")) for name in names)

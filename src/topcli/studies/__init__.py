@@ -41,27 +41,25 @@ class StudyPlace(NamedTuple):
 
 STUDIES = {
     "compare": StudyPlace(
-        "topcli.studies.compare:COMPARE", "Compare schemes: errors, drifts, reversal, swings, speed."
+        "topcli.studies.compare:COMPARE", "Compare errors, drifts, reversibility and speed of schemes."
     ),
-    "analyse": StudyPlace("topcli.studies.analyse:ANALYSE", "Judge a series of another program like a run."),
-    "lax": StudyPlace("topcli.studies.lax:LAX", "Check the Lax forms of a top and the spectrum of L."),
-    "check": StudyPlace("topcli.studies.check:CHECK", "Check what schemes and tops declare, with controls."),
+    "analyse": StudyPlace("topcli.studies.analyse:ANALYSE", "Analyse a time series that another program computed."),
+    "lax": StudyPlace("topcli.studies.lax:LAX", "Check Lax forms (pairs L, M) of a top and the spectrum of L."),
+    "check": StudyPlace("topcli.studies.check:CHECK", "Check the declared properties of schemes and tops."),
     "discover": StudyPlace("topcli.studies.discover:DISCOVER", "Find polynomials that stay constant along orbits."),
     "integrability": StudyPlace(
         "topcli.studies.integrability:INTEGRABILITY", "Collect evidence on the integrability of a scheme's map."
     ),
     "roundoff": StudyPlace(
-        "topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off and the cost of compensation."
+        "topcli.studies.roundoff:ROUNDOFF", "Measure growth of round-off, and cost of compensated sums."
     ),
     "stress": StudyPlace("topcli.studies.stress.study:STRESS", "Test schemes in hard cases and find what breaks."),
-    "claims": StudyPlace("topcli.paper.study:CLAIMS", "Decide the paper's claims by experiments."),
-    "lyapunov": StudyPlace(
-        "topcli.studies.lyapunov:LYAPUNOV", "Measure Lyapunov exponents; tell regular from chaotic."
-    ),
+    "claims": StudyPlace("topcli.paper.study:CLAIMS", "Test the claims of the paper by experiments."),
+    "lyapunov": StudyPlace("topcli.studies.lyapunov:LYAPUNOV", "Measure Lyapunov exponents and detect chaos."),
     "frequencies": StudyPlace(
-        "topcli.studies.frequencies:FREQUENCIES", "Measure frequencies of an orbit; test averages for chaos."
+        "topcli.studies.frequencies:FREQUENCIES", "Measure the frequencies of an orbit and detect chaos."
     ),
-    "order": StudyPlace("topcli.studies.order:ORDER", "Measure errors over h, observed orders and round-off."),
+    "order": StudyPlace("topcli.studies.order:ORDER", "Measure errors at several h, and orders of convergence."),
 }
 """All studies by name."""
 

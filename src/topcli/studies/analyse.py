@@ -1,4 +1,4 @@
-"""``topcli analyse``: a series of another program, judged like a run."""
+"""``topcli analyse``: analyse a time series of another program like a run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import Data, Flag, Head, Overrides, Result, Study, parts_of
+from topcli.studies.study import Data, Flag, Head, Overrides, Result, Study, parts_of, steps_flag
 from topcli.table import DASH, Column, Table, number, ten_digits
 
 SHOWN_TIMES = 5
@@ -17,26 +17,28 @@ SHOWN_TIMES = 5
 def measure(
     path: Annotated[str | Path, Flag("", "FILE")],
     config: Annotated[str | Path | Mapping[str, Any], Flag("--config", "CONFIG")],
-    columns: Annotated[Sequence[str], Flag("--columns", "NAME=COLUMN,...")] = (),
-    steps: Annotated[int | None, Flag("--steps", "COUNT", least=1)] = None,
+    columns: Annotated[Sequence[str], Flag("--rename", "NAME=COLUMN,...")] = (),
+    steps: Annotated[int | None, steps_flag("rows - 1")] = None,
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
-    """Judge a series of another program like a run.
+    """Analyse a time series that another program computed.
 
-    Its times may start anywhere, rise or fall, and be uneven. The error is measured against a solution that starts from
-    the config's initial state if the first row agrees with that to 1e-6, and otherwise from the first row.
+    The report on the series has the same form as the report of a run. The times may start anywhere, increase or
+    decrease, and have uneven spacing. The reference solution starts from the initial state of the config if the first
+    row agrees with this state to 1e-6, and otherwise from the first row.
 
     Parameters
     ----------
     path : path or str
-        CSV or Parquet file with t and the components.
+        CSV or Parquet file with the time t and the components of the state as columns.
     config : path, str or mapping
-        Take top and initial state from a config.
+        Config that gives the top and the initial state.
     columns : sequence of str, optional
-        Name columns, e.g. t=time,omega1=w_x.
+        Read t or a component from a column of another name, e.g. t=time.
     steps : int, optional
-        Set the steps taken; by default rows - 1.
+        Number of steps that the program took, for the bound of round-off. By default, the numbers in a column n give
+        it; without this column, it is the number of rows minus 1.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
@@ -45,12 +47,14 @@ def measure(
     Returns
     -------
     StudyReport
-        ``table`` is the report on the invariants, ``summary`` what is known of rows, steps, errors and swings.
+        Report on the series. ``table`` contains the deviations and drifts of the invariants. ``summary`` gives the
+        numbers of rows and steps, the errors against the reference solution, and the times of the swings (falls and
+        rises of the top).
 
     Raises
     ------
     UsageError
-        For a file that is no such series; the message names row and column.
+        If the file is not a series of this top. The message names the row and the column.
     """
     from topcli.config.load import load_experiment
     from topcli.store.foreign import ForeignSeries
@@ -76,8 +80,10 @@ def _summary_columns(data: Data) -> list[Column]:
         return listed + (f" and {len(times) - SHOWN_TIMES} more" if len(times) > SHOWN_TIMES else "")
 
     def spacing(data: Data) -> str:
-        reference = swing["reference_spacing"]
-        return ten_digits(swing["spacing"]) + ("" if reference is None else f" (reference {ten_digits(reference)})")
+        reference = swing["reference_first_swing_spacing"]
+        return ten_digits(swing["first_swing_spacing"]) + (
+            "" if reference is None else f" (reference {ten_digits(reference)})"
+        )
 
     return [
         Column("rows", "rows"),
@@ -88,10 +94,10 @@ def _summary_columns(data: Data) -> list[Column]:
         Column("reference from", start),
         Column("first row − config", "reference.difference", number, "difference"),
         Column("max error", "max_error", number),
-        Column("error at the end", "end_error", number),
+        Column("final error", "final_error", number),
         Column(f"minima of {swing['component']}", "swing.times", minima, ""),
-        Column("their spacing", spacing),
-        *(Column("", f"swing.{key}", key=key) for key in ("spacing", "reference_spacing")),
+        Column("their first spacing", spacing),
+        *(Column("", f"swing.{key}", key=key) for key in ("first_swing_spacing", "reference_first_swing_spacing")),
     ]
 
 
@@ -142,7 +148,7 @@ ANALYSE = Study(
     _tables,
     notes=notes,
     figure="topcli.figures.comparison:loaded_analysis",
-    draws="errors, swings and deviations",
+    draws="the errors, one component of the state, and the deviations of the invariants over time",
     captions=_captions,
     stem=lambda data: f"{data['config']['name']}_{Path(data['file']).stem}",
     parts=lambda data: parts_of(data["config"], ()),

@@ -1,4 +1,4 @@
-"""A series that another program wrote, judged like a run: invariants, error against the reference, swings."""
+"""Analysis of a time series of another program: invariants, error against the reference, swings."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
-from topcli.analysis.swings import minima_times, swing_spacing
+from topcli.analysis.swings import first_swing_spacing, minima_times
 from topcli.analysis.tally import InvariantRow, InvariantTally, uneven_report
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
-from topcli.errors import TopcliError, UsageError, nearest, quoted
+from topcli.errors import TopcliError, UsageError, counted, nearest, quoted
 from topcli.runs.report import report_data
 from topcli.store.files import sha256_of
 from topcli.store.foreign import ForeignSeries
@@ -49,11 +49,11 @@ def column_map(texts: Sequence[str], top: Top) -> dict[str, str]:
     for pair in (part for text in texts for part in text.split(",") if part.strip()):
         name, equals, column = (part.strip() for part in pair.partition("="))
         if not (name and equals and column):
-            raise UsageError(f"--columns {quoted(pair)}: write NAME=COLUMN, such as {top.components[0]}=w_x")
+            raise UsageError(f"--rename {quoted(pair)}: write NAME=COLUMN, such as {top.components[0]}=w_x")
         if name not in known:
-            raise UsageError(f"--columns {quoted(pair)}: unknown name {quoted(name)}; {nearest(name, known)}")
+            raise UsageError(f"--rename {quoted(pair)}: unknown name {quoted(name)}; {nearest(name, known)}")
         if name in columns:
-            raise UsageError(f"--columns {quoted(pair)}: {name} is given twice")
+            raise UsageError(f"--rename {quoted(pair)}: {name} is given twice")
         columns[name] = column
     return columns
 
@@ -64,17 +64,17 @@ def _sources(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> dict[st
     for name, column in given.items():
         if column not in file.names:
             hint = nearest(column, file.names)
-            raise UsageError(f"--columns {name}={column}: {file.path} has no column {quoted(column)}; {hint}")
+            raise UsageError(f"--rename {name}={column}: {file.path} has no column {quoted(column)}; {hint}")
     missing = [name for name, column in sources.items() if column not in file.names]
     if missing:
-        hint = _other_form(file, top) or f"{nearest(missing[0], file.names)}; --columns {missing[0]}=COLUMN names it"
+        hint = _other_form(file, top) or f"{nearest(missing[0], file.names)}; --rename {missing[0]}=COLUMN names it"
         raise UsageError(f"{file.path}: no column{'s' * (len(missing) > 1)} {', '.join(missing)}; {hint}")
     columns = list(sources.values())
     for name, column in sources.items():
         if columns.count(column) > 1:
             both = " and ".join(own for own, other in sources.items() if other == column)
             raise UsageError(
-                f"{file.path}: column {quoted(column)} is taken for {both}; rename with --columns {name}=..."
+                f"{file.path}: column {quoted(column)} is taken for {both}; name one with --rename {name}=..."
             )
     return sources
 
@@ -100,7 +100,7 @@ def read_rows(file: ForeignSeries, top: Top, given: Mapping[str, str]) -> Rows:
     columns = file.read([sources[name] for name in ("t", *top.components)])
     t = columns[sources["t"]]
     if len(t) < 2:
-        raise UsageError(f"{file.path}: {len(t)} row{'s' * (len(t) != 1)}; a series needs at least 2")
+        raise UsageError(f"{file.path}: {counted(len(t), 'row')}; a series needs at least 2")
     states = np.column_stack([columns[sources[name]] for name in top.components])
     _check_times(file.path, sources["t"], t)
     _check_units(file.path, top, states)
@@ -208,9 +208,9 @@ def _swings(top: Top, t: Array, values: Array, reference: Array | None) -> dict[
     """Swings of the series and of the reference: the spacing of the first two deep minima, and the times of all."""
     return {
         "component": top.swing,
-        "spacing": swing_spacing(t, values),
+        "first_swing_spacing": first_swing_spacing(t, values),
         "times": minima_times(t, values).tolist(),
-        "reference_spacing": None if reference is None else swing_spacing(t, reference),
+        "reference_first_swing_spacing": None if reference is None else first_swing_spacing(t, reference),
         "reference_times": None if reference is None else minima_times(t, reference).tolist(),
     }
 
@@ -279,7 +279,7 @@ def analyse_series(
         "steps_from": origin,
         "reference": about,
         "max_error": None if error is None else float(error.max()),
-        "end_error": None if error is None else float(error[-1]),
+        "final_error": None if error is None else float(error[-1]),
         "swing": _swings(top, rows.t, series[SWING], series.get(f"{SWING}:reference")),
         "left_motion": None if left is None else {"row": left + 1, "t": float(rows.t[left])},
         "unread": unread_components(file, top),

@@ -1,54 +1,56 @@
-"""``topcli check``: what schemes and tops declare against what is measured, each with a positive control."""
+"""``topcli check``: compare the declared properties of schemes and tops with measurements."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from topcli.errors import ExitCode
+from topcli.errors import ExitCode, counted
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import ConfigSource, Data, Faults, Flag, Head, Result, Study, TopName
-from topcli.table import Column, Table, number
+from topcli.studies.study import Config, Data, Faults, Flag, Head, Result, Study, config_flag, top_flag
+from topcli.table import Column, Table, number, two_digits
 
 
 def measure(
     file: Annotated[str | Path | None, Flag("", "FILE")] = None,
-    schemes: Annotated[Sequence[str], Flag("--scheme", "SCHEME")] = (),
-    top: TopName = None,
-    config: ConfigSource = None,
+    schemes: Annotated[Sequence[str], Flag("--scheme", "SCHEME", default="the schemes of the file or of the top")] = (),
+    top: Annotated[str | None, top_flag("the tops of the file or of the schemes")] = None,
+    config: Annotated[Config, config_flag("a generic state")] = None,
     watch: Watch = SILENT,
 ) -> Result:
-    """Check what schemes and tops declare, with controls.
+    """Check the declared properties of schemes and tops.
 
-    Of a scheme: order, self-adjointness, exact and modified invariants, counters, machine code against plain Python,
-    ensembles against single runs. Of a top: its field, and its integrals by their exact rate of change and on random
-    states. Each check is also put to something that must fail it, the control. Exits with status 4 if a declaration
-    is false.
+    For a scheme, the study checks order, self-adjointness, exact and modified invariants, and counters of critical
+    events. It also checks that compiled code agrees with plain Python, and that ensembles agree with single runs. For a
+    top, it checks the equations and the integrals. Each check is also applied to a control, a deliberately wrong scheme
+    or top, which it must reject. Exits with status 4 if a scheme or top is not as declared.
 
     Parameters
     ----------
     file : path or str, optional
-        Python file, as for --plugin; check its tops and schemes.
+        Python file with the tops and schemes to check.
     schemes : sequence of str, optional
-        Check this scheme; repeat for several.
+        Names of the schemes to check; by default, those of the file or of the top.
     top : str, optional
-        Check this top, and schemes on it.
+        Name of the top to check, together with its schemes.
     config : path, str or mapping, optional
-        Start from this config's state; by default a generic one.
+        Config with the initial state of the checks; by default, a generic state.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
     StudyReport
-        ``table`` has a row for each check: what is declared, what is measured and allowed, what the control gives, and
-        the verdict.
+        Report on the checks. ``table`` has a row for each check, with the declared property, the measured and the
+        allowed value, the value of the control (a deliberately wrong variant, which must fail the check), and the
+        verdict.
 
     Raises
     ------
     UsageError
-        For an unknown scheme or top, and for a file that cannot be loaded.
+        If a scheme or top is unknown, or if a file cannot be loaded.
 
     Examples
     --------
@@ -74,10 +76,10 @@ CHECKS = Table(
     (
         Column("of", "subject"),
         Column("check", "check"),
-        Column("declared", "declared"),
-        Column("measured", "measured", number),
-        Column("allowed", "allowed", number),
-        Column("control", "control", number),
+        Column("declared", "declared", detail=True),
+        Column("measured", "measured", two_digits),
+        Column("allowed", "allowed", two_digits),
+        Column("control, which must fail", "control", two_digits, detail=True),
         Column("verdict", "verdict"),
     ),
     heading="Declarations",
@@ -93,9 +95,17 @@ def head(data: Data) -> Head:
     return Head("Declarations", _subject(data), f"{false} false" if false else "hold", not false)
 
 
+def answer(data: Data) -> str:
+    """Numbers of checks by verdict."""
+    counts = Counter(row["verdict"] for row in data["rows"])
+    false, holding = counts.pop("false", 0), counts.pop("holds", 0)
+    said = "".join(f", {count} {verdict}" for verdict, count in counts.items())
+    wrong = f"{counted(false, 'declaration')} false" if false else "no declaration is false"
+    return f"{wrong}; {holding} hold{said}"
+
+
 def notes(data: Data) -> Iterator[str]:
     """Reasons of what was not decided, and orders above the declared ones."""
-    yield "control: the same check of something that must fail it"
     for row in data["rows"]:
         declared = row["verdict"] in ("not tried", "undecided") and row["declared"]
         if not row["broken"] and row["why"] and (declared or row["verdict"] == "holds"):
@@ -129,6 +139,7 @@ CHECK = Study(
     measure,
     head,
     (CHECKS,),
+    answer=answer,
     notes=notes,
     faults=faults,
     parts=lambda data: [(form, name) for form, name in data["schemes"]],

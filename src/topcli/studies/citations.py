@@ -1,4 +1,4 @@
-"""Bibliography: the BibTeX entries of ``references.bib`` that the citations of schemes, tops and compositions name.
+"""Bibliography: the BibTeX entries of ``references.bib``, and the works that schemes and tops cite.
 
 A citation is a text such as ``after Cooper 1987; Yoshida, Phys. Lett. A 150 (1990) 262``. It names an entry by the
 surnames of all authors, separated by commas and followed by the year, by the year in parentheses later in the same
@@ -41,6 +41,18 @@ class Publication:
         return ", ".join(name.partition(",")[0] for name in self.authors)
 
     @property
+    def addresses(self) -> dict[str, str]:
+        """Web addresses of the work by their names, such as ``doi:10.1007/BF02592182``; empty if none is known."""
+        found = {}
+        if doi := self.fields.get("doi"):
+            found[f"doi:{doi}"] = f"https://doi.org/{doi}"
+        if eprint := self.fields.get("eprint"):
+            found[f"arXiv:{eprint}"] = f"https://arxiv.org/abs/{eprint}"
+        if url := self.fields.get("url"):
+            found[url] = url
+        return found
+
+    @property
     def text(self) -> str:
         """Reference on one line, for people."""
         parts = [self.surnames]
@@ -52,8 +64,7 @@ class Publication:
         if "publisher" in self.fields:
             edition = {"2": ", 2nd edition", "3": ", 3rd edition", "4": ", 4th edition"}
             parts.append(plain_text(self.fields["publisher"]) + edition.get(self.fields.get("edition", ""), ""))
-        if "eprint" in self.fields:
-            parts.append(f"arXiv:{self.fields['eprint']}")
+        parts += self.addresses
         if "note" in self.fields:
             parts.append(plain_text(self.fields["note"]))
         return ". ".join(parts) + "."
@@ -112,23 +123,23 @@ def own_works() -> list[Publication]:
 
 
 def works_of(name: str) -> list[Publication]:
-    """Return the works that a scheme, a composition or a top cites.
+    """Return the publications that a scheme, a composition or a top cites.
 
     Parameters
     ----------
     name : str
-        Name of a scheme, with or without ``+composition``, of a composition, or of a top; matched without case.
+        Name of a scheme (with or without ``+composition``), of a composition, or of a top; case-insensitive.
 
     Returns
     -------
     list of Publication
-        In the order of the citation, each once. A citation of a plugin that names no work of the bibliography becomes
-        an entry of its own, with the citation as its note.
+        Publications in the order of the citation, each once. For a publication that a plugin cites and that is not in
+        the bibliography of topcli, the list contains an entry with the text of the citation as its note.
 
     Raises
     ------
     UnknownNameError
-        If there is nothing of this name; the message suggests the nearest names.
+        If no scheme, composition or top has this name. The message suggests the nearest names.
     """
     citations = _citations(name.lower())
     works: dict[str, Publication] = {}

@@ -1,13 +1,14 @@
-"""``topcli compare``: schemes, options and steps on one experiment or ensemble, side by side."""
+"""``topcli compare``: compare schemes, options and step sizes on one experiment or ensemble."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from topcli.errors import ExitCode, UnknownNameError, UsageError, quoted
+from topcli.errors import ExitCode, UnknownNameError, UsageError, counted, quoted
+from topcli.glossary import label
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import PYTHON_ONLY, Data, Faults, Flag, Head, Overrides, Result, Study, cited_parts, top_title
 from topcli.table import Column, Table, number
@@ -24,25 +25,27 @@ def measure(
     watch: Watch = SILENT,
     **changes: Any,
 ) -> Result:
-    """Compare schemes: errors, drifts, reversal, swings, speed.
+    """Compare errors, drifts, reversibility and speed of schemes.
 
-    An entry is a scheme with its own options and step: topcli compare hk hk:h=0.01 hybrid:branch=sign. Entries with
-    different steps cover the same time and are compared at the times that all of them reach. Of an ensemble, median
-    and quantiles over the trajectories are given.
+    A scheme may have its own step size and options, as in hk:h=0.01 or hybrid:branch=sign. Runs with different steps
+    cover the same time span and are compared at common times. For an ensemble, the tables show the median and quantiles
+    over its trajectories.
 
     Parameters
     ----------
     *entries : str
-        Name schemes, each with its own h and options. For example ``"hk"``, ``"hk:h=0.02"``, ``"hybrid:branch=sign"``.
+        Names of schemes, each with its own h and options if needed. For example ``"hk"``, ``"hk:h=0.02"``,
+        ``"hybrid:branch=sign"``.
     config : path, str or mapping, optional
-        Read the experiment from a config or scene. The content of a config serves as well.
+        Read the experiment from a config or scene. In Python, it may also be the content of a config, as a mapping.
     overrides : sequence of str, optional
-        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign. An option of schemes is set for all
-        that have it. Applied after the ``changes``.
+        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign. An option of schemes, such as
+        ``scheme.branch``, is set for every scheme that has it. Overrides are applied after ``changes``.
     options : mapping, optional
-        Options for all schemes that have them.
+        Options of schemes by name, such as ``{"branch": "sign"}``. Each option is set for every scheme that has it.
     reference : {"taylor", "exact"}, optional
-        Take errors from taylor (series) or exact (closed form). The series is in double-double arithmetic.
+        Measure errors against a taylor series or the exact solution. The Taylor series is computed in double-double
+        arithmetic (32 digits), the exact solution from a closed form.
     watch : Watch, optional
         Observer of the study.
     **changes
@@ -51,17 +54,19 @@ def measure(
     Returns
     -------
     StudyReport
-        Figures of each entry. Errors are Euclidean norms of the difference of states from the reference, which
-        ``figures["reference"]`` names. ``series`` is a DataFrame of the compared times, and of ``error:<entry>`` and
-        ``swing:<entry>`` over them; ``plot(what="swing")`` draws the swings instead of the errors.
+        Report on all schemes in ``entries``. An error is the Euclidean norm of the difference between a state and the
+        reference state. ``figures`` is a dict of all measured data; its item ``"reference"`` describes the reference.
+        ``series`` is a DataFrame with the compared times and for each scheme the columns ``error:<entry>`` and
+        ``swing:<entry>``. The second is the component that shows the swings of the top, such as gamma1;
+        ``plot(what="swing")`` draws it instead of the errors.
 
     Raises
     ------
     ConfigError
-        If the config has a fault.
+        If the config is invalid.
     UsageError
-        For unknown schemes or options, for steps without common times, and for a closed form that the top does not
-        have.
+        If a scheme or an option is unknown, if the runs have no common times because of their step sizes, or if
+        ``reference="exact"`` is given for a top without a closed form.
 
     Examples
     --------
@@ -97,7 +102,7 @@ def measure(
         for entry in entries:
             if quoted(entry) in str(error) and is_config(entry):
                 command = f"topcli compare hk hybrid --config {entry}"
-                hint = f"{quoted(entry)} is a config, not a scheme; compare schemes on it with: {command}"
+                hint = f"{quoted(entry)} is a config, not a scheme; to compare schemes on it: {command}"
                 raise UsageError(hint) from error
         raise
 
@@ -122,8 +127,7 @@ def _title(data: Data) -> str:
     steps = f"h = {first['h']:g}, N = {first['N']}" if _same_step(data) else f"t from 0 to {first['N'] * first['h']:g}"
     title = f"{config['name']}: {top_title(config)}, {steps}"
     if _is_ensemble(data):
-        quantiles = "median, 10 % and 90 % quantiles of those that reached the end"
-        return f"{title}, {data['trajectories']} trajectories; {quantiles}"
+        return f"{title}, {counted(data['trajectories'], 'trajectory')}; medians of those that reached the end"
     return f"{title}, precision {config['precision']}" if "precision" in config else title
 
 
@@ -136,36 +140,39 @@ def _columns(data: Data) -> list[Column]:
 
 
 def _reversal_label(data: Data) -> str:
-    return "reversal defect" + (f" at h = {abs(data['schemes'][0]['h']):g}" if _same_step(data) else "")
+    return label("reversal_defect") + (f" at h = {abs(data['schemes'][0]['h']):g}" if _same_step(data) else "")
+
+
+def _swing_label(data: Data) -> str:
+    return label("first_swing_spacing", data["swing"] if _is_ensemble(data) else data["reference"]["swing"])
+
+
+def _order(scheme: Data, rational: bool) -> str | None:
+    """Order of the reversal defect, or its cause where it has none."""
+    defect, found = scheme["reversal_defect"], scheme["reversal_order"]
+    if found is not None or defect is None:
+        return None if found is None else f"{found:.2f}"
+    return "exact" if rational and defect == 0.0 else "round-off"
 
 
 def _single_columns(data: Data) -> list[Column]:
     from topcli.engine.precise_numbers import RATIONAL
 
     schemes, rational = data["schemes"], data["config"].get("precision") == RATIONAL
-    spacing = data["reference"]["swing_spacing"]
-    swing = f"spacing of {data['reference']['swing']} minima"
-    swing += "" if spacing is None else f" (reference {spacing:.4f})"
     closed = ", of a closed form per state" if any(scheme["closed_form"] for scheme in schemes) else ""
     set_up = "set-up, s" if any(scheme["setup_seconds"] is not None for scheme in schemes) else ""
-
-    def order(scheme: Data) -> str | None:
-        reversal = scheme["reversal"]
-        if reversal["order"] is not None or reversal["defect"] is None:
-            return None if reversal["order"] is None else f"{reversal['order']:.2f}"
-        return "exact" if rational and reversal["defect"] == 0.0 else "round-off"
 
     return [
         Column("outcome", "outcome"),
         Column("", "message"),
-        Column("max error", "max_error", number),
-        Column("error at the end", "end_error", number),
+        Column(label("max_error"), "max_error", number),
+        Column(label("final_error"), "final_error", number),
         *_invariant_columns(schemes),
         *_modified_columns(schemes),
-        Column(_reversal_label(data), "reversal.defect", number, "reversal_defect"),
-        Column("  its order in h", order),
-        Column("", "reversal.order", key="reversal_order"),
-        Column(swing, "swing_spacing", "{:.4f}".format),
+        Column(_reversal_label(data), "reversal_defect", number),
+        Column(label("reversal_order"), partial(_order, rational=rational)),
+        Column("", "reversal_order"),
+        Column(_swing_label(data), "first_swing_spacing", "{:.4f}".format),
         Column(f"ns per step{closed}", "nanoseconds_per_step", "{:.1f}".format),
         Column("compile or load, s", "compile_seconds", "{:.3f}".format, ""),
         Column(set_up, "setup_seconds", "{:.3f}".format, ""),
@@ -179,7 +186,7 @@ def _invariant_columns(schemes: Sequence[Data]) -> Iterator[Column]:
     for i, invariant in enumerate(schemes[0]["invariants"]):
         for figure in REPORT_COLUMNS:
             if figure.compared:
-                head, key = figure.compared.format(invariant["symbol"]), f"{invariant['name']}_{figure.of}"
+                head, key = figure.compared_head(invariant["symbol"]), f"{figure.of}.{invariant['name']}"
                 yield Column(head, f"invariants.{i}.{figure.of}", figure.show, key)
 
 
@@ -196,12 +203,16 @@ def _modified_columns(schemes: Sequence[Data]) -> Iterator[Column]:
             return next((row[key] for row in scheme["modified"] if row["name"] == name), None)
 
         yield Column(
-            f"{known['symbol']} max deviation", partial(of, key="max_deviation"), number, f"{name}_max_deviation"
+            label("max_deviation", known["symbol"]), partial(of, key="max_deviation"), number, f"max_deviation.{name}"
         )
-        yield from (Column("", partial(of, key=key), key=f"{name}_{key}") for key in ("drift", "drift_error"))
-        yield Column("  verdict", partial(of, key="verdict"), key=f"{name}_verdict")
+        yield from (Column("", partial(of, key=key), key=f"{key}.{name}") for key in ("drift", "drift_error"))
+        yield Column(f"verdict of {known['symbol']}", partial(of, key="verdict"), key=f"verdict.{name}")
         if "correction" in known:
-            yield Column(f"  less {known['correction']['of']}, at most", partial(of, key="correction"), correction)
+            yield Column(
+                f"{known['symbol']} less {known['correction']['of']}, at most",
+                partial(of, key="correction"),
+                correction,
+            )
 
 
 def _ensemble_columns(data: Data) -> Iterator[Column]:
@@ -211,13 +222,13 @@ def _ensemble_columns(data: Data) -> Iterator[Column]:
     yield Column("reached the end", "reached_end")
     for outcome in dict.fromkeys(name for scheme in schemes for name in scheme["outcomes"] if name != "completed"):
         yield Column(f"  {outcome.replace('_', ' ')}", lambda row, name=outcome: row["outcomes"].get(name, 0))
-    for name, label in _measure_labels(data).items():
+    for name, words in _measure_labels(data).items():
 
         def of(scheme: Data, key: str, name: str = name) -> Any:
             return scheme["measures"][name][key] if name in scheme["measures"] else None
 
-        show = partial(number, digits=6 if name.startswith("swing") else 3)
-        for quantile, head in (("median", f"{label}, median"), ("10 %", "  10 %"), ("90 %", "  90 %")):
+        show = partial(number, digits=6 if name.endswith("spacing") else 3)
+        for quantile, head in (("median", f"{words}, median"), ("10 %", "  10 %"), ("90 %", "  90 %")):
             yield Column(head, partial(of, key=quantile), show, f"{name}, {quantile}")
         counts = [(of(scheme, "count"), scheme["reached_end"]) for scheme in schemes]
         fewer = any(count is not None and count < reached for count, reached in counts)
@@ -228,18 +239,21 @@ def _ensemble_columns(data: Data) -> Iterator[Column]:
 def _measure_labels(data: Data) -> dict[str, str]:
     """Labels of all measures by name, in the order of the lines."""
     invariants = {row["name"]: row["symbol"] for scheme in data["schemes"] for row in scheme["invariants"]}
-    labels = {"error.max": "max error", "error.end": "error at the end"}
+    labels = {name: label(name) for name in ("max_error", "final_error")}
     for name, symbol in invariants.items():
-        labels[f"deviation.{name}"] = f"{symbol} max deviation"
-        labels[f"drift.{name}"] = f"{symbol} drift per unit time"
-    labels |= {"reversal": _reversal_label(data), "swing_spacing.first": f"spacing of {data['swing']} minima"}
+        labels |= {f"{key}.{name}": label(key, symbol) for key in ("max_deviation", "drift")}
+    labels |= {"reversal_defect": _reversal_label(data), "first_swing_spacing": _swing_label(data)}
     measured = {name for scheme in data["schemes"] for name in scheme["measures"]}
-    return {name: label for name, label in labels.items() if name in measured}
+    return {name: words for name, words in labels.items() if name in measured}
 
 
 def _reference_note(data: Data) -> str:
     reference = data["reference"]
-    return f"Errors are norms of the difference of states from the {reference['method']}." if reference else ""
+    if not reference:
+        return ""
+    spacing = reference.get("first_swing_spacing")
+    own = "" if spacing is None else f" The {_swing_label(data)} in the reference is {spacing:.4f}."
+    return f"Errors are norms of the difference of states from the reference, a {reference['method']}.{own}"
 
 
 TABLE = Table(
@@ -251,6 +265,96 @@ TABLE = Table(
     index="entry",
     across=Column("", _label),
 )
+
+
+def _value(scheme: Data, name: str) -> float | None:
+    """Figure of an entry, or its median over an ensemble."""
+    return scheme["measures"].get(name, {}).get("median") if "measures" in scheme else scheme[name]
+
+
+def _brief_columns(data: Data) -> list[Column]:
+    """Errors, reversal and swings, and the outcomes unless all runs completed."""
+    from topcli.engine.precise_numbers import RATIONAL
+
+    labels = {name: label(name) for name in ("max_error", "final_error", "reversal_defect")}
+    labels["first_swing_spacing"] = _swing_label(data)
+    columns = [Column(" ", _label)]
+    if not all(map(_completed, data["schemes"])):
+        columns.append(Column("reached the end", "reached_end") if _is_ensemble(data) else Column("outcome", "outcome"))
+    for name, head in labels.items():
+        show = partial(number, digits=6 if name.endswith("spacing") else 3)
+        if any(_value(scheme, name) is not None for scheme in data["schemes"]):
+            columns.append(Column(head, partial(_value, name=name), show))
+        if name == "reversal_defect" and not _is_ensemble(data):
+            order = partial(_order, rational=data["config"].get("precision") == RATIONAL)
+            columns.append(Column("its order in h", order))
+    return columns
+
+
+def _drift(scheme: Data, i: int) -> str | None:
+    """Drift of an invariant, significant or bounded; otherwise the verdict."""
+    from topcli.runs.report import drift_text
+
+    row = scheme["invariants"][i]
+    return drift_text(row, short=True) if row["verdict"] in ("drifting", "no drift seen") else row["verdict"]
+
+
+def _deviation(scheme: Data, i: int) -> str | None:
+    from topcli.runs.report import deviation_text
+
+    return deviation_text(scheme["invariants"][i])
+
+
+def _of_invariants(key: str, of_single: Callable[..., str | None]) -> Callable[[Data], list[Column]]:
+    """Columns for a figure of each invariant that all entries have; of an ensemble medians."""
+
+    def columns(data: Data) -> list[Column]:
+        if _is_ensemble(data):
+            first, *others = data["schemes"]
+            shared = [row for row in first["invariants"] if all(row in other["invariants"] for other in others)]
+            found = [Column(row["symbol"], partial(_value, name=f"{key}.{row['name']}"), number) for row in shared]
+        else:
+            rows = enumerate(data["schemes"][0]["invariants"])
+            found = [Column(row["symbol"], partial(of_single, i=i)) for i, row in rows]
+        return [Column(" ", _label), *found]
+
+    return columns
+
+
+def _kind(data: Data, single: str) -> str:
+    return "median over the trajectories" if _is_ensemble(data) else single
+
+
+BRIEF = (
+    Table("schemes", _brief_columns, title=_title, caption=_reference_note),
+    Table(
+        "schemes",
+        _of_invariants("max_deviation", _deviation),
+        title=lambda data: f"{label('max_deviation')}, {_kind(data, 'relative to the first value')}",
+    ),
+    Table(
+        "schemes",
+        _of_invariants("drift", _drift),
+        title=lambda data: f"{label('drift')}, {_kind(data, 'with 95 % bounds, or the verdict')}",
+    ),
+)
+"""Tables of a terminal without ``--verbose``: a line for each entry."""
+
+
+def printed(result: Result, verbose: bool) -> Iterator[Table | str]:
+    """Tables on a terminal: all figures with a column for each entry, or a few with a line for each."""
+    if verbose:
+        yield TABLE
+        return
+    from topcli.runs.report import open_lines
+
+    yield from BRIEF
+    yield from open_lines([(_label(scheme), row) for scheme in result.data["schemes"] for row in scheme["invariants"]])
+    timed = [scheme for scheme in result.data["schemes"] if scheme["nanoseconds_per_step"] is not None]
+    if timed:
+        speeds = (f"{_label(scheme)} {scheme['nanoseconds_per_step']:.1f}" for scheme in timed)
+        yield f"{label('nanoseconds_per_step')}: {', '.join(speeds)}"
+    yield "-v prints all values"
 
 
 def _completed(scheme: Data) -> bool:
@@ -269,8 +373,8 @@ def notes(data: Data) -> Iterator[str]:
     """Warnings about few rows, and about trajectories without a value."""
     if data.get("few_rows"):
         yield (
-            f"warning: the steps share {data['rows']} times, at which the errors are compared; "
-            "steps whose ratio is simple, such as 2 or 5, share more"
+            f"warning: the errors are compared at {counted(data['rows'], 'time')}, which all step sizes share; "
+            "step sizes with a simple ratio, such as 2 or 5, share more"
         )
     for scheme in data["schemes"]:
         for name, fault in scheme.get("faults", {}).items():
@@ -302,11 +406,12 @@ COMPARE = Study(
     measure,
     head,
     (TABLE,),
+    printed=printed,
     notes=notes,
     faults=faults,
     figure="topcli.figures.comparison:loaded_comparison",
     plotted="topcli.figures.comparison:comparison_curves",
-    draws="errors and swings over time",
+    draws="the errors and one component of the state over time",
     captions=lambda data: ("error of the state over time t", f"{data['reference']['swing']} over time t"),
     stem=lambda data: str(data["config"]["name"]),
     parts=cited_parts,

@@ -1,4 +1,4 @@
-"""Comparisons: one experiment or ensemble under several schemes, options or steps, against an independent reference."""
+"""Runs of one experiment or ensemble under several schemes, compared with an independent reference."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from topcli.analysis.order import probe_rows, reversal
 from topcli.analysis.reference import MAX_TAYLOR_STEPS, distances
-from topcli.analysis.swings import minima_times, swing_spacing
+from topcli.analysis.swings import first_swing_spacing, minima_times
 from topcli.analysis.tally import quantiles
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.ensemble import EnsembleExperiment, Group
@@ -88,19 +88,15 @@ def _figures(
         "counters": dict(trajectory.ending.counters),
         "declared_order": experiment.scheme.order_for(experiment.options),
         "max_error": float(error.max()),
-        "end_error": float(error[-1]) if reached_end else None,
+        "final_error": float(error[-1]) if reached_end else None,
         "invariants": [row.as_dict() for row in trajectory.invariant_rows()[: len(top.invariants())]],
         "modified": _modified_figures(experiment, trajectory),
-        "reversal": {
-            "h": back.h,
-            "defect": back.defect,
-            "order": back.order,
-            "sizes": list(back.sizes),
-            "defects": list(back.defects),
-        },
-        "swing_spacing": swing_spacing(trajectory.t, trajectory[top.swing]),
+        "reversal_defect": back.defect,
+        "reversal_order": back.order,
+        "reversal": {"h": back.h, "sizes": list(back.sizes), "defects": list(back.defects)},
+        "first_swing_spacing": first_swing_spacing(trajectory.t, trajectory[top.swing]),
         "swing_times": minima_times(trajectory.t, trajectory[top.swing]).tolist(),
-        "nanoseconds_per_step": nanoseconds,
+        "nanoseconds_per_step": nanoseconds if reached_end else None,  # of a few steps it says little
         "compile_seconds": trajectory.compile_seconds,
         "closed_form": isinstance(method, Sampler),
         "setup_seconds": trajectory.setup_seconds if isinstance(method, Sampler) and method.setup else None,
@@ -160,7 +156,7 @@ def compare_schemes(
                     "kind": reference,
                     "method": METHODS[reference],
                     "swing": top.swing,
-                    "swing_spacing": swing_spacing(times, finest_rows[:, swing]),
+                    "first_swing_spacing": first_swing_spacing(times, finest_rows[:, swing]),
                 },
                 "rows": len(t),
                 "few_rows": few_rows([run.entry for run in runs], experiment),
@@ -190,8 +186,10 @@ def _step_times(experiment: Experiment, runs: Sequence[_EntryRun]) -> list[float
     )
 
 
+ERRORS = ("max_error", "final_error")
+"""Measures that need a reference."""
 COMPARED_QUANTILES = {"10 %": 0.1, "median": 0.5, "90 %": 0.9}
-MEASURED = ("error.max", "error.end", "reversal", "swing_spacing.first")
+MEASURED = (*ERRORS, "reversal_defect", "first_swing_spacing")
 """Measures of every entry that they fit, beside deviation and drift of its invariants."""
 
 
@@ -286,7 +284,7 @@ class _Column:
         output = experiment.output.model_copy(update={"every": entry.stride})
         self.entry, self.experiment = entry, experiment.model_copy(update={"top": top, "output": output})
         self._reference = reference
-        self.measures = _measures(self.experiment, ("error",) if reference is None else ())
+        self.measures = _measures(self.experiment, ERRORS if reference is None else ())
         self._values: dict[str, list[Array]] = {measure.name: [] for measure in self.measures}
         self._faults: dict[str, list[tuple[int, str]]] = defaultdict(list)
         self._endings = EndingTally(self.experiment.N)
@@ -348,10 +346,10 @@ class _Column:
 def _measures(experiment: Experiment, without: Sequence[str]) -> tuple[Measure, ...]:
     """Measures of an entry: those of ``MEASURED`` that fit, and deviation and drift of each invariant.
 
-    Those whose names begin with a word of ``without`` are left out.
+    Those named in ``without`` are left out.
     """
     top, scheme, options = experiment.top, experiment.scheme, experiment.options
     fitting = names_of(top, scheme, options)
-    names = [name for name in MEASURED if name in fitting and name.partition(".")[0] not in without]
-    names += [name for name in fitting if name.partition(".")[0] in ("deviation", "drift")]
+    names = [name for name in MEASURED if name in fitting and name not in without]
+    names += [name for name in fitting if name.partition(".")[0] in ("max_deviation", "drift")]
     return resolve_measures(names, top, scheme, options)

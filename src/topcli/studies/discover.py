@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from topcli.errors import UsageError
+from topcli.errors import UsageError, counted
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Data, Flag, Head, Result, Study
 from topcli.table import Column, Table, ten_digits, two_digits
@@ -17,41 +17,42 @@ TOLERANCE = 1e-11
 def measure(
     *runs: Annotated[str | Path, Flag("", "RUN", required=True)],
     degree: Annotated[int, Flag("--degree", "D", least=1)] = 2,
-    columns: Annotated[Sequence[str], Flag("--columns", "NAME,...")] = (),
+    columns: Annotated[Sequence[str], Flag("--component", "NAME", default="all")] = (),
     tolerance: Annotated[float, Flag("--tolerance", "X")] = TOLERANCE,
     watch: Watch = SILENT,
 ) -> Result:
     """Find polynomials that stay constant along orbits.
 
-    Of the monomials up to the degree, the null space is found by singular values: those below the tolerance, relative
-    to the largest, if a gap of at least 1e4 separates them from the others. What follows from constants of a lower
-    degree is not listed again.
+    The study computes the singular values of a matrix with a column for each monomial and a row for each recorded
+    state. Singular values count as zero if they are below the tolerance, relative to the largest one, and separated
+    from the others by a gap of at least a factor 1e4. Each singular value that counts as zero gives a polynomial that
+    is constant along the orbits. Polynomials that follow from constants of a lower degree are not listed.
 
     Parameters
     ----------
     *runs : path or str
-        Folders of runs; CSV or Parquet files.
+        Orbits, as folders or names of runs, or CSV or Parquet files.
     degree : int, optional
-        Try polynomials up to this degree.
+        Search for polynomials up to this degree.
     columns : sequence of str, optional
-        Use these components only; by default all.
+        Components of the state that the polynomials may contain; by default all.
     tolerance : float, optional
-        Largest singular value of a constant.
+        Take singular values below this fraction of the largest as zero.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
     StudyReport
-        ``table`` has a row for each polynomial, ``levels`` one for each degree, with the singular values on both sides
-        of the gap.
+        Report on the polynomials. ``table`` has a row for each polynomial. ``levels`` has a row for each degree, with
+        the largest singular value that counts as zero and the smallest other one.
 
     Raises
     ------
     UsageError
-        For what is no run or series, unknown components, and too few rows.
+        If an argument is neither a run nor a series, if a component is unknown, or if there are too few rows.
     RunError
-        For a damaged run.
+        If the files of a run are damaged.
 
     Examples
     --------
@@ -75,7 +76,7 @@ def measure(
 def _subject(data: Data) -> str:
     count = len(data["sources"])
     where = data["sources"][0] if count == 1 else f"{count} orbits"
-    return f"{where}: {data['rows']} rows, degree {data['degree']}"
+    return f"{where}: {counted(data['rows'], 'row')}, degree {data['degree']}"
 
 
 LEVELS = Table(
@@ -91,7 +92,7 @@ LEVELS = Table(
     ),
     name="levels",
     heading="Singular values",
-    title=_subject,
+    title="null spaces by degree",
     index="degree",
 )
 CONSTANTS = Table(
@@ -103,7 +104,7 @@ CONSTANTS = Table(
         Column("", "degree"),
     ),
     heading="Constants",
-    title="polynomials that are constant",
+    title=_subject,
     index="polynomial",
 )
 
@@ -113,22 +114,35 @@ def head(data: Data) -> Head:
     return Head("Constants of orbits", _subject(data), f"{len(data['constants'])} found")
 
 
-def printed(result: Result) -> Iterator[Table]:
-    """Tables that are not empty."""
+def answer(data: Data) -> str:
+    """Number of constants found, and where."""
+    count, orbits = len(data["constants"]), len(data["sources"])
+    where = "on this orbit" if orbits == 1 else f"on each of {orbits} orbits"
+    if not count:
+        return f"no polynomial up to degree {data['degree']} is constant {where}, within {data['tolerance']:g}"
+    found, value = counted(count, "independent polynomial"), "its value" if count == 1 else "the values"
+    differs = "" if orbits == 1 else f"; {value} may differ from orbit to orbit"
+    return f"{found} up to degree {data['degree']} {'is' if count == 1 else 'are'} constant {where}{differs}"
+
+
+def printed(result: Result, verbose: bool) -> Iterator[Table | str]:
+    """Answer, and tables that are not empty; the singular values without a constant, or if ``verbose``."""
+    yield answer(result.data)
     if result.data["constants"]:
         yield CONSTANTS
-    yield LEVELS
+    if verbose or not result.data["constants"]:
+        yield LEVELS
 
 
 def notes(data: Data) -> Iterator[str]:
-    """Meaning of the constants."""
-    if not data["constants"]:
-        yield f"no polynomial up to degree {data['degree']} is constant within the tolerance {data['tolerance']:g}"
-    elif len(data["sources"]) == 1:
-        yield "constant on this orbit; on others the coefficients may differ: give several runs to see"
-    else:
-        count = len(data["sources"])
-        yield f"constant on each of {count} orbits, with a value of its own; give runs until none drops out"
+    """Note on the use of more orbits."""
+    if data["constants"]:
+        alone = len(data["sources"]) == 1
+        yield (
+            "the coefficients may differ on other orbits; give several runs to test this"
+            if alone
+            else "a polynomial may be constant by chance; add runs until no polynomial drops out"
+        )
 
 
 DISCOVER = Study(
@@ -136,8 +150,10 @@ DISCOVER = Study(
     measure,
     head,
     (CONSTANTS, LEVELS),
+    answer=answer,
     printed=printed,
     notes=notes,
     stem=lambda data: "discover",
+    parts=lambda data: [(top, scheme) for top, scheme in data.get("parts", ())],
     unit="orbits",
 )

@@ -1,4 +1,4 @@
-"""Orbits of stored runs and of files of other programs, and the constants found on them."""
+"""Orbits from stored runs and from files of other programs, and the constants found on them."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ MOST_MONOMIALS = 500
 DIGITS = 6
 """Digits of the coefficients that are shown."""
 TIMES = ("n", "t")
-"""Columns that are no components."""
+"""Columns that are not components."""
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """States (rows, d) of a run or series, with the names of the components."""
+    """States (rows, d) of a run or series, with the names of the components, and top and scheme of a run."""
 
     source: str
     names: tuple[str, ...]
     states: Floats
+    parts: tuple[tuple[str, str], ...] = ()
 
 
 def read_orbit(source: str | Path, columns: Sequence[str]) -> Orbit:
@@ -44,6 +45,7 @@ def read_orbit(source: str | Path, columns: Sequence[str]) -> Orbit:
     Raises UsageError for what is neither and for unknown columns, and RunError for a damaged run.
     """
     path = Path(source)
+    parts: tuple[tuple[str, str], ...] = ()
     if path.is_file():
         series = ForeignSeries(path)
         known = [name for name in series.names if name not in TIMES]
@@ -57,21 +59,22 @@ def read_orbit(source: str | Path, columns: Sequence[str]) -> Orbit:
         top = declared_class(config["top"]) or top_class(config["top"]["kind"], config["initial"])
         names = _chosen(columns, top.components, str(path))
         found = read_series(run.series, names)
+        parts = ((top.form, config["scheme"]["name"]),)
     states = np.column_stack([found[name].astype(float) for name in names])
     if not np.isfinite(states).all():
         raise UsageError(f"{path}: row {int(np.argmin(np.isfinite(states).all(axis=1))) + 1} is not finite")
     if not np.ptp(states, axis=0).any():
         raise UsageError(f"{path}: the state is the same in all rows, so that every polynomial is constant")
-    return Orbit(str(path), tuple(names), states[:: -(-len(states) // MOST_ROWS)])
+    return Orbit(str(path), tuple(names), states[:: -(-len(states) // MOST_ROWS)], parts)
 
 
 def _chosen(columns: Sequence[str], known: Sequence[str], where: str) -> list[str]:
     wanted = [name.strip() for text in columns for name in text.split(",") if name.strip()]
     for name in wanted:
         if name not in known:
-            raise UsageError(f"--columns {name}: {where} has no component {quoted(name)}; {nearest(name, known)}")
+            raise UsageError(f"--component {name}: {where} has no component {quoted(name)}; {nearest(name, known)}")
         if wanted.count(name) > 1:
-            raise UsageError(f"--columns {name}: given twice")
+            raise UsageError(f"--component {name}: given twice")
     return wanted or list(known)
 
 
@@ -83,7 +86,7 @@ def require_enough(orbits: Sequence[Orbit], degree: int) -> None:
     if monomials > MOST_MONOMIALS:
         raise UsageError(
             f"--degree {degree}: {d} components have {monomials} monomials, and at most {MOST_MONOMIALS} are tried; "
-            "lower the degree, or choose components with --columns"
+            "lower the degree, or choose components with --component"
         )
     for orbit in orbits:
         if orbit.names != first.names:
@@ -104,6 +107,7 @@ def discover_study(orbits: Sequence[Orbit], degree: int, tolerance: float) -> di
     levels = constants([orbit.states for orbit in orbits], degree, tolerance)
     return {
         "sources": [orbit.source for orbit in orbits],
+        "parts": [list(part) for orbit in orbits for part in orbit.parts],
         "columns": list(names),
         "rows": sum(len(orbit.states) for orbit in orbits),
         "degree": degree,

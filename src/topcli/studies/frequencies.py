@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from topcli.errors import ExitCode
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Data, Faults, Flag, Head, Overrides, Result, Study, parts_of, top_title
-from topcli.table import Column, Table
+from topcli.table import Column, Table, number, two_digits
 
 if TYPE_CHECKING:
     from topcli.contracts import Array
@@ -23,24 +23,26 @@ RESOLUTION = 70
 
 def measure(
     config: Annotated[str | Path, Flag("", "CONFIG")],
-    component: Annotated[Sequence[str], Flag("--component", "NAME")] = (),
+    component: Annotated[Sequence[str], Flag("--component", "NAME", default="all components and quantities")] = (),
     angle: Annotated[Sequence[str], Flag("--angle", "X,Y")] = (),
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
-    """Measure frequencies of an orbit; test averages for chaos.
+    """Measure the frequencies of an orbit and detect chaos.
 
-    Find the strongest line in the spectrum of each column of the rows that a config records. The two halves of a
-    regular orbit have the same frequencies, and averages that agree to many digits.
+    The study finds the strongest line in the spectrum of each recorded column, in the first and in the second half of
+    the orbit. For a regular orbit, the frequencies of the two halves are equal, and averages over the two halves agree
+    to many digits. For a chaotic orbit, frequencies and averages differ between the halves.
 
     Parameters
     ----------
     config : path or str
         Config file or name of a packaged scene.
     component : sequence of str, optional
-        Measure a component, invariant or quantity of the config; by default, all components and quantities.
+        Components, invariants or quantities (formulas in ``output.quantities`` of the config) to measure; by default,
+        all components and quantities.
     angle : sequence of str, optional
-        Measure the mean rotation of the point (X, Y) of two columns about the origin.
+        Measure how fast the point with two columns as coordinates (X, Y) turns about the origin.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
@@ -49,12 +51,12 @@ def measure(
     Returns
     -------
     StudyReport
-        ``table`` has a row for each column and each angle.
+        Report with a ``table`` that has a row for each measured column and each ``angle``.
 
     Raises
     ------
     UsageError
-        For an unknown column, and for too few or too many rows.
+        If a column is unknown, or if the run has too few rows for a frequency or too many for the memory.
 
     Examples
     --------
@@ -165,8 +167,8 @@ TABLE = Table(
         Column("column", "name", key="column"),
         Column("frequency", "frequency", "{:.12g}".format),
         Column("period", _period, "{:.6g}".format),
-        Column("amplitude", "amplitude", "{:.3g}".format),
-        Column("change", "change", "{:.1e}".format),
+        Column("amplitude", "amplitude", number),
+        Column("change", "change", two_digits),
         Column("digits", "digits", "{:.1f}".format),
     ),
     heading="Frequencies",
@@ -176,17 +178,30 @@ TABLE = Table(
 )
 
 
+def answer(data: Data) -> str:
+    """Agreement of the halves of the orbit."""
+    known = [row for row in data["columns"] if row["change"] is not None and row["digits"] is not None]
+    if not (data["completed"] and known):
+        return ""
+    most, least = max(known, key=lambda row: abs(row["change"])), min(row["digits"] for row in known)
+    return (
+        "from the first half of the orbit to the second, no frequency changes by more than "
+        f"{two_digits(abs(most['change']))} ({most['name']}); averages over the halves agree to at least {least:.1f} "
+        "digits"
+    )
+
+
 def notes(data: Data) -> Iterator[str]:
     """Meaning of the columns, and the limits of the rows."""
     if not data["completed"]:
         return
     yield (
-        "frequency: strongest line, in cycles per unit time; change: that of the second half of the orbit minus that "
-        "of the first; digits to which the averages over the halves agree"
+        "frequency: strongest line of the spectrum, in cycles per unit time; change: frequency of the second half of "
+        "the orbit minus that of the first; digits: number of digits to which the averages over the halves agree"
     )
     yield (
-        f"{data['rows']} rows over T = {data['T']:g}: lines above {data['highest']:g} appear as lower ones, and lines "
-        f"closer than about {RESOLUTION / abs(data['T']):.2g} disturb each other"
+        f"limits of {data['rows']} rows over T = {data['T']:g}: a frequency above {data['highest']:g} appears as a "
+        f"lower one, and two lines closer than about {RESOLUTION / abs(data['T']):.2g} disturb each other"
     )
 
 
@@ -207,6 +222,7 @@ FREQUENCIES = Study(
     measure,
     head,
     (TABLE,),
+    answer=answer,
     notes=notes,
     faults=faults,
     stem=lambda data: f"{data['config']['scheme']['name']}_{data['config']['name']}",

@@ -1,4 +1,4 @@
-"""Checks of everything that ``topcli verify`` names, and the diagnosis of the installation by ``topcli doctor``.
+"""Checks behind ``topcli verify``, and the diagnosis of the installation by ``topcli doctor``.
 
 Stored results are runs, ensembles, sweeps with their series, and studies. The diagnosis has versions, CPU, threads,
 the cache of compiled code, and plugins.
@@ -21,6 +21,7 @@ from topcli.store.provenance import environment, installed
 from topcli.store.verify import CheckedFile, CheckedRun, check_run
 from topcli.sweeps.journal import JOURNAL, damaged_lines
 from topcli.sweeps.run import SERIES, is_sweep
+from topcli.sweeps.sweep_list import missing_result
 
 
 def _unfinished_sweep(folder: Path) -> CheckedRun:
@@ -70,7 +71,7 @@ def check_all(name: str, out: Path) -> list[CheckedRun]:
     except OSError as error:
         raise UsageError(f"{name[:400]}: cannot be read ({error.strerror})") from None
     if not checked:
-        raise UsageError(f"{name[:400]}: no run folder, and no run of this name in {out}; topcli list runs names them")
+        raise missing_result(name, out)
     return checked
 
 

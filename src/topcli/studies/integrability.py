@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Annotated
 
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import ConfigSource, Data, Flag, Head, Overrides, Result, Study
+from topcli.studies.study import Config, Data, Flag, Head, Overrides, Result, Study, config_flag
 from topcli.table import Column, Table
 
 
 def measure(
     top: Annotated[str, Flag("", "TOP")],
-    scheme: Annotated[str, Flag("", "[SCHEME]")] = "hk",
-    config: ConfigSource = None,
+    scheme: Annotated[str, Flag("", "SCHEME")] = "hk",
+    config: Annotated[Config, config_flag("the default parameters of the top, h = 0.3")] = None,
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
     """Collect evidence on the integrability of a scheme's map.
 
-    The step is taken modulo a prime, on random states: degrees of its iterates along a line and their recurrence,
-    independent integrals from HK bases, and invariant densities; and in rational numbers: the growth of their length.
-    Its formula must be rational: schemes with roots, with iterations and with decisions on the state are refused.
+    The study iterates the map from random states. In arithmetic modulo a prime, it measures the growth of the degrees
+    of the iterates and searches for independent integrals (from Hirota-Kimura bases) and for invariant densities. With
+    exact fractions, it measures how fast the number of digits of the state grows. The step must be a rational function
+    of the state: schemes with roots, iterations or decisions that depend on the state are refused.
 
     Parameters
     ----------
     top : str
-        Name of a top; "custom" with a config.
+        Name of a top, or "custom" for the top that a config defines.
     scheme : str, optional
         Name of a scheme.
     config : path, str or mapping, optional
-        Take top and step size from a config; by default, default parameters and h = 0.3.
+        Config that gives the parameters of the top and the step size; without it, the default parameters and h = 0.3
+        are used.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
@@ -39,13 +40,14 @@ def measure(
     Returns
     -------
     StudyReport
-        ``table`` has a row for each test: what it found, what that means, and its seconds. ``study["degrees"]``,
-        ``study["growth"]`` and ``study["verdict"]`` are plain data.
+        Report on the evidence. ``table`` has a row for each test, with the result, its meaning, and the time in
+        seconds. ``study["degrees"]`` contains the degrees of the iterates, ``study["growth"]`` the law of their growth,
+        and ``study["verdict"]`` the conclusion.
 
     Raises
     ------
     UsageError
-        For an unknown top or scheme, and for a step that is no rational function of the state.
+        If the top or scheme is unknown, or if the step is not a rational function of the state.
 
     Examples
     --------
@@ -85,10 +87,9 @@ def head(data: Data) -> Head:
     return Head("Integrability", _subject(data), data["verdict"])
 
 
-def notes(data: Data) -> Iterator[str]:
+def answer(data: Data) -> str:
     """The verdict with its reason, and what it is worth."""
-    yield f"{data['verdict']}: {data['why']}"
-    yield "computed evidence for these parameters, not a proof"
+    return f"{data['verdict']}: {data['why']}; this is computed evidence for these parameters, not a proof"
 
 
 INTEGRABILITY = Study(
@@ -96,7 +97,7 @@ INTEGRABILITY = Study(
     measure,
     head,
     (EVIDENCE,),
-    notes=notes,
+    answer=answer,
     stem=lambda data: f"{data['scheme']}_{data['top']}",
     parts=lambda data: [(data["top"], data["scheme"])],
     unit="tests",

@@ -29,7 +29,7 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.engine.precise_numbers import Rationals
 from topcli.engine.residues import Modular, RationalMap, rational_map
-from topcli.errors import RunError, UsageError, quoted, shortened
+from topcli.errors import RunError, UsageError, counted, quoted, shortened
 from topcli.field.polynomial import Polynomial, decimal
 from topcli.schemes.registry import names_for
 from topcli.studies.stress.cases import GENERIC
@@ -97,17 +97,17 @@ def needed_integrals(d: int) -> int:
 
 def verdict_of(growth: DegreeGrowth, repeated: bool, integrals: int, d: int) -> tuple[str, str]:
     """Verdict on a map, and the reason."""
-    needed = needed_integrals(d)
+    needed, found = needed_integrals(d), counted(integrals, "independent integral")
     if not growth.law:
-        return UNDECIDED, "no law of the growth of the degrees is found"
+        return UNDECIDED, "no law for the growth of the degrees was found"
     if not repeated:
-        return UNDECIDED, "the degrees along another line, with another h, differ"
+        return UNDECIDED, "the degrees along another line with another h are different"
     if growth.law == EXPONENTIAL:
-        known = "" if growth.characteristic else ", and so do heights, although no recurrence is found"
-        return NOT_INTEGRABLE, f"the degrees grow exponentially{known}: the algebraic entropy is positive"
+        known = "" if growth.characteristic else "; the heights agree, although no recurrence was found"
+        return NOT_INTEGRABLE, f"the degrees grow exponentially, so the algebraic entropy is positive{known}"
     if integrals >= needed:
-        return INTEGRABLE, f"the degrees grow polynomially; independent integrals: {integrals}, needed: {needed}"
-    return UNDECIDED, f"the degrees grow polynomially, but independent integrals: {integrals}, needed: {needed}"
+        return INTEGRABLE, f"the degrees grow polynomially, with {found} ({needed} needed)"
+    return UNDECIDED, f"the degrees grow polynomially, but with only {found} ({needed} needed)"
 
 
 def growth_text(growth: DegreeGrowth) -> str:
@@ -170,8 +170,11 @@ def integrability_study(experiment: Experiment, on_progress: Callable[[int, int]
     listed = "; ".join(f"degree {basis.degree}: null space {basis.null} of {basis.monomials}" for basis in bases)
     rows = {
         "degrees": (_listed(found), growth_text(growth)),
-        "repeated": ("the same" if _agree(again, found) else _listed(again), f"another line, and h = {h + OTHER_H}"),
-        "heights": (f"{bits[-1]} bits after {len(bits) - 1} steps", _fit_text(fit)),
+        "repeated": (
+            "the same" if _agree(again, found) else _listed(again),
+            f"along another line, with h = {h + OTHER_H}",
+        ),
+        "heights": (f"{bits[-1]} bits after {counted(len(bits) - 1, 'step')}", _fit_text(fit)),
         "HK bases": (f"independent integrals: {integrals}", listed),
         "density": _density_text(measure, d, most, top.components),
     }
@@ -214,9 +217,9 @@ def _agree(one: list[int], other: list[int]) -> bool:
 
 def _density_text(found: Density | None, d: int, most: int, names: tuple[str, ...]) -> tuple[str, str]:
     if found is None:
-        return "none", f"no P up to degree {most}"
+        return "none", f"no polynomial P up to degree {most}"
     polynomials, count = found.polynomials(d), len(found.basis)
-    shown = f"{count} independent P" if count > 1 else "one P"
+    shown = f"{count} independent polynomials P" if count > 1 else "one polynomial P"
     if count == 1 and polynomials and len(polynomials[0].terms) <= SHOWN_TERMS:
         shown = f"P = {polynomials[0].text(names)}"
-    return f"degree {found.degree}", f"dx/P with {shown}"
+    return f"degree {found.degree}", f"measure dx/P with {shown}"

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated
 
 from topcli.errors import ExitCode
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import (
-    ConfigFile,
     Data,
     Faults,
     Flag,
     Head,
     Overrides,
     Result,
-    SchemeNames,
     Study,
+    config_flag,
     parts_of,
+    scheme_names,
     top_title,
 )
 from topcli.table import Column, Table, number
@@ -25,24 +26,25 @@ from topcli.table import Column, Table, number
 
 def measure(
     top: Annotated[str, Flag("", "TOP")],
-    *schemes: SchemeNames,
-    config: ConfigFile = None,
+    *schemes: Annotated[str, scheme_names("all except adaptive ones")],
+    config: Annotated[str | Path | None, config_flag("a generic state")] = None,
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
-    """Check the Lax forms of a top and the spectrum of L.
+    """Check Lax forms (pairs L, M) of a top and the spectrum of L.
 
-    Test dL/dt = [M, L] along the motion, and measure the drift of the spectrum of L under each scheme; for the
-    Kowalevski top, also the discrete Lax pair L' U = U L.
+    A Lax form is a pair of matrices L and M that depend on the state. The study tests the Lax equation dL/dt = [M, L]
+    along the motion and measures the drift of the spectrum of L under each scheme. For the Kowalevski top, it also
+    tests the discrete Lax pair L' U = U L, where L' is L after a step and U another matrix.
 
     Parameters
     ----------
     top : str
         Name of a top.
     *schemes : str
-        Names of schemes; all except adaptive ones by default.
+        Names of schemes. By default, all schemes of the top except adaptive ones.
     config : path or str, optional
-        Read the experiment from a config; by default, a generic state.
+        Config of the experiment; by default, a generic initial state with h = 0.01 and N = 5000.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
@@ -51,12 +53,13 @@ def measure(
     Returns
     -------
     StudyReport
-        ``table`` has a row for each Lax form, ``drifts`` one for the exact flow and each scheme.
+        Report with two tables. ``table`` has a row for each Lax form. ``drifts`` has a row for the exact flow and one
+        for each scheme, with the drifts of the spectrum of L.
 
     Raises
     ------
     UsageError
-        For an unknown top or scheme, and for a config of another top.
+        If the top or a scheme is unknown, or if the config is for another top.
 
     Examples
     --------
@@ -108,8 +111,9 @@ FORMS = Table(
 def _drift_columns(data: Data) -> list[Column]:
     columns = [Column(" ", "scheme")]
     for i, form in enumerate(data["forms"]):
-        for head, key in ((form["traces"], "drift"), ("eigenvalues", "eigenvalue_shift")):
-            columns.append(Column(f"{form['form']}: {head}", f"forms.{i}.{key}", number, f"{form['form']}_{key}"))
+        for head, key, detail in ((form["traces"], "drift", False), ("eigenvalues", "eigenvalue_shift", True)):
+            name = f"{form['form']}_{key}"
+            columns.append(Column(f"{form['form']}: {head}", f"forms.{i}.{key}", number, name, detail))
     discrete = "L'U - UL" if _discrete(data) else ""
     return [*columns, Column(discrete, "discrete_lax_defect", number)]
 
@@ -134,8 +138,21 @@ def head(data: Data) -> Head:
     return Head("Lax forms", _subject(data), f"{failed} failed" if failed else "measured", not failed)
 
 
+def answer(data: Data) -> str:
+    """Forms that are Lax pairs, and the schemes that keep their spectrum best and worst."""
+    parts = []
+    for i, form in enumerate(data["forms"]):
+        if form["lax_pair"]:
+            drifts = [(run["forms"][i]["drift"], run["scheme"]) for run in data["runs"][1:]]
+            known = sorted((drift, name) for drift, name in drifts if drift is not None)
+            ends = " to ".join(f"{number(drift)} ({name})" for drift, name in dict.fromkeys(known[:1] + known[-1:]))
+            drifting = f"; under the schemes its {form['traces']} drift by {ends}" if ends else ""
+            parts.append(f"{form['form']} is a Lax pair{drifting}")
+    return "; ".join(parts)
+
+
 def notes(data: Data) -> Iterator[str]:
-    """Meaning of the discrete Lax pair, and the reason why a form is no Lax pair."""
+    """Meaning of the discrete Lax pair, and the reason why a form is not a Lax pair."""
     if _discrete(data):
         yield "L'U - UL: defect of the discrete Lax pair of backlund, over the first steps of a run"
     for form in data["forms"]:
@@ -154,6 +171,7 @@ LAX = Study(
     measure,
     head,
     (FORMS, DRIFTS),
+    answer=answer,
     notes=notes,
     faults=faults,
     parts=lambda data: parts_of(data["config"], [run["scheme"] for run in data["runs"][1:]]),

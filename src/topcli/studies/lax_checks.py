@@ -49,9 +49,9 @@ DEFECT_FLOOR = 1e-13
 INITIAL = {"omega": (0.7, -0.4, 1.3), "gamma": (0.6, 0.48, 0.64)}
 """Default initial state, in general position."""
 NO_PAIR = (
-    "dL/dt = [M, L] holds for every top, integrable or not: it is a rewriting of the Euler-Poisson equations, and what "
-    "conjugation keeps are the block traces of L^k, of the diagonal and of the upper 3x3 block, which carry γ² and m·γ "
-    "alone, neither the energy nor a fourth integral; the trace tr L^k of the 6x6 matrix carries γ² alone"
+    "dL/dt = [M, L] holds for every top, integrable or not: it is another form of the Euler-Poisson equations. "
+    "Conjugation conserves the block traces of L^k, of the diagonal and of the upper 3x3 block. They contain only γ² "
+    "and m·γ, neither the energy nor a fourth integral; the trace tr L^k of the 6x6 matrix contains γ² alone"
 )
 
 

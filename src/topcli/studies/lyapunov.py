@@ -1,9 +1,8 @@
-"""``topcli lyapunov``: Lyapunov exponents of a scheme along an orbit, and whether the orbit is regular or chaotic."""
+"""``topcli lyapunov``: measure the Lyapunov exponents of an orbit, and decide whether it is regular or chaotic."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,10 +21,11 @@ def measure(
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
-    """Measure Lyapunov exponents; tell regular from chaotic.
+    """Measure Lyapunov exponents and detect chaos.
 
-    Follow a tangent vector along the orbit of a config, by the tangent map of its scheme, and judge its growth. With
-    several vectors the whole spectrum is measured.
+    The study follows a tangent vector along the orbit of a config with the tangent map (the derivative of a step) of
+    the scheme. The growth of this vector decides whether the orbit is regular or chaotic. With --spectrum, the study
+    follows as many tangent vectors as the state has components.
 
     Parameters
     ----------
@@ -41,12 +41,13 @@ def measure(
     Returns
     -------
     StudyReport
-        ``table`` has a row for each exponent; ``series`` the finite-time exponents over t.
+        Report on the exponents. ``table`` has a row for each exponent. ``series`` contains the finite-time exponents as
+        functions of t. ``study["verdict"]`` is ``"regular"``, ``"chaotic"`` or ``"undecided"``.
 
     Raises
     ------
     UsageError
-        For a scheme without a tangent map, and for too few steps.
+        If the scheme has no tangent map, or if the number of steps is too small.
 
     Examples
     --------
@@ -132,21 +133,26 @@ TABLE = Table(
 )
 
 
-def notes(data: Data) -> Iterator[str]:
+def answer(data: Data) -> str:
     """The verdict, and what it rests on."""
     T, detectable = data["T"], data["detectable"]
     if data["verdict"] == "regular":
-        yield (
-            f"regular: the tangent vector grew by exp({data['growth']:.1f}) over T = {T:g}, in proportion to t; "
-            f"a chaotic orbit with an exponent above {detectable:.2g} would have shown"
+        return (
+            f"regular: the tangent vector grew in proportion to t, by a factor exp({data['growth']:.1f}) over "
+            f"T = {T:g}; the run would have detected an exponent above {detectable:.2g}"
         )
-    elif data["verdict"] == "chaotic":
-        yield (
-            f"chaotic: the exponent is {data['exponents'][0] / data['regular_exponent']:.1f} times that of a regular "
-            f"orbit of the same length, ln(t)/t = {data['regular_exponent']:.2g}"
+    if data["verdict"] == "chaotic":
+        return (
+            f"chaotic: the largest exponent is {_with_error(_rows(data)[0])} per unit of time, "
+            f"{data['exponents'][0] / data['regular_exponent']:.1f} times the value ln(t)/t = "
+            f"{data['regular_exponent']:.2g} of a regular orbit of the same length"
         )
-    elif data["verdict"] == "undecided":
-        yield f"undecided: the growth exp({data['growth']:.1f}) over T = {T:g} fits both; run longer, e.g. 10 times N"
+    if data["verdict"] == "undecided":
+        return (
+            f"undecided: the tangent vector grew by a factor exp({data['growth']:.1f}) over T = {T:g}, as on a regular "
+            "or a weakly chaotic orbit; run longer, e.g. 10 times N"
+        )
+    return ""
 
 
 def head(data: Data) -> Head:
@@ -160,7 +166,8 @@ def faults(data: Data) -> Faults:
         return Faults()
     steps = data["completed_steps"]
     return Faults(
-        ExitCode.FAILED, [f"the orbit broke off after {steps} steps or soon after: it blew up or did not converge"]
+        ExitCode.FAILED,
+        [f"the orbit broke off at or soon after step {steps}: it blew up, or a step did not converge"],
     )
 
 
@@ -169,7 +176,7 @@ LYAPUNOV = Study(
     measure,
     head,
     (TABLE,),
-    notes=notes,
+    answer=answer,
     faults=faults,
     figure="topcli.figures.chaos:loaded_lyapunov",
     draws="the finite-time exponents over t",

@@ -1,4 +1,4 @@
-"""``topcli order``: errors over a ladder of step sizes, observed orders of convergence, the plateau of round-off."""
+"""``topcli order``: measure errors over several step sizes, observed orders of convergence, and round-off."""
 
 from __future__ import annotations
 
@@ -12,30 +12,34 @@ from topcli.errors import ExitCode, UsageError, quoted, shortened
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import (
     LADDER_STEPS,
-    ConfigSource,
+    Config,
     Data,
     Faults,
     Flag,
     Head,
     Overrides,
     Result,
-    SchemeNames,
     Study,
-    TopName,
     cited_parts,
+    config_flag,
+    scheme_names,
+    top_flag,
 )
 from topcli.table import EVERY, Column, Table, two_digits
 
+AS_DECLARED = "as declared"
 FALSE = ("too low", "inconsistent")
 """Verdicts on a scheme whose declared order is false."""
 FILE = Path("order") / "order.json"
 
 
-def _sizes(texts: Sequence[str]) -> list[float]:
-    """Step sizes of the options ``--h``. Raises UsageError."""
+def _sizes(texts: Sequence[str], option: str = "--h") -> list[float]:
+    """Numbers of an option, step sizes of ``--h``. Raises UsageError."""
     try:
         return [float(text) for text in texts]
     except ValueError:
+        if option != "--h":
+            raise UsageError(f"{option}={shortened(texts[0])}: must be a number") from None
         given = [part.strip() for text in texts for part in text.split(",")]
         right = " ".join(f"--h {part}" for part in given)
         known = all(re.fullmatch(r"[-+.\deE]+", part) for part in given)
@@ -45,54 +49,74 @@ def _sizes(texts: Sequence[str]) -> list[float]:
         ) from None
 
 
+def _settings(
+    overrides: Sequence[str], sizes: Sequence[float], duration: float | None, config: Config
+) -> tuple[Sequence[str], Sequence[float], float | None]:
+    """Overrides without h, and without T if there is no config; step sizes and duration with these."""
+    rest = []
+    for text in overrides:
+        key, _, value = (part.strip() for part in text.partition("="))
+        if key == "h":
+            sizes = [*sizes, *_sizes([value])]
+        elif key == "T" and config is None and duration is None:
+            duration = _sizes([value], "--set T")[0]
+        else:
+            rest.append(text)
+    return rest, sizes, duration
+
+
 def measure(
-    *schemes: SchemeNames,
-    top: TopName = None,
-    config: ConfigSource = None,
+    *schemes: Annotated[str, scheme_names("six common schemes; with --top or --config, all that fit the top")],
+    top: Annotated[str | None, top_flag("the top of the schemes")] = None,
+    config: Annotated[Config, config_flag("a packaged scene")] = None,
     overrides: Overrides = (),
-    sizes: Annotated[Sequence[float], Flag("--h", "H", read=_sizes, default="a ladder")] = (),
-    duration: Annotated[float | None, Flag("--duration", "T", default="10, or N*h")] = None,
-    steps: Annotated[int, Flag("--steps", "N", least=1)] = LADDER_STEPS,
+    sizes: Annotated[Sequence[float], Flag("--h", "H", read=_sizes, default="chosen for each scheme")] = (),
+    duration: Annotated[float | None, Flag("--duration", "T", default="10, or that of the config")] = None,
+    steps: Annotated[int, Flag("--max-steps", "N", least=1)] = LADDER_STEPS,
     watch: Watch = SILENT,
 ) -> Result:
-    """Measure errors over h, observed orders and round-off.
+    """Measure errors at several h, and orders of convergence.
 
-    Errors are the largest over the run against a reference in double-double arithmetic. The order is fitted at the
-    smallest steps above the plateau of round-off. Exits with status 4 if it is below the declared order, or if an
-    invariant that a scheme declares to conserve is off by more than round-off, and with 3 if the code of some of the
-    schemes fails.
+    The error of a run is its largest distance from a reference solution in double-double arithmetic. The order is
+    fitted at the smallest step sizes whose errors exceed round-off. Exits with status 4 if the measured order
+    is below the order that the scheme declares, or if an invariant that the scheme declares as conserved changes by
+    more than round-off.
 
     Parameters
     ----------
     *schemes : str
-        Names of schemes; all by default. Without ``top`` and ``config``, six by default.
+        Names of schemes. Without names, all schemes that fit ``top`` or ``config`` are measured. If neither is given,
+        six schemes of the Kowalevski top are measured.
     top : str, optional
-        Run the packaged scene of this top.
+        Name of a top, whose packaged scene is run.
     config : path, str or mapping, optional
-        Run this config or scene for its N*h. It gives the top, the initial state and the duration.
+        Config or scene that gives the top, the initial state and the duration N*h.
     overrides : sequence of str, optional
-        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
+        Override a key of the config, e.g. top.c0=-1 or scheme.branch=sign. The keys h and T set ``sizes`` and
+        ``duration``.
     sizes : sequence of float, optional
-        Use this step size; repeat for several. By default a ladder for each scheme; dimensionless.
+        Use this step size. In Python, give a sequence of step sizes. By default, each scheme is run with its own
+        decreasing step sizes, until round-off dominates or a run would need more than ``steps`` steps.
     duration : float, optional
-        Run for the time T.
+        Run from time 0 to time T.
     steps : int, optional
-        Take at most N steps in a run of a ladder.
+        Take at most N steps in each run.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
     StudyReport
-        Errors are the largest Euclidean norms of the difference of states from a Taylor reference in double-double
-        arithmetic at common times. ``table`` has a row for each scheme, ``errors`` one for each step size.
+        Report with the orders and the errors. The error of a run is the largest Euclidean norm of the difference
+        between its states and a Taylor reference in double-double arithmetic, at common times. ``table`` has a row for
+        each scheme. ``errors`` has a row for each step size and a column for each scheme.
 
     Raises
     ------
     UsageError
-        For an unknown or unfit scheme or top, or a step size out of range.
+        If a scheme or top is unknown, if a scheme does not fit the top, or if a step size is too small or too large.
     RunError
-        If the reference cannot follow the motion.
+        If the reference solution of the motion cannot be computed.
 
     Examples
     --------
@@ -105,14 +129,16 @@ def measure(
     """
     from topcli.studies.order_ladders import ladders, order_source, order_study
 
+    overrides, sizes, duration = _settings(overrides, sizes, duration, config)
     plan = ladders(schemes, top=top, config=config, sets=overrides, sizes=sizes, duration=duration, steps=steps)
     file = FILE if plan == ladders(()) else None
     watch.begin("order", plan.problem.experiment, file=file)
-    used = [rung.value for rung in plan.rungs]
+    used, interval = [rung.value for rung in plan.rungs], plan.problem.interval
     for size in plan.sizes:
         taken = min(used, key=lambda value: abs(value - size))
         if abs(taken - size) > 1e-9 * size:
-            watch.message(f"h = {size:g} becomes {taken:.6g}, which divides the time between comparisons")
+            multiple = f"so that the time between comparisons, {interval:g}, is a multiple of h"
+            watch.message(f"h = {size:g} becomes {taken:.6g}, {multiple}")
     return Result(order_study(plan, watch), source=lambda: order_source(plan), file=file)
 
 
@@ -152,24 +178,31 @@ def _span(sizes: Sequence[float]) -> str:
     return f"{two_digits(sizes[0])} to {two_digits(sizes[-1])}"
 
 
+def _step_size(h: float) -> str:
+    """A step size with two digits, or with three if these are all."""
+    text = f"{h:.3g}"
+    return text if float(text) == h else two_digits(h)
+
+
 ORDERS = Table(
     "schemes",
     (
         Column("scheme", "scheme"),
-        Column("order", "declared_order"),
+        Column("declared order", "declared_order"),
         Column("observed", "order", "{:.2f}".format),
         Column("verdict", "verdict"),
-        Column("fitted over h", lambda row: row["fitted"] or None, _span),
-        Column("round-off", "plateau", two_digits),
-        Column("from h", "onset", two_digits),
+        Column("h of the fit", lambda row: row["fitted"] or None, _span, detail=True),
+        Column("round-off", "plateau", two_digits, detail=True),
+        Column("from h", "onset", two_digits, detail=True),
         Column("", "ended"),
         Column("", "broken"),
         Column("smallest error", _best("error"), two_digits, "smallest_error"),
-        Column("at h", _best("h"), two_digits, "at_h"),
+        Column("at h", _best("h"), _step_size, "at_h"),
     ),
     heading="Observed orders",
     title=_subject,
     index="scheme",
+    numbers=(1, 2, 4, 5, 6, 7, 8),
 )
 ERRORS = Table(
     _errors_at,
@@ -178,6 +211,7 @@ ERRORS = Table(
     heading="Largest error at each h",
     title="largest error at each h",
     index="h",
+    detail=True,
     numbers=EVERY,
 )
 
@@ -188,17 +222,32 @@ def head(data: Data) -> Head:
     return Head("Orders of convergence", _subject(data), f"{broken} failed" if broken else "measured", not broken)
 
 
+def answer(data: Data) -> str:
+    """Schemes by verdict, with their observed orders."""
+    named: dict[str, list[str]] = {}
+    for row in data["schemes"]:
+        verdict = "failed" if row["broken"] else row["verdict"] or "no declared order"
+        order = "" if row["order"] is None else f" {row['order']:.2f}"
+        named.setdefault(verdict, []).append(row["scheme"] + order)
+    good = named.pop(AS_DECLARED, [])
+    parts = [f"order as declared: {', '.join(good)}"] if good else []
+    return "; ".join([*parts, *(f"{verdict}: {', '.join(names)}" for verdict, names in named.items())])
+
+
 def notes(data: Data) -> Iterator[str]:
     """Schemes left out, step sizes without a result, and undecided orders."""
     for left in data["left_out"]:
         yield f"{left['scheme']} is left out: {left['reason']}"
+    undecided: dict[str, list[str]] = {}
     for row in data["schemes"]:
         if row["failed"] and not row["broken"]:
             first = row["failed"][0]
             failed = f"{len(row['failed'])} of its step sizes gave no result"
             yield f"{row['scheme']}: {failed}; h = {first['h']:.2g} {first['reason']}"
-        if not row["broken"] and row["verdict"] not in FALSE and row["why"] and len(row["points"]) > 2:
-            yield f"{row['scheme']}: order undecided: {row['why']}"
+        if row["points"] and not row["broken"] and row["verdict"] not in FALSE and row["why"]:
+            undecided.setdefault(row["why"], []).append(row["scheme"])
+    for why, names in undecided.items():
+        yield f"{', '.join(names)}: order undecided: {why}"
 
 
 def faults(data: Data) -> Faults:
@@ -221,11 +270,12 @@ ORDER = Study(
     measure,
     head,
     (ORDERS, ERRORS),
+    answer=answer,
     notes=notes,
     faults=faults,
     figure="topcli.figures.errors:loaded_order",
-    draws="the errors over h into DIR/figures",
-    captions=("largest error over the step size h, with observed orders",),
+    draws="the errors against h",
+    captions=("largest error against the step size h, with the observed orders",),
     parts=cited_parts,
     unit="schemes",
     file=FILE,

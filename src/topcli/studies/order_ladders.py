@@ -1,4 +1,4 @@
-"""Errors of schemes over ladders of step sizes, their observed orders, and the plateau of round-off."""
+"""Errors of schemes over ladders (sequences) of step sizes, observed orders, and the plateau of round-off."""
 
 from __future__ import annotations
 
@@ -169,7 +169,9 @@ def ladders(
     for name in wanted:
         scheme_with(name, problem.top.form)
     line_up = choose(problem, wanted)
-    adaptive = [(scheme.name, "its steps follow a tolerance, not h") for scheme in line_up.schemes if scheme.adaptive]
+    adaptive = [
+        (scheme.name, "it chooses its steps by a tolerance, not by h") for scheme in line_up.schemes if scheme.adaptive
+    ]
     without_h = [(scheme.name, "is a closed form: its error does not depend on h") for scheme in line_up.closed_forms]
     without_h += [
         (scheme.name, "has no error that depends on h")
@@ -179,7 +181,9 @@ def ladders(
     schemes = tuple(scheme for scheme in line_up.schemes if scheme.order is not None and not scheme.adaptive)
     left_out = (*line_up.left_out, *adaptive, *without_h)
     if not schemes:
-        raise UsageError(f"no scheme with an order to observe: {'; '.join(': '.join(left) for left in left_out)}")
+        raise UsageError(
+            f"no scheme has an order that can be observed: {'; '.join(': '.join(left) for left in left_out)}"
+        )
     return Ladders(problem, schemes, left_out if names else (), tuple(sizes), steps)
 
 
@@ -207,7 +211,9 @@ def _row(ladder: _Ladder, measured: Measurements, size: float) -> dict[str, Any]
         "broken": measured.broken or None,
         "false_claim": None if measured.broken else ladder.false_claim([each.rung.value for each in measured.rungs]),
         "failed": [{"h": value, "reason": reason} for value, reason in measured.failed],
-        "points": [{"h": rung.rung.value, "error": rung.error, "end_error": rung.end_error} for rung in measured.rungs],
+        "points": [
+            {"h": rung.rung.value, "error": rung.error, "final_error": rung.final_error} for rung in measured.rungs
+        ],
     }
 
 

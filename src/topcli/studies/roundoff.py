@@ -1,45 +1,48 @@
-"""``topcli roundoff``: growth of round-off with plain and compensated sums, and the cost of the latter."""
+"""``topcli roundoff``: measure how round-off grows with plain and compensated sums, and what compensation costs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Annotated
 
-from topcli.errors import ExitCode, UsageError
+from topcli.errors import ExitCode, UsageError, counted, shortened
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import ConfigFile, Data, Faults, Flag, Head, Overrides, Result, Study, parts_of
+from topcli.studies.study import Data, Faults, Flag, Head, Overrides, Result, Study, config_flag, parts_of, steps_flag
 from topcli.table import Column, Table, two_digits
 
 
 def measure(
     scheme: Annotated[str, Flag("", "SCHEME")],
-    config: ConfigFile = None,
-    steps: Annotated[float, Flag("--steps", "N")] = 1e7,
+    config: Annotated[str | Path | None, config_flag("a packaged scene at h = 0.01")] = None,
+    steps: Annotated[float, steps_flag("1e7")] = 1e7,
     copies: Annotated[int, Flag("--copies", "K")] = 8,
     max_exponent: Annotated[float | None, Flag("--max-exponent", "X")] = None,
     max_drift: Annotated[float | None, Flag("--max-drift", "X")] = None,
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
-    """Measure growth of round-off and the cost of compensation.
+    """Measure growth of round-off, and cost of compensated sums.
 
-    Find whether round-off grows as a random walk, with a bias, or not at all, with plain and with compensated sums. The
-    tolerances apply to the compensated form if the scheme has one.
+    Round-off may grow as a random walk, linearly because of a bias, or not at all. If the scheme has a form with
+    compensated summation, both forms are measured, and --max-exponent and --max-drift apply to the compensated form.
 
     Parameters
     ----------
     scheme : str
         Name of a scheme.
     config : path or str, optional
-        Read the experiment from a config; by default, a packaged scene at h = 0.01.
+        Config of the experiment; by default, a packaged scene at h = 0.01.
     steps : float, optional
-        Take N steps in each copy, e.g. 1e8.
+        Number of steps of each run, e.g. 1e8.
     copies : int, optional
-        Follow K copies that differ initially by some ulp.
+        Run the experiment K times, from initial states that differ by up to 1e-14 of their values.
     max_exponent : float, optional
-        Exit with status 4 if an exponent minus two standard errors exceeds X.
+        Exit with status 4 if a growth exponent minus two standard errors exceeds X. Round-off grows as the number of
+        steps to the power of this exponent: 1/2 for a random walk, 1 for a bias.
     max_drift : float, optional
-        Exit with status 4 if a drift exceeds X.
+        Exit with status 4 if a drift exceeds X. Here, the drift of an invariant is its largest change by round-off in
+        any of the K runs.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
@@ -48,12 +51,13 @@ def measure(
     Returns
     -------
     StudyReport
-        ``table`` has a row for each invariant and form of the sums; ``study["violations"]`` lists exceeded tolerances.
+        Report on round-off. ``table`` has a row for each invariant with plain sums, and another with compensated sums.
+        ``study["violations"]`` lists the invariants that exceed ``max_exponent`` or ``max_drift``.
 
     Raises
     ------
     UsageError
-        For an unknown or unfit scheme, and for too few steps.
+        If the scheme is unknown or does not fit the config, or if the number of steps is too small.
 
     Examples
     --------
@@ -66,6 +70,9 @@ def measure(
 
     if not 1.0 <= steps <= 1e12 or steps != int(steps):
         raise UsageError(f"--steps {steps:g}: must be a whole number from 1 to 1e12")
+    for text in overrides:
+        if text.partition("=")[0].strip() in ("N", "T"):
+            raise UsageError(f"--set {shortened(text)}: the number of steps is set by --steps")
     experiment = roundoff_experiment(scheme, config, overrides)
     watch.begin("roundoff", experiment)
     data = roundoff_study(experiment, int(steps), copies)
@@ -92,7 +99,7 @@ def _table_rows(data: Data) -> list[Data]:
 
 def _subject(data: Data) -> str:
     scene = f"{data['forms'][0]['scheme']} on {data['config']['name']}: {data['top']}"
-    return f"{scene}, h = {data['h']:g}, {data['steps']} steps, {data['copies']} copies"
+    return f"{scene}, h = {data['h']:g}, {counted(data['steps'], 'step')}, {counted(data['copies'], 'copy')}"
 
 
 def _with_error(key: str, show: Callable[[float], str]) -> Callable[[Data], str | None]:
@@ -110,11 +117,11 @@ TABLE = Table(
         Column("invariant", "symbol", key="invariant"),
         Column("sums", "form", key="sums"),
         Column("drift (rms)", "drift", two_digits),
-        Column("largest", "max_drift", two_digits),
+        Column("largest", "max_drift", two_digits, detail=True),
         Column("exponent", _with_error("exponent", "{:.2f}".format)),
         *(Column("", key) for key in ("exponent", "exponent_error")),
         Column("growth", "verdict"),
-        Column("bias per step", _with_error("bias", two_digits)),
+        Column("bias per step", _with_error("bias", two_digits), detail=True),
         *(Column("", key) for key in ("bias", "bias_error")),
         Column("ns/step", "nanoseconds_per_step", "{:.1f}".format),
         Column("cost", "cost", "{:.2f}".format),
@@ -134,12 +141,31 @@ def head(data: Data) -> Head:
     return Head("Growth of round-off", _subject(data), state, not lines)
 
 
+def answer(data: Data) -> str:
+    """Growth of round-off with each form of the sums; gain and cost of the compensated form."""
+    parts = []
+    for form in data["forms"]:
+        named: dict[str, list[str]] = {}
+        for row in form["invariants"]:
+            named.setdefault(row["verdict"] or "unknown", []).append(row["symbol"])
+        growth = ", ".join(f"{verdict} ({', '.join(names)})" for verdict, names in named.items())
+        parts.append(f"{form['form']} sums: {growth}")
+    plain, *others = data["forms"]
+    for form in others:
+        pairs = zip(plain["invariants"], form["invariants"], strict=True)
+        gains = sorted(a["drift"] / b["drift"] for a, b in pairs if a["drift"] and b["drift"])
+        if gains and form["cost"] is not None:
+            parts[-1] += f", drifts {two_digits(gains[0])} to {two_digits(gains[-1])} times smaller"
+            parts[-1] += f" at {form['cost']:.2f} times the cost"
+    return "; ".join(parts)
+
+
 def notes(data: Data) -> Iterator[str]:
     """Meaning of the drifts of a scheme without an exact invariant."""
     if not data["claimed"]:
         yield (
-            f"{data['forms'][0]['scheme']} claims no invariant exactly; the drifts are of means over long windows, "
-            "relative to the motion common to all copies"
+            f"{data['forms'][0]['scheme']} declares no exact invariant; the drifts are of means over long windows, "
+            "relative to the change that all copies have in common"
         )
 
 
@@ -156,11 +182,12 @@ ROUNDOFF = Study(
     measure,
     head,
     (TABLE,),
+    answer=answer,
     notes=notes,
     faults=faults,
     figure="topcli.figures.growth:loaded_roundoff",
-    draws="the drift against the number of steps",
-    captions=("drift of the invariants against the number of steps",),
+    draws="the largest change of each invariant by round-off against the number of steps",
+    captions=("drift of the invariants over the number of steps",),
     stem=lambda data: f"{data['forms'][0]['scheme']}_{data['config']['name']}",
     parts=lambda data: parts_of(data["config"], [data["forms"][0]["scheme"]]),
 )

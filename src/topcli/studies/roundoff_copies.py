@@ -1,4 +1,4 @@
-"""Copies of a run whose invariants show how round-off grows, with plain and with compensated sums.
+"""Runs from nearly equal initial states, whose invariants show how round-off grows.
 
 If a scheme claims no exact invariant, like HK for Kowalevski's top, those of the top are followed by means over long
 windows, which remove their quasi-periodic oscillations. The remaining part that is common to all copies of a run is the
@@ -76,7 +76,7 @@ def sampling_of(steps: int, h: float, exact: bool) -> Sampling:
     if exact:
         least = MIN_BLOCKS * ROWS
         if steps < least:
-            raise UsageError(f"--steps {steps}: too few for a fit of the growth; take at least {least}")
+            raise UsageError(f"--steps {steps}: too few for a fit of the growth; give at least {least}")
         blocks = min(BLOCKS, steps // ROWS)
         return Sampling(blocks, ROWS, steps // (blocks * ROWS))
     stride = max(1, int(SAMPLING / abs(h)))
@@ -84,8 +84,8 @@ def sampling_of(steps: int, h: float, exact: bool) -> Sampling:
     blocks = min(BLOCKS, steps // (rows * stride))
     if blocks < MIN_BLOCKS:
         raise UsageError(
-            f"--steps {steps}: the scheme conserves nothing exactly, and the means over windows of length {WINDOW:g} "
-            f"that take its oscillations out need at least {MIN_BLOCKS * rows * stride} steps at h = {h:g}"
+            f"--steps {steps}: the scheme has no exact invariant, and means over windows of length {WINDOW:g} "
+            f"need at least {MIN_BLOCKS * rows * stride} steps at h = {h:g}"
         )
     return Sampling(blocks, steps // (blocks * stride), stride)
 
@@ -228,7 +228,9 @@ def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str,
     ``experiment.N`` is ignored. Raises UsageError for a scheme that takes no steps, and for too few steps.
     """
     if isinstance(experiment.method(), Sampler):
-        raise UsageError(f"scheme {experiment.scheme.name!r} is a closed form: it takes no steps whose errors add up")
+        raise UsageError(
+            f"scheme {experiment.scheme.name!r} is a closed form, which has no steps with errors that add up"
+        )
     watched, exact = _watched(experiment)
     least = 1 if exact else 2
     if copies < least:

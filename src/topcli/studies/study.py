@@ -12,12 +12,14 @@ of its own, whose name begins with that of the study: ``order_ladders``, ``round
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from topcli.errors import ExitCode
+from topcli.errors import ExitCode, UsageError, shortened
+from topcli.studies import STUDIES, find_study
 from topcli.table import Table
 
 if TYPE_CHECKING:
@@ -49,7 +51,7 @@ class Flag:
     required : bool
         The command needs at least one of several positional arguments.
     several : bool
-        The option may be repeated for a parameter that is no sequence.
+        The option may be repeated for a parameter that is not a sequence.
     alone : bool
         The option excludes ``--json``.
     """
@@ -68,10 +70,40 @@ class Flag:
 
 PYTHON_ONLY = Flag("-")
 """Mark of a parameter that the command does not have."""
-SchemeNames = Annotated[str, Flag("", "SCHEME")]
-TopName = Annotated[str | None, Flag("--top", "TOP")]
-ConfigSource = Annotated[str | Path | Mapping[str, Any] | None, Flag("--config", "CONFIG")]
-ConfigFile = Annotated[str | Path | None, Flag("--config", "CONFIG")]
+
+
+def _whole(text: object) -> int:
+    """Number of steps, also written as 1e6. Raises UsageError."""
+    try:
+        number = float(str(text))
+        if number >= 1.0 and number == int(number):
+            return int(number)
+    except (ValueError, OverflowError):
+        pass
+    raise UsageError(f"--steps {shortened(str(text))}: must be a whole number from 1, such as 1e6")
+
+
+def scheme_names(default: str) -> Flag:
+    """Names of schemes as arguments; ``default`` says in words which ones are taken if none is named."""
+    return Flag("", "SCHEME", default=default)
+
+
+def top_flag(default: str) -> Flag:
+    """The option ``--top``."""
+    return Flag("--top", "TOP", default=default)
+
+
+def config_flag(default: str) -> Flag:
+    """The option ``--config``."""
+    return Flag("--config", "CONFIG", default=default)
+
+
+def steps_flag(default: str) -> Flag:
+    """The option ``--steps``, a whole number that may be written as 1e6."""
+    return Flag("--steps", "N", read=_whole, default=default)
+
+
+Config = str | Path | Mapping[str, Any] | None
 Overrides = Annotated[Sequence[str], Flag("--set", "KEY=VALUE")]
 
 
@@ -125,6 +157,10 @@ def _no_lines(data: Data) -> Iterable[str]:
     return ()
 
 
+def _no_answer(data: Data) -> str:
+    return ""
+
+
 def _no_faults(data: Data) -> Faults:
     return Faults()
 
@@ -147,9 +183,12 @@ class Study:
         Head of the chapter on a result.
     tables : sequence of Table, or callable
         Tables of a result; the first is ``table`` in Python.
+    answer : callable
+        Sentence that answers the question of the study and can be quoted: the first line on a terminal, and the
+        message of the chapter; empty if there is none.
     printed : callable, optional
-        Tables and texts of a ``Result`` on a terminal; by default the tables. Its keyword parameters are flags of the
-        command.
+        Tables and texts of a ``Result`` on a terminal, with its details or not, as ``--verbose`` asks; by default the
+        answer and the tables. Its keyword parameters are flags of the command.
     frames : sequence of Table
         Tables that are DataFrames only.
     notes : callable
@@ -187,6 +226,7 @@ class Study:
     measure: Callable[..., Result]
     head: Callable[[Data], Head]
     tables: Sequence[Table] | Callable[[Data], Sequence[Table]]
+    answer: Callable[[Data], str] = _no_answer
     printed: Callable[..., Iterable[Table | str]] | None = None
     frames: Sequence[Table] = ()
     notes: Callable[[Data], Iterable[str]] = _no_lines
@@ -207,6 +247,13 @@ class Study:
     def tables_of(self, data: Data) -> Sequence[Table]:
         """Tables of a result."""
         return self.tables(data) if callable(self.tables) else self.tables
+
+    def printed_of(self, result: Result, verbose: bool, **flags: Any) -> Iterable[Table | str]:
+        """Tables and texts on a terminal; all details if ``verbose``."""
+        if self.printed is not None:
+            return self.printed(result, verbose, **flags)
+        answer, tables = self.answer(result.data), self.tables_of(result.data)
+        return [*([answer] if answer else []), *(table for table in tables if verbose or not table.detail)]
 
     def as_dict(self, result: Result) -> Data:
         """Plain data of a result, ready for JSON, with the rows of its arrays that a picture needs."""
@@ -236,6 +283,19 @@ def stored_result(data: Data) -> Result:
         return Result(data, {name: np.array(values, dtype=float) for name, values in columns.items()})
     except (TypeError, ValueError):
         return Result(data, {})
+
+
+def study_of(data: Data) -> Study | None:
+    """Study that plain data is the result of; None if it is none."""
+    for study in map(find_study, STUDIES):
+        if data.get("command") == study.name or study.known(data):
+            return study
+    return None
+
+
+def study_file(folder: Path) -> Path | None:
+    """File of a study in a folder of its own; None if there is none."""
+    return next((path for name in STUDIES if os.path.isfile(path := folder / f"{name}.json")), None)
 
 
 def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:

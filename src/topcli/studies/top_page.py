@@ -1,4 +1,4 @@
-"""Description of a top: parameters, equations, integrals declared and found, symmetry, and the schemes for it."""
+"""Description of a top: parameters, equations, declared and other integrals, symmetry, and schemes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from topcli.contracts import Top
 from topcli.field.integrals import divergence, further_integrals, polynomial_value, reversal
 from topcli.field.polynomial import Field, NotPolynomialError, Polynomial, field_of
 from topcli.schemes.registry import names_for
+from topcli.table import DASH
 
 
 def top_data(top: Top) -> dict[str, Any]:
@@ -35,7 +36,7 @@ def top_data(top: Top) -> dict[str, Any]:
     try:
         field = field_of(top)
     except NotPolynomialError as error:
-        return {**data, "field": None, "reason": f"the field is no polynomial: it {error}"}
+        return {**data, "field": None, "reason": f"the field is not a polynomial: it {error}"}
     return {**data, **_of_field(top, field)}
 
 
@@ -72,7 +73,9 @@ def top_text(top: Top, width: int = 100) -> str:
         lines.append(fill(f"{label}: {text}", width, subsequent_indent="  ", break_on_hyphens=False))
 
     for key, parameter in data["parameters"].items():
-        item(key, f"{parameter['value']!r}" + (f", {parameter['description']}" if parameter["description"] else ""))
+        value = parameter["value"]
+        shown = DASH if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+        item(key, shown + (f", {parameter['description']}" if parameter["description"] else ""))
     if top.citation:
         item("source", top.citation)
     if top.step_constants:
@@ -82,17 +85,17 @@ def top_text(top: Top, width: int = 100) -> str:
     else:
         lines.append("equations with these parameters:")
         lines += [f"  {component}' = {rate}" for component, rate in data["field"].items()]
-        item("degree", str(data["degree"]))
-        item("divergence", f"{data['divergence']}{' (preserves volume)' if data['divergence'] == '0' else ''}")
+        item("degree of the equations", str(data["degree"]))
+        item("divergence", f"{data['divergence']}{' (the flow preserves volume)' if data['divergence'] == '0' else ''}")
         minus = data["reversal"]
-        item("reversed in time by", f"the signs of {', '.join(minus)}" if minus else "no change of signs")
+        item("time reversal", f"change the signs of {', '.join(minus)}" if minus else "not by a change of signs")
     for one in data["integrals"]:
         level = " and ".join(f"{key} = {value:g}" for key, value in one["on"].items())
-        item(f"integral {one['symbol']}", one["meaning"] + (f"; where {level}" if level else ""))
+        item(f"integral {one['symbol']}", one["meaning"] + (f"; conserved where {level}" if level else ""))
     if data["field"] is not None:
         sought = f"up to degree {data['integrals_sought']}"
         for text in data["further_integrals"]:
-            item(f"found, not declared, {sought}", text)
+            item(f"further polynomial integral {sought}, found by computation", text)
         if not data["further_integrals"]:
             item("further polynomial integrals", f"none {sought} with these parameters")
     item("schemes", ", ".join(data["schemes"]))

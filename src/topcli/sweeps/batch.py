@@ -1,7 +1,7 @@
-"""Batches of finished runs that differ only in their initial states: what is recorded of them, and their measures.
+"""Batches of finished runs that differ only in their initial states: recorded data and measures.
 
-Only what the measures need is recorded. Sums over rows do not depend on the pieces in which the rows come, nor the
-figures of a run on the other runs of its batch: a batch has the bits of its single runs.
+Runs record only the data that the measures need. The results of a run do not depend on the other runs in its batch, and
+sums over rows do not depend on how the rows are divided into pieces. So a run in a batch has the bits of a single run.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from topcli.engine.tile import Piece
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.runs.references import REFERENCES, reference_of
 from topcli.schemes.plugins import users_error
-from topcli.sweeps.measures import DEVIATION, DRIFT, END_ERROR, ERROR, PROBES, RECORDED, STATES, Measure, integrals_of
+from topcli.sweeps.measures import DEVIATION, DRIFT, ERROR, FINAL_ERROR, PROBES, RECORDED, STATES, Measure, integrals_of
 
 OnFault = Callable[[int, str, str], None]
 """Called with the number of a run in its batch, the name of a measure and the reason why it has no value."""
@@ -41,37 +41,40 @@ MAX_RUN_BYTES = 1 << 31
 
 @dataclass(frozen=True)
 class Batch:
-    """Finished runs of one experiment from several initial states, as measures see them.
+    """Finished runs of one experiment from several initial states, the argument of the function of a measure.
 
-    ``len(batch)`` is the number of runs. Fields that no measure needs are empty.
+    ``len(batch)`` is the number of runs. Attributes that no measure of the sweep needs are empty.
 
     Attributes
     ----------
     experiment : Experiment
-        Top, scheme, options, step and output that the runs share.
+        Top, scheme, options, step size and output, which are the same for all runs.
     n : ndarray of int64, shape (m,)
-        Recorded step numbers.
+        Step numbers of the recorded states.
     initial, last : ndarray, shape (runs, d)
         States at step 0 and at step N.
     endings : Endings
         Outcome, last step and counters of each run.
     seconds : ndarray, shape (runs,)
-        Wall time of the steps, the run's share of its batch.
+        Wall time of the steps, divided equally among the runs of the batch.
     columns : mapping of str to ndarray, shape (runs, m)
-        Recorded columns by name; nan after the end of a run that failed.
+        Recorded columns by name. Values after the end of a failed run are nan.
     states : ndarray, shape (runs, m, d)
-        Recorded states; nan after the end of a run that failed.
+        Recorded states. Values after the end of a failed run are nan.
     probes : ndarray, shape (runs, k, d)
-        At most 16 recorded states, evenly spread along the run.
+        For each run, k recorded states (at most 16) that are evenly spread along the run.
     deviations, drifts : mapping of str to ndarray, shape (runs,)
-        Largest deviation from the first value and fitted slope per unit time, by name of the integral.
-    max_error, end_error : ndarray, shape (runs,)
-        Euclidean distance from the reference solution: largest over the recorded rows, and at step N.
+        For each invariant, by its name: in ``deviations`` the largest deviation from the first value, and in ``drifts``
+        the fitted slope per unit time.
+    max_error, final_error : ndarray, shape (runs,)
+        Euclidean distance from the reference solution: in ``max_error`` the largest over the recorded states, and in
+        ``final_error`` the distance at step N.
     faults : mapping of str to sequence of str
-        Why ``error`` or ``end_error`` of each run could not be computed; empty if it could.
+        Under ``"error"`` and ``"final_error"``: for each run, the reason why ``max_error`` or ``final_error`` could not
+        be computed; an empty text if it was computed.
     one_step : callable
-        ``one_step(states, h)`` returns the states (k, d) after one step of ``h`` from ``states`` (k, d); nan where the
-        step fails.
+        ``one_step(states, h)`` returns the states, shape (k, d), after one step of ``h`` from ``states``, shape (k, d).
+        A state is nan if its step fails.
     """
 
     experiment: Experiment
@@ -86,7 +89,7 @@ class Batch:
     deviations: Mapping[str, Array]
     drifts: Mapping[str, Array]
     max_error: Array
-    end_error: Array
+    final_error: Array
     faults: Mapping[str, Sequence[str]]
     one_step: Callable[[Array, float], Array]
 
@@ -118,7 +121,7 @@ class Batch:
         def cut(arrays: Mapping[str, Array]) -> dict[str, Array]:
             return {name: array[which] for name, array in arrays.items()}
 
-        each = ("initial", "last", "seconds", "states", "probes", "max_error", "end_error")
+        each = ("initial", "last", "seconds", "states", "probes", "max_error", "final_error")
         return replace(
             self,
             endings=self.endings.of(which),
@@ -191,8 +194,8 @@ class BatchRecorder:
         self._states = np.full((count, m if STATES in needs else 0, d), np.nan)
         self._probe_rows = np.arange(m)[probe_rows(m)] if PROBES in needs else np.empty(0, dtype=np.int64)
         self._probes = np.full((count, len(self._probe_rows), d), np.nan)
-        self._needs = needs & {ERROR, END_ERROR}
-        self.max_error, self.end_error = np.full(count, np.nan), np.full(count, np.nan)
+        self._needs = needs & {ERROR, FINAL_ERROR}
+        self.max_error, self.final_error = np.full(count, np.nan), np.full(count, np.nan)
         self._faults = {need: [""] * count for need in self._needs}
         self._references: list[Array | None] = [self._reference_states(ERROR, i, self._n) for i in range(count)]
         if ERROR in needs:
@@ -257,9 +260,9 @@ class BatchRecorder:
         experiment = self.experiment
         for i in range(len(self.initial)):
             whole = endings.outcome[i] in WHOLE
-            end = self._reference_states(END_ERROR, i, np.array([experiment.N])) if whole else None
+            end = self._reference_states(FINAL_ERROR, i, np.array([experiment.N])) if whole else None
             if end is not None:
-                self.end_error[i] = distances(last[i], end[0])
+                self.final_error[i] = distances(last[i], end[0])
             if whole and ERROR in self._needs and self._references[i] is None:
                 self.max_error[i] = np.nan
         index = {invariant.name: i for i, invariant in enumerate(self._tally.invariants)}
@@ -277,7 +280,7 @@ class BatchRecorder:
             deviations={name: self._tally.max_deviation[index[name]] for name in self._summed[DEVIATION]},
             drifts={name: slopes[index[name]] for name in self._summed[DRIFT]},
             max_error=self.max_error,
-            end_error=self.end_error,
+            final_error=self.final_error,
             faults=self._faults,
             one_step=one_step,
         )
@@ -327,7 +330,7 @@ def evaluate(measures: Sequence[Measure], batch: Batch, on_fault: OnFault = _ign
             columns[name][which] = _values(
                 measure, rows, lambda i, reason, name=name, which=which: on_fault(int(which[i]), name, reason)
             )
-        for need in (need for need in (ERROR, END_ERROR) if need in measure.needs):
+        for need in (need for need in (ERROR, FINAL_ERROR) if need in measure.needs):
             for i in whole.tolist():
                 if batch.faults[need][i]:
                     columns[name][i] = np.nan

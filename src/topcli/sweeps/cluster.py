@@ -1,4 +1,4 @@
-"""A sweep on a Dask cluster: the connection to a scheduler, and batches as tasks.
+"""Sweeps on a Dask cluster: connection to the scheduler, and batches as tasks.
 
 The scheduler is found or started, and its workers are compared with this process. It never holds more than a few
 batches for each thread of a worker. The key of a task is the digest of what it computes. A batch whose workers are lost
@@ -232,7 +232,7 @@ def batch_digest(batch: Sequence[Row], work: Work, token: str) -> str:
 
 def _lost(work: Work) -> Results:
     """Results of a row whose workers were lost each time."""
-    message = "each worker that computed this row was lost; see its log, or its limit of memory"
+    message = "every worker that computed this row was lost; see the logs and memory limits of the workers"
     return Results([FAILED], [message], {name: [float("nan")] for name in work.measures}, [True])
 
 
@@ -304,7 +304,7 @@ def run_on_cluster(
     out: Path,
     options: SweepOptions = SweepOptions(),
 ) -> SweepResult:
-    """Run what is new in ``sweep`` on the Dask cluster at ``address``; otherwise as ``run_sweep``."""
+    """Run the unfinished rows of ``sweep`` on the Dask cluster at ``address``; otherwise as ``run_sweep``."""
     with connected(address, options.on_message, options.stop) as cluster:
         divided = replace(options, threads=cluster.threads, batch_scale=BATCH_SCALE)
         return run_sweep(sweep, out, divided, cluster)
@@ -366,7 +366,7 @@ def connected(
                 _require_answer(address)
             client = stack.enter_context(Client(target, timeout=CONNECT_SECONDS, set_as_default=False))
         except Exception as error:
-            reason = "what answers there is something else"
+            reason = "another program answers there"
             if isinstance(error, OSError | TimeoutError):
                 reason = str(error)[:200] or f"no answer within {CONNECT_SECONDS} s"
             raise UsageError(

@@ -1,7 +1,8 @@
-"""Measures: numbers that a sweep computes from each finished run, such as ``swing_spacing``; the registry, and our own.
+"""Measures: numbers that a sweep computes from each finished run, such as ``max_error``.
 
-A measure is a function of a ``Batch``, finished runs that differ only in their initial states. Its name may end in
-``.NAME``: such a family has one measure for every invariant of the top or for every counter of the scheme.
+A measure is a function of a ``Batch``, which contains finished runs that differ only in their initial states. A measure
+with a name that ends in ``.NAME`` is a family: it has one member for every invariant of the top, for example, or for
+every counter of the scheme.
 """
 
 from __future__ import annotations
@@ -15,22 +16,21 @@ from pydantic import BaseModel
 
 from topcli.analysis.frequencies import agreement_digits, strongest_line
 from topcli.analysis.lyapunov import Verdict
+from topcli.analysis.swings import first_swing_spacing as first_spacing_of
 from topcli.analysis.swings import minima_times
-from topcli.analysis.swings import swing_spacing as spacing_of_first
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.engine.tangent import obstacle as tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.glossary import FAMILY, QUANTITIES
 from topcli.runs.references import obstacle
 from topcli.schemes.plugins import origin_of, plugin_table, without_users_errors
 from topcli.schemes.registry import plugin_failures, schemes_of
 from topcli.tops import TOPS
 
-FAMILY = ".NAME"
-"""End of the name of a family."""
 STATES, SWING, PROBES = "states", "swing", "probes"
-ERROR, END_ERROR = "error", "end_error"
+ERROR, FINAL_ERROR = "error", "final_error"
 DEVIATION, DRIFT, COLUMN = "deviation", "drift", "column"
-RECORDED = (STATES, SWING, PROBES, ERROR, END_ERROR)
+RECORDED = (STATES, SWING, PROBES, ERROR, FINAL_ERROR)
 """Words that ``needs`` may hold beside the names of columns; a family may also need ``DEVIATION``, ``DRIFT`` or
 ``COLUMN``, the column of its name."""
 TAKEN = frozenset(
@@ -53,31 +53,31 @@ def _no_evaluation(batch: Any) -> Any:
 
 @dataclass(frozen=True)
 class Measure:
-    """A number computed from each finished run.
+    """Measure of a sweep: a number computed from each finished run.
 
-    Created by the decorator ``topcli.measure``, whose documentation explains the parameters.
+    The decorator ``topcli.measure`` creates measures; its documentation explains the parameters.
     """
 
     name: str
-    """Name in sweep files, or that of a family, which ends in ``.NAME``."""
+    """Name in sweep files. The name of a family of measures ends in ``.NAME``."""
     summary: str
     """Description on one line."""
     unit: str = "1"
     """Unit of the number, in words."""
     evaluate: Evaluation = _no_evaluation
-    """``evaluate(batch)`` returns an array (runs,); that of a family also takes a name."""
+    """``evaluate(batch)`` returns an array, shape (runs,). The function of a family also takes a name."""
     needs: tuple[str, ...] = ()
-    """Records that it needs of a run: names of columns, or words of ``RECORDED``."""
+    """Data that a run must record for the measure: names of columns, or words of ``RECORDED``."""
     names: Names | None = None
-    """For a family: ``names(top, scheme, options)`` returns the names that it has."""
+    """For a family: ``names(top, scheme, options)`` returns the names of its members."""
     noun: str = "name"
-    """For a family: what its names are names of."""
+    """For a family: word for its members in messages, such as "invariant"."""
     obstacle: Obstacle | None = None
-    """``obstacle(top, scheme)`` returns the reason why the measure does not fit; empty if it does."""
+    """``obstacle(top, scheme)`` returns the reason why the measure cannot be computed; empty if it can."""
     of_failed: bool = False
-    """True if the number has a meaning for a run that failed; other measures are nan there."""
+    """True if the number has a meaning for failed runs; other measures are nan for them."""
     reproducible: bool = True
-    """True if a run that is repeated gives the same bits; false for times."""
+    """True if a repeated run gives the same bits; False for computing times."""
     origin: str = "topcli"
     """Distribution or file that registered the measure."""
 
@@ -121,32 +121,35 @@ MEASURES: dict[str, Measure] = {}
 def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation], Evaluation]:
     """Register the decorated function ``evaluate(batch)`` as a measure of ``topcli sweep``.
 
-    The function takes a ``Batch``, finished runs that differ only in their initial states, and returns an array with a
-    number for each of them. The number of a run must not depend on the other runs of the batch.
+    The function takes a ``Batch``, which contains finished runs that differ only in their initial states, and returns
+    an array with one number for each run. The number of a run must not depend on the other runs in the batch.
 
     Parameters
     ----------
     name : str
-        Name in sweep files, such as ``"gamma3.min"``. A name that ends in ``.NAME`` is that of a family, whose
-        function ``evaluate(batch, name)`` also takes one of the names that ``names`` returns.
+        Name in sweep files, such as ``"gamma3.min"``. A name that ends in ``.NAME`` is the name of a family of
+        measures. The function of a family, ``evaluate(batch, name)``, also takes the name of one member, such as the
+        name of an invariant.
     summary : str
         Description on one line.
     unit : str, optional
-        Unit in words; all quantities of topcli are dimensionless.
+        Unit in words, such as ``"inverse time"``; the numbers themselves are dimensionless.
     needs : iterable of str, optional
-        What has to be recorded: names of columns (components and invariants), ``"states"`` for all components,
-        ``"swing"`` for the top's swinging component, ``"error"`` and ``"end_error"`` for the distance from the
-        reference solution, ``"probes"`` for a few states along the run.
+        Data that the runs must record for the measure. They may be names of columns (components and invariants),
+        ``"states"`` for all components, ``"swing"`` for the component whose minima mark the swings of the top (each
+        fall and rise), ``"error"`` and ``"final_error"`` for the distance from the reference solution, and ``"probes"``
+        for a few states along the run.
     names : callable, optional
-        For a family: ``names(top, scheme, options)`` returns its names.
+        For a family of measures: ``names(top, scheme, options)`` returns the names of its members.
     noun : str, optional
-        For a family: what its names are names of, for messages.
+        For a family: word for its members in messages, such as "invariant".
     obstacle : callable, optional
-        ``obstacle(top, scheme)`` returns the reason why the measure does not fit; empty if it does.
+        ``obstacle(top, scheme)`` returns the reason why the measure cannot be computed for a top and a scheme. It
+        returns an empty text if the measure can be computed.
     of_failed : bool, optional
-        True if the number has a meaning for a run that failed; otherwise it is nan there.
+        True if the measure has a meaning for failed runs. If False, its number is nan for a failed run.
     reproducible : bool, optional
-        False if the number differs when a run is repeated, such as a time.
+        False if the number differs when a run is repeated, as a computing time does.
 
     Returns
     -------
@@ -156,7 +159,7 @@ def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation
     Raises
     ------
     ValueError
-        If the name is already registered or is unsuitable.
+        If the name is already registered, contains spaces, or is the name of a column of results.
 
     Examples
     --------
@@ -172,7 +175,9 @@ def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation
     if name in MEASURES:
         raise ValueError(f"measure {name!r} is already registered by {MEASURES[name].origin}")
     if name.endswith(FAMILY) != (declared.get("names") is not None):
-        raise ValueError(f"measure {name!r}: a family ends in {FAMILY} and has names=...; a single measure neither")
+        raise ValueError(
+            f"measure {name!r}: a family, and no other measure, has names=... and a name ending in {FAMILY}"
+        )
 
     made = Measure(name, summary, **{**declared, "needs": tuple(declared.get("needs", ()))})
 
@@ -238,7 +243,7 @@ def resolve_measures(
     Parameters
     ----------
     names : sequence of str
-        Names such as ``"swing_spacing"`` or ``"drift.energy"``.
+        Names such as ``"median_swing_spacing"`` or ``"drift.energy"``.
     top : Top
         Top of the runs; its parameters do not matter.
     scheme : Scheme
@@ -258,7 +263,7 @@ def resolve_measures(
     Raises
     ------
     UnknownNameError
-        For a name that is no measure of this top and scheme; the message suggests the nearest ones.
+        For a name that is not a measure of this top and scheme; the message suggests the nearest ones.
     MeasureMisfitError
         For a measure that does not fit the top or the scheme, with the reason.
     NoCounterError
@@ -342,7 +347,12 @@ def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
 
 
 INTEGRAL = "invariant"
-TIME, NUMBER = "time", "number"
+
+
+def _measure(key: str, **declared: Any) -> Callable[[Evaluation], Evaluation]:
+    """Register a measure or a family of topcli itself under its entry in the glossary."""
+    term = QUANTITIES[key]
+    return measure(term.name, summary=term.meaning, unit=term.unit, **declared)
 
 
 def _of_swings(batch: Batch, figure: Callable[[Array], float]) -> Array:
@@ -351,30 +361,28 @@ def _of_swings(batch: Batch, figure: Callable[[Array], float]) -> Array:
     return np.array([figure(minima_times(batch.t, of_one)) for of_one in values])
 
 
-@measure("swings", summary="number of swings: deep minima of the top's swinging component", unit=NUMBER, needs=[SWING])
+@_measure("swings", needs=[SWING])
 def swings(batch: Batch) -> Array:
     """Number of deep minima within the recorded rows."""
     return _of_swings(batch, len)
 
 
-@measure("swing_spacing", summary="median time from one swing to the next", unit=TIME, needs=[SWING])
-def swing_spacing(batch: Batch) -> Array:
+@_measure("median_swing_spacing", needs=[SWING])
+def median_swing_spacing(batch: Batch) -> Array:
     """Median distance of neighbouring deep minima; nan for fewer than two."""
     return _of_swings(batch, lambda times: float(np.median(np.abs(np.diff(times)))) if len(times) > 1 else np.nan)
 
 
-@measure("swing_spacing.first", summary="time from the first swing to the second", unit=TIME, needs=[SWING])
+@_measure("first_swing_spacing", needs=[SWING])
 def first_spacing(batch: Batch) -> Array:
     """Distance of the first two deep minima; nan for fewer than two."""
     values = batch.columns[batch.experiment.top.swing]
-    spacings = [spacing_of_first(batch.t, of_one) for of_one in values]
+    spacings = [first_spacing_of(batch.t, of_one) for of_one in values]
     return np.array([np.nan if spacing is None else spacing for spacing in spacings])
 
 
-@measure(
-    "drift.NAME",
-    summary="fitted slope of NAME per unit time",
-    unit="unit of NAME per time",
+@_measure(
+    "drift",
     needs=[DRIFT],
     names=integral_names,
     noun=INTEGRAL,
@@ -384,10 +392,8 @@ def drift(batch: Batch, name: str) -> Array:
     return batch.drifts[name]
 
 
-@measure(
-    "deviation.NAME",
-    summary="largest deviation of NAME from its first value",
-    unit="unit of NAME",
+@_measure(
+    "max_deviation",
     needs=[DEVIATION],
     names=integral_names,
     noun=INTEGRAL,
@@ -397,30 +403,21 @@ def deviation(batch: Batch, name: str) -> Array:
     return batch.deviations[name]
 
 
-def _figure_of_column(name: str, summary: str, figure: Callable[[Array], Array]) -> None:
+def _figure_of_column(name: str, figure: Callable[[Array], Array]) -> None:
     """Register a family: a figure of the recorded rows of one column."""
 
-    @measure(
-        f"{name}.NAME",
-        summary=f"{summary} of NAME over the recorded rows",
-        unit="unit of NAME",
-        needs=[COLUMN],
-        names=column_names,
-        noun="column",
-    )
+    @_measure(name, needs=[COLUMN], names=column_names, noun="column")
     def evaluate(batch: Batch, column: str) -> Array:
         return figure(batch.columns[column])
 
 
-_figure_of_column("min", "smallest value", lambda rows: rows.min(axis=1))
-_figure_of_column("max", "largest value", lambda rows: rows.max(axis=1))
-_figure_of_column("mean", "mean", lambda rows: rows.mean(axis=1))
+_figure_of_column("min", lambda rows: rows.min(axis=1))
+_figure_of_column("max", lambda rows: rows.max(axis=1))
+_figure_of_column("mean", lambda rows: rows.mean(axis=1))
 
 
-@measure(
-    "frequency.NAME",
-    summary="frequency of the strongest line of NAME in the recorded rows",
-    unit="cycles per unit time",
+@_measure(
+    "frequency",
     needs=[COLUMN],
     names=column_names,
     noun="column",
@@ -431,10 +428,8 @@ def frequency(batch: Batch, column: str) -> Array:
     return np.array([strongest_line(rows).frequency for rows in batch.columns[column]]) / spacing
 
 
-@measure(
-    "digits.NAME",
-    summary="digits to which weighted averages of NAME agree between the halves of the run",
-    unit=NUMBER,
+@_measure(
+    "digits",
     needs=[COLUMN],
     names=column_names,
     noun="column",
@@ -444,13 +439,8 @@ def digits(batch: Batch, column: str) -> Array:
     return agreement_digits(batch.columns[column])
 
 
-ERROR_UNIT = "norm of the state"
-
-
-@measure(
-    "error.max",
-    summary="largest distance of a recorded state from the reference solution",
-    unit=ERROR_UNIT,
+@_measure(
+    "max_error",
     needs=[ERROR],
     obstacle=obstacle,
 )
@@ -459,22 +449,18 @@ def max_error(batch: Batch) -> Array:
     return batch.max_error
 
 
-@measure(
-    "error.end",
-    summary="distance of the last state from the reference solution",
-    unit=ERROR_UNIT,
-    needs=[END_ERROR],
+@_measure(
+    "final_error",
+    needs=[FINAL_ERROR],
     obstacle=obstacle,
 )
-def end_error(batch: Batch) -> Array:
+def final_error(batch: Batch) -> Array:
     """Euclidean norm of the error at step N."""
-    return batch.end_error
+    return batch.final_error
 
 
-@measure(
-    "reversal",
-    summary="defect of one step of |h| and one back, largest over 16 states of the run",
-    unit="unit of the state",
+@_measure(
+    "reversal_defect",
     needs=[PROBES],
 )
 def reversal(batch: Batch) -> Array:
@@ -488,10 +474,8 @@ def reversal(batch: Batch) -> Array:
     return np.where(np.isnan(defect), np.inf, defect)
 
 
-@measure(
-    "counter.NAME",
-    summary="number of events NAME that the scheme counts",
-    unit=NUMBER,
+@_measure(
+    "counter",
     names=counter_names,
     noun=COUNTER,
 )
@@ -507,10 +491,8 @@ def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
     return reason and f"scheme {scheme.name!r} {reason}"
 
 
-@measure(
+@_measure(
     "lyapunov",
-    summary="largest finite-time Lyapunov exponent",
-    unit="inverse time",
     obstacle=_tangent_obstacle,
 )
 def lyapunov(batch: Batch) -> Array:
@@ -518,10 +500,8 @@ def lyapunov(batch: Batch) -> Array:
     return batch.growth.exponents
 
 
-@measure(
+@_measure(
     "chaotic",
-    summary="1 for a chaotic orbit, 0 for a regular one; undecided ones have no value",
-    unit=NUMBER,
     obstacle=_tangent_obstacle,
 )
 def chaotic(batch: Batch) -> Array:
@@ -530,16 +510,14 @@ def chaotic(batch: Batch) -> Array:
     return np.array([value.get(verdict, np.nan) for verdict in batch.growth.verdicts])
 
 
-@measure("steps", summary="steps taken; of a failed run, the step that failed", unit=NUMBER, of_failed=True)
+@_measure("steps", of_failed=True)
 def steps(batch: Batch) -> Array:
     """Step number at which the run ended."""
     return batch.endings.step.astype(np.float64)
 
 
-@measure(
+@_measure(
     "seconds",
-    summary="wall time of the steps, the run's share of its batch; differs from run to run",
-    unit="seconds",
     reproducible=False,
 )
 def seconds(batch: Batch) -> Array:

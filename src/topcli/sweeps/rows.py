@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Outcome
-from topcli.errors import RunError, UnknownNameError, UsageError, nearest, quoted
+from topcli.errors import RunError, UnknownNameError, UsageError, nearest, quoted, shortened
 
 ROWS_FILE = "rows.parquet"
 METADATA = "topcli.sweep"
@@ -173,7 +173,9 @@ def read_rows(place: Path) -> SweepRows:
         hint = f"; {nearest(path.parent.name, beside)}" if beside else ""
         if os.path.isfile(usual / ROWS_FILE):
             hint = f"; did you mean {usual}?"
-        raise UsageError(f"{path.parent}: no sweep is stored here ({ROWS_FILE} is missing){hint}")
+        folder = str(path.parent)
+        shown = folder if os.path.lexists(folder) else shortened(folder)
+        raise UsageError(f"{shown}: no sweep is stored here ({ROWS_FILE} is missing){hint}")
     about, columns = _read(path)
     current = columns["current"].astype(bool)
     order = np.flatnonzero(current)[np.argsort(columns["row"][current], kind="stable")]

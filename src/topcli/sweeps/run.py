@@ -1,4 +1,4 @@
-"""Run a sweep: what is new in its plan, batch by batch, into the folder ``<out>/<name>``.
+"""Run the unfinished rows of a sweep, batch by batch, and store them in the folder ``<out>/<name>``.
 
 The folder holds ``sweep.yaml`` (the resolved sweep file), the journal of finished rows, ``rows.parquet`` (the tidy
 table of finished rows), ``manifest.json`` (written last) and, with ``store: series``, a run folder for each row in
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import itertools
+import os
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -133,7 +134,7 @@ def _remove_temporary(folder: Path) -> None:
 
 def is_sweep(folder: Path) -> bool:
     """True if ``folder`` is that of a sweep."""
-    return any((folder / name).exists() for name in (JOURNAL, SWEEP_FILE))
+    return any(os.path.exists(folder / name) for name in (JOURNAL, SWEEP_FILE))  # False for a name that is too long
 
 
 def require_confirmed(sweep: Sweep, options: SweepOptions) -> None:
@@ -199,7 +200,7 @@ def run_sweep(
     options: SweepOptions = SweepOptions(),
     backend: Backend | None = None,
 ) -> SweepResult:
-    """Run what is new in ``sweep`` into ``out/<name>``; finished rows never run again.
+    """Run the unfinished rows of ``sweep`` and store them in ``out/<name>``.
 
     Raises ConfigError for a wrong sweep file and UsageError for a folder that is in use or holds something else, both
     before anything runs, and RunError if writing fails; finished rows are kept.
@@ -351,7 +352,9 @@ class _Runner:
 def stored_sweep_file(folder: Path, overrides: Sequence[str] = ()) -> Sweep:
     """Return the sweep in ``folder``. Raises UsageError for a folder without one."""
     if not is_sweep(folder):
-        raise UsageError(f"{folder}: holds no sweep; give the folder that topcli sweep wrote, such as results/NAME")
+        raise UsageError(
+            f"{folder}: is not the folder of a sweep; give the folder that topcli sweep wrote, such as results/NAME"
+        )
     return load_sweep(folder / SWEEP_FILE, overrides)
 
 

@@ -1,4 +1,4 @@
-"""Tables of a sweep: one value or one stated aggregate for each combination of rows and columns."""
+"""Tables of a sweep: a value or an aggregate for each combination of rows and columns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from topcli.runs.report import finite
 from topcli.sweeps.rows import SweepRows, encoded, key_labels
 
 ORDER = "order"
-"""Aggregate over h: the observed order of a measure, the slope of its logarithm over that of h."""
+"""Observed order of a measure: the slope of its logarithm against that of h."""
 SPREADS = {"median": "quartiles", "mean": "standard error", "max": "", ORDER: ""}
 """Aggregates, each with the spread that is given beside it, if there is one."""
 STEP = "h"
@@ -202,7 +202,9 @@ def require_groups(
         if STEP not in rows.keys:
             raise UsageError(f"--aggregate order: h does not vary; the keys are {', '.join(rows.keys)}")
         if STEP in keys:
-            raise UsageError(f"--aggregate order: is fitted over h, which cannot tell one {place} from another")
+            raise UsageError(
+                f"--aggregate order: the order is fitted against h, so h cannot distinguish one {place} from another"
+            )
         _require_single(rows, groups(rows, (*keys, STEP)), f"{place} at one h", options)
     elif aggregate is None:
         _require_single(rows, members, place, options)
@@ -245,7 +247,7 @@ def sweep_table(
     if len(set(measures)) < len(measures):
         raise UsageError("--value: a measure is named twice")
     if column_key and len(measures) > 1:
-        raise UsageError(f"--columns {column_key}: one --value fills the columns; {len(measures)} are given")
+        raise UsageError(f"--columns {column_key}: the columns show a single --value; {len(measures)} are given")
     members = require_groups(rows, keys, "cell", ("--rows",) if column_key else ("--rows", "--columns"), aggregate)
     columns = key_labels(rows.columns[column_key]) if column_key else dict(zip(measures, measures, strict=True))
     nothing, failed = np.array([], dtype=np.int64), ~rows.completed

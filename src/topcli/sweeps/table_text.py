@@ -1,39 +1,27 @@
-"""Tables of a sweep as text, CSV, Markdown and LaTeX: what a cell shows, and the notes that explain it."""
+"""Tables of a sweep as text, CSV, Markdown and LaTeX: the cells, and the notes that explain them."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 
+from topcli.errors import counted
+from topcli.glossary import definition
 from topcli.sweeps.table import ORDER, SPREADS, Cell, Summary, SweepTable
-from topcli.table import markdown_table
+from topcli.table import escaped, is_number, latex_number, latex_table, markdown_table, number, significant
 
 FORMATS = ("text", "csv", "markdown", "latex")
 NO_ROW = "–"
 MARK = "*"
-DIGITS = 3
-"""Significant digits of a number without a spread."""
 
 
 def _exponent(value: float) -> int:
     """Decimal exponent of a number; 0 for zero."""
     return math.floor(math.log10(abs(value))) if value else 0
-
-
-def significant(value: float, digits: int) -> str:
-    """Number with this many significant digits, with an exponent if it is very large or small; 1234 stays whole."""
-    if not math.isfinite(value) or value == 0.0:
-        return f"{value:g}"
-    text = f"{value:.{digits - 1}e}"  # rounds first: 0.0009996 has the exponent of 0.001
-    exponent = int(text.partition("e")[2])
-    if not -3 <= exponent < 5:
-        return text
-    return f"{value:.{max(0, digits - 1 - exponent)}f}"
 
 
 def rounded(figure: Summary) -> tuple[str, ...]:
@@ -43,10 +31,10 @@ def rounded(figure: Summary) -> tuple[str, ...]:
     distance has two significant digits, but have two themselves at least.
     """
     if figure.low is None or figure.high is None:
-        return (_short(significant(figure.value, DIGITS)),)
+        return (number(figure.value),)
     width = figure.high - figure.low
     if not (math.isfinite(width) and width > 0.0):
-        return tuple(_short(significant(value, DIGITS)) for value in (figure.value, figure.low, figure.high))
+        return tuple(map(number, (figure.value, figure.low, figure.high)))
     place = _exponent(float(f"{width:.1e}")) - 1
     return tuple(
         significant(value, max(2, min(_exponent(value) - place + 1, 15)))
@@ -54,21 +42,13 @@ def rounded(figure: Summary) -> tuple[str, ...]:
     )
 
 
-def _short(text: str) -> str:
-    """Text of a number without zeros at the end of its decimals."""
-    mantissa, e, exponent = text.partition("e")
-    if "." in mantissa and not e:
-        mantissa = mantissa.rstrip("0").rstrip(".")
-    return mantissa + e + exponent
-
-
 def with_error(value: float, error: float) -> tuple[str, str]:
     """Texts of a mean and its standard error, both to the place of the error's second digit."""
     if error == 0.0:
-        return _short(significant(value, DIGITS)), "0"
+        return number(value), "0"
     shown = float(f"{error:.1e}")
     place = _exponent(shown) - 1
-    scale = max(_exponent(float(f"{value:.{DIGITS}e}")) if value else place, place + 1)
+    scale = max(_exponent(float(f"{value:.3e}")) if value else place, place + 1)
     if -3 <= scale < 5:
         step = 10.0**place
         decimals = max(0, -place)
@@ -121,8 +101,8 @@ def notes(table: SweepTable) -> list[str]:
     cells, said = table.cells, []
     sizes = sorted({cell.rows for cell in cells if cell.rows})
     if table.aggregate:
-        count = str(sizes[0]) if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]}"
-        said.append(f"{count} row{'s' * (count != '1')} in each cell")
+        least = f"{sizes[0]} to " if len(sizes) > 1 else ""
+        said.append(f"{least}{counted(sizes[-1], 'row')} in each cell")
     total = sum(cell.rows for cell in cells)
     outcomes = sum((Counter(cell.outcomes) for cell in cells), Counter[str]())
     missing = total - sum(cell.count for cell in cells)
@@ -133,7 +113,7 @@ def notes(table: SweepTable) -> list[str]:
     if missing:
         said.append(f"{MARK} {missing} of {total} values could not be computed (nan) and {_verb(missing)} left out")
     if any(cell.rows == 0 for cell in cells):
-        said.append(f"{NO_ROW} the sweep has no such row")
+        said.append(f"{NO_ROW}: the sweep has no such row")
     if table.source.left_out:
         said.append(left_out(table.source.left_out))
     return said
@@ -202,43 +182,27 @@ def _csv_fields(cell: Cell) -> dict[str, str]:
     return {**fields, "": fields[":value"], ":count": str(cell.count), ":rows": str(cell.rows), ":outcomes": outcomes}
 
 
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    **{letter: f"\\{letter}" for letter in "&%$#_{}"},
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-    "–": "--",
-    "±": r"$\pm$",
-}
-
-
-def escaped(text: str) -> str:
-    """Text with the special characters of LaTeX escaped."""
-    return "".join(_SPECIAL.get(letter, letter) for letter in text)
-
-
-def _math(number: str) -> str:
-    """Number of a table in LaTeX's mathematics: 1.2e-05 becomes 1.2 times a power of ten."""
-    parts = re.fullmatch(r"(-?[0-9.]+)(?:e([+-]?\d+))?", number)
-    if parts is None:
-        return {"inf": r"\infty", "-inf": r"-\infty"}.get(number, rf"\mathrm{{{number}}}")
-    return parts[1] + (rf" \times 10^{{{int(parts[2])}}}" if parts[2] else "")
-
-
 def _latex_cell(cell: Cell, aggregate: str | None) -> str:
     if cell.summary is None:
         return escaped(_word(cell))
-    parts = [_math(part) for part in _parts(cell, aggregate)]
+    parts = [latex_number(part) for part in _parts(cell, aggregate)]
     mark = "{}^{*}" * cell.incomplete  # of its own base: a power of ten has a superscript already
     return f"${LATEX[len(parts) - 1].format(*parts)}{mark}$"
 
 
 def _latex_label(text: str) -> str:
     """Value of a key, as a number if it is one."""
-    return f"${_math(text)}$" if _is_number(text) else escaped(text)
+    return f"${latex_number(text)}$" if is_number(text) else escaped(text)
+
+
+def _definitions(measures: Sequence[str]) -> list[str]:
+    """Sentence on each measure of topcli: its meaning, and its symbol if it has one."""
+    found = {name: definition(name) for name in measures}
+    return [
+        escaped(f"{name}: {meaning}") + (f", ${symbol}$." if symbol else ".")
+        for name, (meaning, symbol) in found.items()
+        if meaning
+    ]
 
 
 def _units(measures: Sequence[str]) -> str:
@@ -262,29 +226,13 @@ def latex(table: SweepTable) -> str:
         [*map(_latex_label, labels), *(_latex_cell(cell, table.aggregate) for cell in cells)]
         for labels, cells in zip(table.row_labels, table.lines.values(), strict=True)
     ]
-    numeric = ["r" if all(_is_number(row[i]) for row in table.row_labels) else "l" for i in range(keys)]
-    return "\n".join(
-        [
-            r"% needs \usepackage{booktabs}",
-            r"\begin{table}",
-            r"\centering",
-            rf"\caption{{{' '.join([*said, _units(table.measures)])}}}",
-            rf"\begin{{tabular}}{{{''.join(numeric)}{'r' * columns}}}",
-            r"\toprule",
-            *above,
-            " & ".join(header) + r" \\",
-            r"\midrule",
-            *(" & ".join(line) + r" \\" for line in body),
-            r"\bottomrule",
-            r"\end{tabular}",
-            r"\end{table}",
-            "",
-        ]
+    numeric = ["r" if all(is_number(row[i]) for row in table.row_labels) else "l" for i in range(keys)]
+    aligned = f"{''.join(numeric)}{'r' * columns}"
+    return (
+        "\n".join(
+            latex_table(
+                header, body, aligned, " ".join([*said, *_definitions(table.measures), _units(table.measures)]), above
+            )
+        )
+        + "\n"
     )
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False

@@ -29,7 +29,7 @@ def h45(y: Floats, p: Floats) -> Any:
 
 
 def coupling(y: Floats, p: Floats) -> Any:
-    """Integral with the common component, α₃α₆x₁² + α₁α₄x₅² - α₁α₆x₃²."""
+    """Integral that contains the common component x₃, α₃α₆x₁² + α₁α₄x₅² - α₁α₆x₃²."""
     return p[2] * p[5] * y[0] ** 2 + p[0] * p[3] * y[4] ** 2 - p[0] * p[5] * y[2] ** 2
 
 
@@ -41,10 +41,11 @@ def mixed(y: Floats, p: Floats) -> Any:
 class CoupledEuler(Top):
     """Two coupled Euler tops (five components, one in common).
 
-    Three integrals are quadratic. A fourth one exists if α₁α₂ = α₅α₆; then all four, divided by 1 - h²/4 α₁α₂x₃², are
-    integrals of the HK map, which is integrable, and its degrees grow like n². Without the condition it conserves two
-    such quotients, and its degrees grow like (2 + √5)^n, even if 4α₁α₂ = α₅α₆, where the motion has a fourth integral
-    of degree four.
+    The motion has three quadratic integrals, and a fourth one if α₁α₂ = α₅α₆. In that case, all four integrals, divided
+    by 1 - h²/4 α₁α₂x₃², are integrals of the Hirota-Kimura (HK) map with the step size h. The map is then integrable,
+    and the degrees of its iterates grow like n². Without the condition α₁α₂ = α₅α₆, the HK map conserves only two
+    quotients of this kind, and the degrees grow like (2 + √5)^n. This is true even if 4α₁α₂ = α₅α₆, although the motion
+    then has a fourth integral, of degree four.
     """
 
     kind = "coupled-euler"
@@ -75,12 +76,12 @@ class CoupledEuler(Top):
         "modified_mixed": ("H₁₄ mod", r"\widetilde{H_{14}}"),
     }
 
-    alpha1: float = Field(default=2.0, description="coefficient of x2 x3")
-    alpha2: float = Field(default=-6.0, description="coefficient of x3 x1")
-    alpha3: float = Field(default=-1.5, description="coefficient of x1 x2")
-    alpha4: float = Field(default=2.0, description="coefficient of x4 x5")
-    alpha5: float = Field(default=3.0, description="coefficient of x5 x3")
-    alpha6: float = Field(default=-4.0, description="coefficient of x3 x4")
+    alpha1: float = Field(default=2.0, description="coefficient of x2 x3 in the rate of x1")
+    alpha2: float = Field(default=-6.0, description="coefficient of x3 x1 in the rate of x2")
+    alpha3: float = Field(default=-1.5, description="coefficient of x1 x2 in the rate of x3")
+    alpha4: float = Field(default=2.0, description="coefficient of x4 x5 in the rate of x3")
+    alpha5: float = Field(default=3.0, description="coefficient of x5 x3 in the rate of x4")
+    alpha6: float = Field(default=-4.0, description="coefficient of x3 x4 in the rate of x5")
 
     @property
     def has_mixed(self) -> bool:
@@ -98,7 +99,7 @@ class CoupledEuler(Top):
             def modified(y: Floats, p: Floats) -> Any:
                 return plain(y, p) / (1 - (h / 2) ** 2 * (p[i] * p[j]) * y[2] ** 2)
 
-            modified.__doc__ = f"{plain.__doc__}, modified: conserved by the HK map".replace(".,", ",")
+            modified.__doc__ = f"{plain.__doc__}, modified so that the HK map conserves it".replace(".,", ",")
             return modified
 
         if scheme != "hk":

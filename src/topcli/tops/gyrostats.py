@@ -1,4 +1,4 @@
-"""Heavy tops with a rotor: the gyrostats of Lagrange and of Kowalevski, and what heavy tops of this shape share."""
+"""Heavy tops with a rotor: the gyrostats of Lagrange and of Kowalevski, and their shared parts."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def m_axis(y: Floats, p: Floats) -> Any:
 
 
 def k_sq(y: Floats, p: Floats) -> Any:
-    """Kowalevski's integral |ω² - c₀γ|² with the terms of the rotor."""
+    """Integral of Kowalevski, |(ω₁ + iω₂)² - c₀(γ₁ + iγ₂)|², plus terms with the momentum k of the rotor."""
     w1, w2, w3, g1, g2, g3 = y
     c, k = p[3], p[5]
     rotor = k * (2 * (c * k) * g1 - 4 * c * (g3 * w1) + k * w3**2 + 2 * w3 * (w1**2 + w2**2))
@@ -76,9 +76,10 @@ J\dot\omega = (J\omega + k\,e_3)\times\omega + \gamma\times r, \qquad \dot\gamma
 class LagrangeGyrostat(HeavyGyrostat):
     """Lagrange top with a rotor on its axis.
 
-    m = (Aω₁, Aω₂, Cω₃ + k). With ω₃ constant, the rotor acts like another C; therefore the HK map is as integrable as
-    that of the Lagrange top, with the same modified integrals, and its degrees grow like n². With the rotor on another
-    axis neither the motion nor the map would be integrable.
+    With the angular momentum k of the rotor, the total angular momentum is m = (Aω₁, Aω₂, Cω₃ + k). Since ω₃ is
+    constant, the rotor acts like a change of C. The Hirota-Kimura (HK) map is therefore integrable like that of the
+    Lagrange top, with modified integrals of the same form, and the degrees of its iterates grow like n². With the rotor
+    on another axis, neither the motion nor the HK map would be integrable.
     """
 
     kind = "lagrange-gyrostat"
@@ -102,9 +103,9 @@ J = \mathrm{diag}(A, A, C), \qquad r = (0, 0, \mu)
     }
 
     A: float = Field(default=1.0, gt=0.0, description="first and second moment of inertia; positive")
-    C: float = Field(default=0.5, gt=0.0, description="third moment of inertia, without the rotor's; positive")
-    mu: float = Field(default=1.0, description="mg z0, the moment of gravity about the fixed point")
-    k: float = Field(default=0.4, description="momentum of the rotor on the third axis")
+    C: float = Field(default=0.5, gt=0.0, description="third moment of inertia, without that of the rotor; positive")
+    mu: float = Field(default=1.0, description="mg z0, the weight times the third coordinate of the centre of gravity")
+    k: float = Field(default=0.4, description="angular momentum of the rotor on the third axis")
 
     def constants(self) -> Floats:
         """Return ``(A, A, C, 0, mu, k)``."""
@@ -118,7 +119,7 @@ J = \mathrm{diag}(A, A, C), \qquad r = (0, 0, \mu)
                 A, _, C, _, mu, k = p
                 return plain(y, p) + hk_corrections(A, mu / A, ((A - C) * y[2] - k) / A, h, y)[index]
 
-            modified.__doc__ = f"{str(plain.__doc__).rstrip('.')}, modified: conserved by the HK map"
+            modified.__doc__ = f"{str(plain.__doc__).rstrip('.')}, modified so that the HK map conserves it"
             return modified
 
         plain = HeavyGyrostat.integrals.items()
@@ -126,10 +127,11 @@ J = \mathrm{diag}(A, A, C), \qquad r = (0, 0, \mu)
 
 
 class KowalevskiGyrostat(HeavyGyrostat):
-    """Kowalevski top with a rotor on its axis.
+    """Kowalevski top with a rotor on its third axis.
 
-    A = B = 2, C = 1 without loss of generality. The fourth integral is of degree four. The HK map conserves none of the
-    four exactly, and its degrees grow like (3 + √6)^n: it is not integrable.
+    The moments of inertia are A = B = 2 and C = 1 without loss of generality. The motion has four integrals; the
+    fourth, K, is of degree four. The Hirota-Kimura (HK) map conserves none of them exactly. The degrees of its iterates
+    grow like (3 + √6)^n, so the map is not integrable.
     """
 
     kind = "kowalevski-gyrostat"
@@ -145,8 +147,8 @@ J = \mathrm{diag}(2, 2, 1), \qquad r = (c_0, 0, 0)
     integrals: ClassVar[Mapping[str, Integral]] = {**HeavyGyrostat.integrals, "k_sq": k_sq}
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {**HeavyGyrostat.symbols, "k_sq": ("K", "K")}
 
-    c0: float = Field(default=1.0, description="mg x0, the moment of gravity about the fixed point")
-    k: float = Field(default=0.4, description="momentum of the rotor on the third axis")
+    c0: float = Field(default=1.0, description="mg x0, the weight times the first coordinate of the centre of gravity")
+    k: float = Field(default=0.4, description="angular momentum of the rotor on the third axis")
 
     def constants(self) -> Floats:
         """Return ``(2, 2, 1, c0, 0, k)``."""

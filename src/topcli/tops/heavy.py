@@ -24,10 +24,11 @@ def field(s: Floats, p: Floats) -> Floats:
 
 
 class Heavy(BodyTop):
-    """Heavy top with moments (A, B, C) and mg(x0, y0, z0); dimensionless.
+    """Heavy top with any moments of inertia (A, B, C) and any mg(x0, y0, z0); dimensionless.
 
-    With only three integrals it is not integrable: apart from special orbits the motion is chaotic, unless the
-    parameters are those of Euler's, Lagrange's or Kowalevski's top. The default top is chaotic.
+    (x0, y0, z0) is the position of the centre of gravity, and mg the weight. In general, the heavy top has only three
+    integrals and is not integrable. It is integrable if the parameters are those of Euler's, Lagrange's or Kowalevski's
+    top. With the default parameters, chaotic motions exist.
     """
 
     kind = "heavy"
@@ -45,9 +46,9 @@ J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
     A: float = Field(default=2.0, gt=0.0, description="first moment of inertia")
     B: float = Field(default=1.5, gt=0.0, description="second moment of inertia")
     C: float = Field(default=1.0, gt=0.0, description="third moment of inertia")
-    x0: float = Field(default=1.0, description="mg x0, the centre of gravity on the first axis times the weight")
-    y0: float = Field(default=0.5, description="mg y0, the centre of gravity on the second axis times the weight")
-    z0: float = Field(default=0.8, description="mg z0, the centre of gravity on the third axis times the weight")
+    x0: float = Field(default=1.0, description="mg x0, the weight times the first coordinate of the centre of gravity")
+    y0: float = Field(default=0.5, description="mg y0, the weight times the second coordinate of the centre of gravity")
+    z0: float = Field(default=0.8, description="mg z0, the weight times the third coordinate of the centre of gravity")
 
     def constants(self) -> Floats:
         """Return ``(A, B, C, mg x0, mg y0, mg z0)``."""

@@ -26,12 +26,12 @@ def field(y: Floats, p: Floats) -> Floats:
 
 
 class Kowalevski(BodyTop):
-    """Kowalevski top with moments (A, A, A/2) and mg(x0, y0, z0) = (c0, 0, 0); dimensionless.
+    """Kowalevski top with the moments of inertia (A, A, A/2) and mg(x0, y0, z0) = (c0, 0, 0); dimensionless.
 
-    The paper sets A = B = 2, C = 1 "without loss of generality"; these are the defaults. For another A, dividing the
-    equations of motion by C = A/2 gives those of the paper with c0 replaced by c = c0/C: time, omega and gamma keep
-    their meaning, 2l and E are C times the expressions of the paper, and k² = |omega² - c gamma|². c0 may be any real
-    number; c0 = 0 is the free symmetric top.
+    The paper (Sogo, Discrete Spinning Tops) sets A = B = 2, C = 1 "without loss of generality"; these are the defaults.
+    For another A, the equations of motion divided by C = A/2 are those of the paper with c = c0/C instead of c0. The
+    angular momentum 2l about the vertical and the energy E are then C times the expressions of the paper, and
+    k² = |(omega1 + i omega2)² - c (gamma1 + i gamma2)|². With c0 = 0 the top is the free symmetric top.
     """
 
     kind = "kowalevski"
@@ -46,7 +46,10 @@ class Kowalevski(BodyTop):
     step_constants = ("c = c0/C",)
     field = staticmethod(field)
 
-    c0: float = Field(default=1.0, description="mg x0, the moment of gravity about the fixed point; any real number")
+    c0: float = Field(
+        default=1.0,
+        description="mg x0, the weight times the first coordinate of the centre of gravity; may be negative",
+    )
     A: float = Field(default=2.0, gt=0.0, description="first and second moment of inertia; the third is A/2")
 
     @field_validator("c0", "A")
@@ -97,5 +100,5 @@ class Kowalevski(BodyTop):
             length_sq("gamma_sq", "γ²", r"\gamma^2"),
             sum_of_products("two_l", "2l", r"2\ell", VERTICAL, two_l),
             energy(kinetic, c0, 3),
-            Invariant("k_sq", "k²", r"k^2", "Kowalevski's integral |ω² - cγ|²", k_sq, k_sq_scale),
+            Invariant("k_sq", "k²", r"k^2", "Kowalevski's integral |(ω₁ + iω₂)² - c(γ₁ + iγ₂)|²", k_sq, k_sq_scale),
         )

@@ -96,10 +96,11 @@ def hk_corrections(A: Any, nu: Any, k: Any, h: Any, y: Any) -> tuple[Any, Any, A
 
 
 class Lagrange(BodyTop):
-    """Lagrange top with moments (A, A, C) and mg(x0, y0, z0) = (0, 0, mu), in the body frame; dimensionless.
+    """Lagrange top with moments of inertia (A, A, C) and mg(x0, y0, z0) = (0, 0, mu), in the body frame; dimensionless.
 
-    With mu > 0 the centre of gravity is above the fixed point when gamma_3 = 1. mu may be any real number; mu = 0 is
-    the free symmetric top. The state is (omega, gamma).
+    mu is the weight times the third coordinate of the centre of gravity. If mu > 0, the centre of gravity
+    is above the fixed point when gamma3 = 1. With mu = 0 the top is the free symmetric top. The state consists of
+    omega, the angular velocity, and gamma, the vertical as seen from the body.
     """
 
     kind = "lagrange"
@@ -117,10 +118,16 @@ A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
 
     A: float = Field(default=1.0, gt=0.0, description="first and second moment of inertia")
     B: float | None = Field(
-        default=None, gt=0.0, validate_default=True, description="second moment of inertia; must equal A, the default"
+        default=None,
+        gt=0.0,
+        validate_default=True,
+        description="second moment of inertia; must equal A, which is its default",
     )
     C: float = Field(default=0.5, gt=0.0, description="third moment of inertia")
-    mu: float = Field(default=1.0, description="mg z0, the moment of gravity about the fixed point; any real number")
+    mu: float = Field(
+        default=1.0,
+        description="mg z0, the weight times the third coordinate of the centre of gravity; may be negative",
+    )
 
     @field_validator("B")
     @classmethod
@@ -160,8 +167,9 @@ A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
 class LagrangeInertial(Top):
     """Lagrange top in the inertial frame, in units where A = mg z0 = 1 (Sogo, section 2.3).
 
-    The state is the angular momentum m and the axis a. The third moment of inertia does not enter; it is replaced by
-    the angular momentum m·a about the axis, which is C omega3 in the body frame.
+    The state is the angular momentum m and the unit vector a of the top's axis. The third moment of inertia C does not
+    occur in the equations. The initial state determines the angular momentum m·a about the axis, which is C omega3 in
+    the body frame.
     """
 
     kind = "lagrange"

@@ -1,4 +1,4 @@
-"""Heavy tops that are integrable on a level only: Goryachev and Chaplygin's, Hess and Appelrot's."""
+"""Heavy tops that are integrable only on a level of an integral: Goryachev-Chaplygin and Hess-Appelrot."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from topcli.tops.gyrostats import HeavyGyrostat
 
 
 def chaplygin(y: Floats, p: Floats) -> Any:
-    """Chaplygin's integral, where m·γ = 0."""
+    """Cubic integral of Chaplygin, ω₃(ω₁² + ω₂²) - c₀ω₁γ₃."""
     return y[2] * (y[0] ** 2 + y[1] ** 2) - p[3] * (y[0] * y[5])
 
 
 def hess(y: Floats, p: Floats) -> Any:
-    """Hess' invariant relation A x₀ ω₁ + C z₀ ω₃ = 0."""
+    """Function A x₀ ω₁ + C z₀ ω₃, zero on the invariant hyperplane of Hess."""
     return p[0] * p[3] * y[0] + p[2] * p[4] * y[2]
 
 
 class GoryachevChaplygin(HeavyGyrostat):
     """Goryachev-Chaplygin top: A = B = 4C, centre of gravity on the first axis.
 
-    C = 1 without loss of generality. Only motions without angular momentum about the vertical, m·γ = 0, have a fourth
-    integral, a cubic one; the others are chaotic. The HK map conserves none of the four, and its degrees grow like
-    (3 + √6)^n: it is not integrable.
+    The moments of inertia are A = B = 4 and C = 1 without loss of generality. Motions without angular momentum
+    about the vertical, m·γ = 0, have a fourth integral, which is cubic; other motions are chaotic in general. The
+    Hirota-Kimura (HK) map conserves none of the four integrals. The degrees of its iterates grow like (3 + √6)^n, so
+    the map is not integrable.
     """
 
     kind = "goryachev-chaplygin"
@@ -42,7 +43,7 @@ J = \mathrm{diag}(4, 4, 1), \qquad r = (c_0, 0, 0)
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {**HeavyGyrostat.symbols, "chaplygin": ("G", "G")}
     holds_on: ClassVar[Mapping[str, Mapping[str, float]]] = {"chaplygin": {"m_gamma": 0.0}}
 
-    c0: float = Field(default=1.0, description="mg x0, the moment of gravity about the fixed point")
+    c0: float = Field(default=1.0, description="mg x0, the weight times the first coordinate of the centre of gravity")
 
     def constants(self) -> Floats:
         """Return ``(4, 4, 1, c0, 0, 0)``."""
@@ -56,10 +57,11 @@ J = \mathrm{diag}(4, 4, 1), \qquad r = (c_0, 0, 0)
 class HessAppelrot(HeavyGyrostat):
     """Hess-Appelrot top: A (B - C) x₀² = C (A - B) z₀².
 
-    The centre of gravity lies on the perpendicular of a circular section of the gyration ellipsoid, which fixes B. Then
-    motions that start on the hyperplane F = A x₀ ω₁ + C z₀ ω₃ = 0 remain there, since F' is a multiple of ω₂ F; others
-    are chaotic. The HK map keeps this hyperplane exactly, like every invariant hyperplane, but no integral; its degrees
-    grow like (3 + √6)^n. Where ω₂ keeps its sign, rounding errors of F grow exponentially.
+    This condition determines B. Geometrically, the centre of gravity lies on the normal through the fixed point to a
+    circular section of the gyration ellipsoid (Σ mᵢ²/Jᵢ = const). A motion that starts on the hyperplane
+    F = A x₀ ω₁ + C z₀ ω₃ = 0 remains there, since dF/dt is a multiple of ω₂ F; other motions are chaotic in general.
+    The Hirota-Kimura (HK) map also maps this hyperplane to itself, but conserves no integral of the motion. The degrees
+    of its iterates grow like (3 + √6)^n. As long as ω₂ keeps its sign, rounding errors of F can grow exponentially.
     """
 
     kind = "hess-appelrot"
@@ -77,8 +79,8 @@ J = \mathrm{diag}(A, B, C), \qquad r = (x_0, 0, z_0), \qquad A\,(B - C)\,x_0^2 =
 
     A: float = Field(default=3.0, gt=0.0, description="first moment of inertia; positive")
     C: float = Field(default=2.0, gt=0.0, description="third moment of inertia; positive")
-    x0: float = Field(default=1.0, description="mg x0, the centre of gravity on the first axis times the weight")
-    z0: float = Field(default=1.0, description="mg z0, the centre of gravity on the third axis times the weight")
+    x0: float = Field(default=1.0, description="mg x0, the weight times the first coordinate of the centre of gravity")
+    z0: float = Field(default=1.0, description="mg z0, the weight times the third coordinate of the centre of gravity")
 
     @model_validator(mode="after")
     def _has_weight(self) -> HessAppelrot:

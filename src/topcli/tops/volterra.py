@@ -54,17 +54,18 @@ def pair_integral(k: int, h: float) -> Integral:
         x, y = alpha[j] * m[i] + p[3 + i], alpha[i] * m[j] - p[3 + j]
         return (alpha[i] * x**2 - alpha[j] * y**2) / (1 - (h / 2) ** 2 * (alpha[i] * alpha[j]) * m[k] ** 2)
 
-    integral.__doc__ = f"Quadric in m{i + 1} and m{j + 1}, conserved by the HK map"
+    integral.__doc__ = f"Quotient of polynomials that the HK map conserves, quadratic in m{i + 1} and m{j + 1}"
     return integral
 
 
 class Volterra(Top):
     """Zhukovski-Volterra gyrostat (free body with rotors).
 
-    m is the angular momentum of the body with its rotors. Two integrals are quadratic, and the motion is given by
-    elliptic functions. The HK map has an integral for each axis without a rotor. With a rotor on one axis it is
-    integrable, and its degrees grow like n²; with rotors on two axes it has one integral, and they grow like
-    (1 + √2)^n; with three it has none, and they grow like 3^n.
+    The state m is the angular momentum of the body with its rotors. The motion has two quadratic integrals and is given
+    by elliptic functions. The Hirota-Kimura (HK) map has an integral for each axis without a rotor. With a rotor on
+    only one axis, the map is integrable, and the degrees of its iterates grow like n². With rotors on two axes the map
+    has one integral, and the degrees grow like (1 + √2)^n. With rotors on all three axes the map has no integral, and
+    the degrees grow like 3^n.
     """
 
     kind = "volterra"
@@ -91,9 +92,9 @@ class Volterra(Top):
     a1: float = Field(default=1.0, description="reciprocal of the first moment of inertia")
     a2: float = Field(default=1.5, description="reciprocal of the second moment of inertia")
     a3: float = Field(default=2.5, description="reciprocal of the third moment of inertia")
-    b1: float = Field(default=0.4, description="-a1 times the momentum of the rotor on the first axis")
-    b2: float = Field(default=0.0, description="-a2 times the momentum of the rotor on the second axis")
-    b3: float = Field(default=0.0, description="-a3 times the momentum of the rotor on the third axis")
+    b1: float = Field(default=0.4, description="-a1 times the angular momentum of the rotor on the first axis")
+    b2: float = Field(default=0.0, description="-a2 times the angular momentum of the rotor on the second axis")
+    b3: float = Field(default=0.0, description="-a3 times the angular momentum of the rotor on the third axis")
 
     def integrals_of(self, scheme: str, h: float) -> Mapping[str, Integral]:
         """Return the integrals of the HK map, one for each axis without a rotor; constants are left out."""

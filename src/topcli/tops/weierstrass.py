@@ -17,15 +17,17 @@ def field(y: Floats, p: Floats) -> Floats:
 
 
 def energy(y: Floats, p: Floats) -> Any:
-    """Half of v² - 4x³ + g₂x, which is -g₃/2."""
+    """Half of v² - 4x³ + g₂x; its value is -g₃/2."""
     return (y[1] ** 2 - 4 * y[0] ** 3 + p[0] * y[0]) / 2
 
 
 class Weierstrass(Top):
     """Equation of the Weierstrass function (x = ℘(t - t0) with the invariants g2 and g3).
 
-    The swings of many tops obey it. Motions in the well, between the two lower roots of 4x³ - g₂x - g₃, are periodic;
-    all others have poles. The HK map is integrable, with a rational modified energy; its degrees grow like n².
+    A coordinate of many tops, such as gamma3 of the Lagrange top, obeys this equation up to a shift and a scale factor.
+    Motions in the potential well, between the two lower roots of 4x³ - g₂x - g₃, are periodic; all other motions have
+    poles. The Hirota-Kimura (HK) map is integrable and conserves a modified energy, a rational function of the state.
+    The degrees of its iterates grow like n².
     """
 
     kind = "weierstrass"
@@ -42,13 +44,13 @@ class Weierstrass(Top):
         "modified_energy": ("E mod", r"\widetilde{E}"),
     }
 
-    g2: float = Field(default=3.0, description="invariant g2; the well is at x = -sqrt(g2/12)")
+    g2: float = Field(default=3.0, description="invariant g2; the potential well has its minimum at x = -sqrt(g2/12)")
 
     def integrals_of(self, scheme: str, h: float) -> Mapping[str, Integral]:
         """Return E + h/3 E' · (1 - h/2 f')^-1 f, which the HK map of a cubic Hamiltonian conserves."""
 
         def modified_energy(y: Floats, p: Floats) -> Any:
-            """Energy, modified: conserved by the HK map."""
+            """Energy, modified so that the HK map conserves it."""
             x, v = y
             force = 6 * x**2 - p[0] / 2
             return energy(y, p) + h**2 / 6 * (12 * (x * v**2) - force**2) / (1 - 3 * h**2 * x)

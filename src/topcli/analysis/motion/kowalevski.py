@@ -214,8 +214,12 @@ def _frequencies(ovals: Ovals) -> list[Quantity]:
     about = {1: "once", 2: "twice"}
     first, second = 1.0 / (n1 * period1), 1.0 / (n2 * period2)
     frequencies = [
-        Quantity("frequency.1", first, f"cycles per unit time of the first angle: s1 oscillates {about[n1]}"),
-        Quantity("frequency.2", second, f"cycles per unit time of the second angle: s2 oscillates {about[n2]}"),
+        Quantity(
+            "frequency.1", first, f"cycles per unit time of the first angle; s1 oscillates {about[n1]} in a cycle"
+        ),
+        Quantity(
+            "frequency.2", second, f"cycles per unit time of the second angle; s2 oscillates {about[n2]} in a cycle"
+        ),
     ]
     if second:
         frequencies.append(Quantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"))
@@ -223,7 +227,7 @@ def _frequencies(ovals: Ovals) -> list[Quantity]:
         *frequencies,
         Quantity("period.s1", period1, "time of one oscillation of s1"),
         Quantity("period.s2", period2, "time of one oscillation of s2, from one zero of ω2 to the next"),
-        Quantity("time_between_swings", n2 * period2, "mean time of a full oscillation of ω2"),
+        Quantity("period.omega2", n2 * period2, "mean time of a full oscillation of ω2"),
     ]
 
 
@@ -292,7 +296,7 @@ def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> l
 
 def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
     """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (``schemes.kowalevski.closed_form.setup``)."""
-    what = "pendulum (Bobylev-Steklov): ω2 = 0 for ever"
+    what = "pendulum (Bobylev-Steklov): ω2 = 0 at all times"
     w1, _, w3, g1, g2, _ = map(Fraction, y)
     xi = (w1 * w1 - Fraction(c) * g1, -Fraction(c) * g2)
     energy, k_sq = w3 * w3 - 2 * xi[0], xi[0] ** 2 + xi[1] ** 2
@@ -322,7 +326,7 @@ def _degenerate(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Qu
         what = "Delone's class, k = 0" if kind == DELONE else "E - 2 l²/γ² = -k"
         return Motion(top.form, kind, f"periodic: {what}; s1 is constant", y, (*conserved, *_cycle(ovals)))
     if all(ovals.touched) and kind == SEPARATRIX:
-        period = Quantity("period", math.inf, "the motion is homoclinic or heteroclinic")
+        period = Quantity("period", math.inf, "time of one cycle; the motion is homoclinic or heteroclinic")
         title = "separatrix: s1 and s2 tend to double roots; asymptotic to an equilibrium"
         return Motion(top.form, kind, title, y, (*conserved, period))
     rests = ovals.rests(y, c)
@@ -350,6 +354,6 @@ def _cycle(ovals: Ovals) -> list[Quantity]:
     return [
         Quantity("frequency", 1.0 / cycle, "cycles per unit time"),
         Quantity("frequency.normal", 1.0 / (ovals.turns[0] * period1), "cycles per unit time of small deviations"),
-        Quantity("period", cycle, "time of one cycle: s2 oscillates twice"),
-        Quantity("time_between_swings", cycle, "time of a full oscillation of ω2"),
+        Quantity("period", cycle, "time of one cycle, in which s2 oscillates twice"),
+        Quantity("period.omega2", cycle, "time of a full oscillation of ω2"),
     ]

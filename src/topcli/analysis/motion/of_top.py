@@ -1,4 +1,4 @@
-"""Motion of any top from a state, as far as its closed form is known.
+"""Description of the motion of any top from a state, as far as a closed form is known.
 
 That of the Euler top: class of the polhode, its period, and the rotation of the body about the momentum. That of the
 Lagrange top: nutation, precession, and the curve that the axis traces on the sphere.
@@ -115,7 +115,7 @@ def _free(w: Vector, J: Vector) -> Described:
     assert motion.precession is not None
     if motion.quarter is None:
         period = Quantity("period", math.inf, "time from one steady rotation about the middle axis to the other")
-        rate_quantity = Quantity("rate", rate, "rate at which the steady rotation is approached, e-foldings")
+        rate_quantity = Quantity("rate", rate, "approach to the steady rotation, in e-foldings per unit time")
         return (
             "separatrix",
             "separatrix: asymptotic to the rotation about the middle axis",
@@ -136,7 +136,7 @@ def _free(w: Vector, J: Vector) -> Described:
         return f"polhode about {AXES[axis]}", title, quantities
     quantities += [
         Quantity(
-            "separatrix.distance", float(effective - middle), f"m²/(m·ω) - {float(middle):g}, 0 on the separatrix"
+            "separatrix.distance", float(effective - middle), f"m²/(m·ω) - {float(middle):g}; 0 on the separatrix"
         ),
         Quantity("separatrix.m1", motion.m1, "complementary parameter 1 - k² of the elliptic functions"),
     ]
@@ -224,7 +224,7 @@ def _bounds(low: float, high: float, m1: float) -> tuple[Quantity, ...]:
     return (
         Quantity("cos_theta.min", low, "smallest cosine of the angle θ between axis and vertical"),
         Quantity("cos_theta.max", high, "largest cosine of this angle"),
-        Quantity("separatrix.m1", m1, "complementary parameter 1 - k², 0 on the separatrix"),
+        Quantity("separatrix.m1", m1, "complementary parameter 1 - k²; 0 on the separatrix"),
     )
 
 
@@ -267,7 +267,7 @@ def _sleeping(nutation: Nutation) -> list[Quantity]:
     if not nutation.nu:
         return []
     ratio = float(nutation.ba**2 / (4 * abs(nutation.nu)))
-    return [Quantity("sleeping.ratio", ratio, "(C ω3)²/(4 A |μγ|); upright spinning is stable from 1 on")]
+    return [Quantity("sleeping.ratio", ratio, "(C ω3)²/(4 A |μγ|); upright spinning is stable if ≥ 1")]
 
 
 def _steady(nutation: Nutation) -> Described:

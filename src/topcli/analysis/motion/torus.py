@@ -1,4 +1,4 @@
-"""Torus of a Kowalevski motion: its actions by quadrature, and its surface with the lines of two flows.
+"""Torus of a Kowalevski motion: actions by quadrature, and the surface with the lines of two flows.
 
 With x = s + E/3, Z = (2 x - E)² - k² and the two factors S = x (Z + G) - L² and Z/4 of Phi, the momentum conjugate
 to x is
@@ -165,7 +165,7 @@ class Torus:
     def energy_lines(self, count: int, points: int, middle: float = 0.0) -> Array:
         """States (count, points, 6) on lines of the flow of the energy, each over one period of the second angle.
 
-        The middle of the lines is ``middle`` periods after the start of the motion.
+        The first meets the motion ``middle`` periods after its start.
         """
         return self._lines(self.energy_rates, 1, count, points, middle)
 
@@ -174,8 +174,15 @@ class Torus:
         return self._lines(self.k_sq_rates, 0, count, points)
 
     def _lines(self, rates: tuple[float, float], axis: int, count: int, points: int, middle: float = 0.0) -> Array:
-        """Lines that are equidistant where they cross the phase of the start, which the first of them passes."""
-        along = np.linspace(middle - 0.5, middle + 0.5, points)[None, :] * self.periods[axis]
-        across = np.arange(count)[:, None] * (self.periods[1 - axis] / count) + along * (rates[1 - axis] / rates[axis])
+        """Equidistant lines, each of which continues another; for this their direction is not quite that of the flow.
+
+        Over one period a line leaves the flow by at most half the distance of two lines, by far less for a good count.
+        """
+        turn = rates[1 - axis] / rates[axis] * self.periods[axis] / self.periods[1 - axis]
+        along = np.linspace(-0.5, 0.5, points)[None, :]
+        closing = round(count * turn) / count
+        across = np.arange(count)[:, None] / count + along * closing + middle * (turn - closing)
+        across = across * self.periods[1 - axis]
+        along = along * self.periods[axis]
         phases = (along, across) if axis == 0 else (across, along)
         return self.states(phases[0] + self.start[0], phases[1] + self.start[1])

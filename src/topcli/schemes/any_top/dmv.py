@@ -28,7 +28,7 @@ inverse moments::
 
 The coefficients were derived from the condition that the Cayley vector of the step equals that of the motion, order by
 order, in rational arithmetic, for enough bodies and states to determine all polynomials and to check them; the tests
-repeat the check. The functions take floats or fractions. Coefficients that an order does not use cost nothing: the
+measure the orders. The functions take floats or fractions. Coefficients that an order does not use cost nothing: the
 compiler omits them and moves the others out of the loop.
 """
 
@@ -134,8 +134,11 @@ NEWTON_LIMIT = 30
 """Maximum number of Newton corrections beyond them; four to six are typical."""
 HALVINGS, BISECTIONS = 64, 10
 """Steps of the search for the longest step."""
-LONG_STEPS = dict.fromkeys(KEPT, ("resonance", "singular-step")) | {"lagrange/inertial": ("resonance",)}
-"""Hard cases of each built-in top in which the steps are too long."""
+LONG_STEPS = {
+    **dict.fromkeys(("euler", "euler+gamma", "heavy", "kowalevski", "lagrange"), ("resonance", "singular-step")),
+    "lagrange/inertial": ("resonance",),
+}
+"""Hard cases of the paper's tops in which the steps are too long."""
 LAST_BIT = 2.0**-50
 """Correction relative to c that is round-off."""
 follow_precision(__name__, caps=("NEWTON_LIMIT",), LAST_BIT=1)
@@ -149,10 +152,12 @@ class DmvOptions(CompensatedOption):
 
     moments: Literal["plain", "preprocessed"] = Field(
         default="plain",
-        description="moments of inertia of the step: those of the top, or modified ones that make the motion of a free "
-        "body accurate to the given order",
+        description="moments of inertia in the step: those of the top (plain), or modified ones that give the motion "
+        "of a free body a higher order (preprocessed)",
     )
-    order: Literal[4, 6, 8, 10] = Field(default=4, description="order of a step with preprocessed moments")
+    order: Literal[4, 6, 8, 10] = Field(
+        default=4, description="order of a step of the free body with preprocessed moments of inertia"
+    )
 
 
 def residual(c: Vector, k: Vector, r: Vector) -> Vector:
@@ -347,7 +352,9 @@ def heavy_change(rotation: Rotation) -> Change:
 
 
 FREE_MAP = Integrability(
-    "by matrix factorization (Moser, Veselov 1991)", "Lie-Poisson bracket of so(3), or e(3) with gamma", "lie-poisson"
+    "by matrix factorization (Moser, Veselov 1991)",
+    "Lie-Poisson bracket of so(3), or of e(3) if gamma is computed",
+    "lie-poisson",
 )
 
 
@@ -378,12 +385,16 @@ m' = m^+ + \tfrac h2\,\gamma'\times r
     order_with=lambda options: options.order if options.moments == "preprocessed" else 2,
 )
 def build(top: Top, options: DmvOptions) -> Stepper:
-    """Discrete Moser-Veselov rotation of m and gamma between two half kicks by gravity.
+    """A discrete Moser-Veselov step of the free body between two steps h/2 of gravity alone (kicks).
 
-    Implicit, self-adjoint and canonical: gamma² and m·gamma are exact, the energy oscillates by h² and does not drift.
-    For a free body it is the integrable Moser-Veselov map, which keeps m² and the energy as well; with
-    `moments: preprocessed` it has order 4, or 6, 8 or 10 with `order`, in m and in gamma, at nearly the same cost. If
-    |h| |omega| is too large, of the order of 1, a step has no solution and the run ends as `no_convergence`.
+    The scheme is implicit, self-adjoint and canonical (a Poisson map). `dmv` conserves gamma² and m·gamma; the energy
+    oscillates by about h² and does not drift. For a free body the scheme is the integrable Moser-Veselov map, which
+    also conserves m² and the energy.
+
+    With `moments: preprocessed`, the map of the free body has order 4, 6, 8 or 10 (option `order`) in m and in gamma,
+    at nearly the same cost.
+
+    If |h| |omega| exceeds about 1, a step has no solution, and the run ends as `no_convergence`.
     """
     equations = checked_equations(top, NEEDED_BY)
     d = state_length(top, NEEDED_BY)

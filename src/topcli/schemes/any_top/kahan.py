@@ -97,15 +97,17 @@ def kahan_stepper(top: Top, options: object) -> Stepper:
     self_adjoint=True,
     citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 2.1",
     formula=HIROTA_KIMURA,
-    equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
+    equations="(dEulerPoisson) of the paper, its last line corrected to end with gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build_heavy(top: Top, options: CompensatedOption) -> Stepper:
-    """Linear in the new state, solved in closed form by code generated from the field.
+    """Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
 
-    None of the three integrals is conserved exactly; for small h the deviations are of size h². Special tops have
-    faster implementations of the same map under the same name.
+    The code of the step is generated from the equations of motion.
+
+    HK conserves none of the three integrals gamma², m·gamma and E exactly; for small h their deviations are of size h².
+    For the Kowalevski, Lagrange and Euler tops topcli has faster code for the same map, under the same name.
     """
     return kahan_stepper(top, options)
 
@@ -114,7 +116,7 @@ def build_heavy(top: Top, options: CompensatedOption) -> Stepper:
     "hk",
     top=(),
     later=partial(required_field, needed_by="scheme 'hk'", degree=2),
-    title="Hirota-Kimura (Kahan) scheme",
+    title="Hirota-Kimura scheme (Kahan's method)",
     order=2,
     explicit=True,
     self_adjoint=True,
@@ -128,9 +130,10 @@ def build_heavy(top: Top, options: CompensatedOption) -> Stepper:
     options=CompensatedOption,
 )
 def build_quadratic(top: Top, options: CompensatedOption) -> Stepper:
-    """Linear in the new state, solved in closed form by code generated from the field, which is quadratic.
+    """Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
 
-    Every product y z becomes (y' z + y z')/2, every linear term its mean. Linear integrals are conserved; for small h
-    the deviations of others are of size h².
+    The code of the step is generated from the equations of motion. In these equations every product y z of two
+    variables becomes (y' z + y z')/2, and every linear term y becomes the mean (y + y')/2; a prime marks a value after
+    the step. HK conserves linear integrals; for small h the deviations of the other integrals are of size h².
     """
     return kahan_stepper(top, options)

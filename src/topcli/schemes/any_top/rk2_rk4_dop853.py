@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.contracts import Array, Floats, NoOptions, StepFunction, Stepper, Top, check_stop
-from topcli.schemes.layout import explicit_limits, linear_invariants, rk2_limits
+from topcli.schemes.layout import explicit_limits, has_own_cases, linear_invariants, rk2_limits
 from topcli.schemes.registry import scheme
 
 VectorField = Callable[[Floats, Floats], Floats]
@@ -67,7 +67,7 @@ def rk4_step(field: VectorField, axpy: Axpy, add: Add) -> StepFunction:
     limits=rk2_limits,
 )
 def build_rk2(top: Top, options: NoOptions) -> Stepper:
-    """General-purpose baseline of order two: not reversible, conserves linear integrals only."""
+    """A general-purpose method of order 2. The method is not reversible and conserves only linear integrals."""
     return Stepper(rk2_step(top.field, vector_operations(len(top.components))[0]), len(top.components))
 
 
@@ -88,7 +88,7 @@ k_1 = f(y), \quad k_2 = f(y + \tfrac h2 k_1), \quad k_3 = f(y + \tfrac h2 k_2), 
     limits=explicit_limits,
 )
 def build_rk4(top: Top, options: NoOptions) -> Stepper:
-    """General-purpose baseline of order four: not reversible, conserves linear integrals only."""
+    """A general-purpose method of order 4. The method is not reversible and conserves only linear integrals."""
     return Stepper(rk4_step(top.field, *vector_operations(len(top.components))), len(top.components))
 
 
@@ -98,7 +98,11 @@ TRIAL = 500
 """Evaluations after which a step is given up if it would need ``HOPELESS`` times as many as it may at this pace."""
 HOPELESS = 100.0
 STAGES = 12
-"""Evaluations of an internal step."""
+"""Evaluations of an inner step."""
+SQUARE_OVERFLOWS = (
+    "SciPy divides the estimated error by the tolerance and squares the quotient. With rtol = 1e-12 the square "
+    "overflows if |omega| exceeds about 1e140. Choose a unit of time in which omega has a moderate size."
+)
 
 
 class Tolerances(BaseModel):
@@ -106,8 +110,8 @@ class Tolerances(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    rtol: float = Field(default=1e-12, ge=2.5e-14, description="relative tolerance per step, at least 2.5e-14")
-    atol: float = Field(default=1e-14, ge=0.0, description="absolute tolerance per step")
+    rtol: float = Field(default=1e-12, ge=2.5e-14, description="relative tolerance per inner step")
+    atol: float = Field(default=1e-14, ge=0.0, description="absolute tolerance per inner step")
 
 
 @scheme(
@@ -124,17 +128,20 @@ class Tolerances(BaseModel):
 y_{j+1} = y_j + h_j\sum_{i=1}^{12} b_i k_i, \qquad
 k_i = f\Bigl(y_j + h_j\sum_{l<i} a_{il} k_l\Bigr), \qquad \sum_j h_j = h
 """,
-    equations="DOP853 from t to t + h, in as many internal steps as the tolerances require",
+    equations="DOP853 from t to t + h, in as many inner steps as the tolerances require",
     options=Tolerances,
+    limits=lambda top: {"huge": SQUARE_OVERFLOWS} if has_own_cases(top) else {},
 )
 def build_dop853(top: Top, options: Tolerances) -> Stepper:
     """A widely used adaptive integrator, controlled by tolerances instead of a step size.
 
-    It chooses internal steps within each h and ends at t = n h exactly; it is therefore most efficient if h is longer
-    than its internal steps. The internal step size is carried from one step to the next. The method runs in the
-    interpreter, about a thousand times slower than the compiled steps. If the internal steps shrink below round-off, or
-    one h takes more than a million evaluations of the equations, the run ends as `no_convergence`; after 500 of them if
-    the rest would take a hundred million.
+    DOP853 chooses inner steps within each h and reaches every t = n h exactly. DOP853 is therefore most efficient if h
+    is longer than the inner steps. The method runs in the Python interpreter, about a thousand times slower than the
+    compiled steps of other schemes.
+
+    The run ends as `no_convergence` if the inner steps shrink below round-off, or if one step of h takes more than a
+    million evaluations of the equations of motion. The run already ends after 500 evaluations if the step would take
+    more than a hundred million at this pace.
     """
     from scipy.integrate import DOP853
 

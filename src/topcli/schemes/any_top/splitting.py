@@ -1,4 +1,4 @@
-"""Splitting into kicks by gravity and rotations, each of them an exact motion; steps of momentum and gamma.
+"""Splitting of the motion into kicks by gravity and rotations, each of which is solved exactly.
 
 The equations of every top of the Euler-Poisson equations are m' = m x omega + gamma x g, gamma' = gamma x omega, with
 m = I omega and g the weight times the centre of gravity. The working state is (m, gamma), or m alone for a free body,
@@ -44,7 +44,7 @@ from topcli.schemes.registry import scheme
 KEPT = {
     "euler": ("m_sq",),
     "euler+gamma": ("m_sq", "gamma_sq", "m_gamma"),
-    "heavy": ("gamma_sq", "m_gamma"),
+    **dict.fromkeys(("heavy", "goryachev-chaplygin", "hess-appelrot"), ("gamma_sq", "m_gamma")),
     "kowalevski": ("gamma_sq", "two_l"),
     "lagrange": ("gamma_sq", "m_gamma", "m_axis"),
     "lagrange/inertial": ("a_sq", "m_p", "m_a"),
@@ -119,8 +119,8 @@ class SplittingOptions(CompensatedOption):
 
     free: Literal["auto", "closed", "axes"] = Field(
         default="auto",
-        description="motion between the kicks: the free body in closed form (needs A = B), rotations about the three "
-        "axes, or auto: closed where it exists",
+        description="motion between the two kicks by gravity: closed form of the free body, which needs A = B "
+        "(closed), rotations about the three axes (axes), or the closed form if A = B and otherwise rotations (auto)",
     )
 
 
@@ -214,12 +214,14 @@ R^i_\tau:\ \dot v = v\times\frac{m_i}{I_i}\,e_i \ \text{ for } v = m, \gamma
     limits=lambda top: LONG if top.form in ("kowalevski", "lagrange", "heavy") else {},
 )
 def build(top: Top, options: SplittingOptions) -> Stepper:
-    """Product of exact motions: half a kick by gravity, the free body, half a kick.
+    """A step combines exact motions: gravity alone for h/2 (a kick), the free body for h, gravity alone for h/2.
 
-    If A = B, the free body moves in closed form; otherwise it is split into rotations about its axes. Explicit,
-    self-adjoint and canonical: gamma² and m·gamma are exact, the energy oscillates by h² and does not drift. In closed
-    form the error is proportional to the torque of gravity, not to the spin: a fast symmetric top may take long steps.
-    With `free: axes`, Lagrange's m·e3 and m·p are not conserved.
+    If A = B, the motion of the free body is computed in closed form; otherwise it is split into rotations about the
+    axes of the body. The scheme is explicit, self-adjoint and canonical (a Poisson map). `splitting` conserves gamma²
+    and m·gamma; the energy oscillates by about h² and does not drift.
+
+    If A = B, the error is proportional to the torque of gravity and independent of the spin, so steps may be long for a
+    fast top. With `free: axes`, the scheme does not conserve the integrals m·e3 and m·p of the Lagrange top.
     """
     equations = checked_equations(top, NEEDED_BY)
     d = state_length(top, NEEDED_BY)

@@ -268,7 +268,7 @@ class Tolerance(BaseModel):
         default=1e-17,
         ge=0.0,
         le=1.0,
-        description="size of the last terms of a series, relative to the state; 0 means round-off",
+        description="tolerance: size of the last terms of a series, relative to the state; 0 means round-off",
     )
 
 
@@ -300,22 +300,24 @@ def log2_tolerance(tol: float) -> float:
     conserves=linear_invariants,
     citation="Jorba, Zou, Experimental Mathematics 14 (2005) 99",
     formula=r"""
-y(t + \delta) = \sum_m y_m\,\delta^m, \qquad
-(m + 1)\,y_{m+1} = \sum_{k=0}^m Q(y_k, y_{m-k}) + B y_m, \qquad f(y) = Q(y, y) + B y + b
+y(t + \delta) = \sum_i y_i\,\delta^i, \qquad f(y) = Q(y, y) + B y + b, \qquad y_1 = f(y_0), \qquad
+(i + 1)\,y_{i+1} = \sum_{k=0}^i Q(y_k, y_{i-k}) + B y_i \quad (i \geq 1)
 """,
-    equations="y(t + d) = sum of y_m d^m, (m + 1) y_(m+1) = sum of f(y_k, y_(m-k)) over k = 0..m, f bilinear",
+    equations="y(t + d) = sum of y_i d^i, with coefficients y_i that follow recursively from the equations of motion",
     options=Tolerance,
 )
 def build(top: Top, options: Tolerance) -> Block:
-    """Solution to a tolerance down to round-off; h only determines the recorded times.
+    """An adaptive Taylor series with a tolerance that may be as small as round-off; h only sets the recorded times.
 
-    If h is shorter than the reach of a series, the series is evaluated as a polynomial at every recorded t = n h; if h
-    is longer, several series are used within one h. Times are exact: the expansion points are multiples of h by
-    fractions that are exact in double precision, and the rounding error of the product with h is compensated. The
-    order, 12 to 28, follows from the tolerance. Only linear integrals are conserved by construction, but at the
-    default tolerance all integrals are conserved to round-off, which grows as sqrt(t). The counter `expansions` is the
-    number of series. If a series reaches less than 1.5e-8 of h, so that one step would take 7e7 of them or more, the
-    run ends as `no_convergence`.
+    Each series is accurate over a certain time, its reach. If h is shorter than the reach, the series is evaluated as a
+    polynomial at every recorded t = n h. If h is longer, several series are used within one h. Times are exact: the
+    times about which the series are expanded are products of h with fractions that are exact in double precision, and
+    the rounding errors of these products are compensated. The order of the series, 12 to 28, follows from the
+    tolerance.
+
+    Only linear integrals are conserved by construction. At the default tolerance, however, all integrals are conserved
+    to round-off, which grows as sqrt(t). The counter `expansions` is the number of series. If the reach of a series is
+    less than 1.5e-8 h, one step would take 7e7 series or more, and the run ends as `no_convergence`.
     """
     return series_block(required_field(top, "scheme 'taylor'", exact=Fraction), options.tol)
 

@@ -1,4 +1,4 @@
-"""Steps of omega alone, or of omega and gamma by a Cayley rotation: BS schemes and midpoint rule of the Euler top.
+"""BS schemes and midpoint rule of the Euler top: steps of omega alone, or of omega and gamma.
 
 Sogo, section 1.2. m is rotated with the old, the new or the mean omega, by a Cayley rotation. ``bs``, with the old one,
 has a closed form with one division. ``bs-implicit`` and ``midpoint`` are solved by Newton's method in three unknowns,
@@ -214,20 +214,21 @@ def implicit_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
 @scheme(
     "bs",
     top=FORMS,
-    title="BS scheme with the old omega",
+    title="Bobenko-Suris (BS) scheme with the old omega",
     order=1,
     explicit=True,
     self_adjoint=False,
     conserves=rotation_invariants,
     citation=CITATION + ", after Bobenko, Suris 1999",
     formula=r"m' - m = h\,\bar m\times\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega",
-    equations="EulerBS; gamma by (A)",
+    equations="(EulerBS) and, for gamma, (A) of the paper",
     options=CompensatedOption,
 )
 def build_bs(top: Top, options: CompensatedOption) -> Stepper:
-    """Cayley rotation of m and gamma with the old omega: m², gamma² and m·gamma are conserved.
+    """The scheme rotates m and gamma by a Cayley transform of the old omega, and so conserves m², gamma² and m·gamma.
 
-    m·omega is not conserved: it grows until the top rotates about the axis of its smallest moment.
+    The old omega is omega before the step. The scheme does not conserve m·omega, which grows until the top rotates
+    about the axis of its smallest moment of inertia.
     """
     return omega_gamma_stepper(top, bs_change, old_omega, options)
 
@@ -235,23 +236,24 @@ def build_bs(top: Top, options: CompensatedOption) -> Stepper:
 @scheme(
     "bs-implicit",
     top=FORMS,
-    title="BS scheme with the new omega",
+    title="Bobenko-Suris (BS) scheme with the new omega",
     order=1,
     explicit=False,
     self_adjoint=False,
     conserves=rotation_invariants,
     citation=CITATION + ", after Bobenko, Suris 1999",
     formula=r"m' - m = h\,\bar m\times\omega', \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega'",
-    equations="EulerBS with omega^{n+1}; gamma by (A) with omega^{n+1}",
+    equations="(EulerBS) and, for gamma, (A) of the paper, both with omega^{n+1} in place of omega^n",
     options=CompensatedOption,
     limits={"singular-step": NEWTON_SINGULAR},
 )
 def build_bs_implicit(top: Top, options: CompensatedOption) -> Stepper:
-    """Inverse of ``bs`` with -h: Cayley rotation of m and gamma with the new omega.
+    """The scheme rotates m and gamma by a Cayley transform of the new omega.
 
-    omega is determined to round-off by Newton's method, with step halving as a safeguard. m², gamma² and m·gamma are
-    conserved; m·omega decreases until the top rotates about the axis of its largest moment. If a step does not
-    converge, the run ends as `no_convergence`.
+    The new omega is omega after the step. A step of h undoes a step of ``bs`` with -h. Newton's method determines the
+    new omega to round-off; the method halves an iteration's correction where it is too long. The scheme conserves m²,
+    gamma² and m·gamma; m·omega decreases until the top rotates about the axis of its largest moment of inertia. If a
+    step does not converge, the run ends as `no_convergence`.
     """
     return omega_gamma_stepper(top, implicit_change, new_omega, options, iterative=True)
 
@@ -315,14 +317,15 @@ def midpoint_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
     conserves=all_invariants,
     citation=CITATION,
     formula=r"m' - m = h\,\bar m\times\bar\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\bar\omega",
-    equations="the last difference equations of section 1.2; gamma by the modified BS scheme of section 3.2.3",
+    equations="the last difference equations of section 1.2 of the paper; for gamma the modified BS scheme of its "
+    "section 3.2.3",
     options=CompensatedOption,
     limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR},
 )
 def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
-    """Cayley rotation of m and gamma with the mean omega: all integrals are conserved.
+    """The scheme rotates m and gamma by a Cayley transform of the mean omega, and so conserves all integrals.
 
-    Newton's method in three unknowns starts from HK's step, whose error is O(h³); two or three corrections reach
-    round-off. If a step does not converge, the run ends as `no_convergence`.
+    Newton's method in three unknowns starts from a step of HK (`hk`), which has an error of O(h³), and reaches
+    round-off after two or three iterations. If a step does not converge, the run ends as `no_convergence`.
     """
     return omega_gamma_stepper(top, midpoint_change, mean_omega, options, iterative=True)

@@ -1,4 +1,4 @@
-"""Closed-form solutions for the Euler top: the motion itself, and the HK map (sampled, not iterated).
+"""Closed forms for the Euler top: its motion, and the iterates of its HK map.
 
 Both are Jacobi elliptic functions of a phase that grows by the same amount in every step. The constants are
 computed in decimal arithmetic from the exact values of the doubles (``arithmetic.elliptic``), so that neither long runs
@@ -331,10 +331,11 @@ a_3^2 = \frac{2TA - m^2}{C(A - C)}, \quad
     equations="the equations of motion, solved by Jacobi elliptic functions and Carlson integrals",
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """omega by the Jacobi functions sn, cn, dn, gamma by an elliptic integral of the third kind; no time stepping.
+    """The scheme computes omega by Jacobi functions sn, cn, dn, and gamma by an elliptic integral of the third kind.
 
-    Every state is computed directly from the initial state, with an error of a few ulp at any time, including on and
-    near the separatrix. Rotations about a principal axis and the spherical top are treated separately.
+    Every state is computed directly from the initial state. The error of a state is a few ulp (units in the last place)
+    at any time, including on and near the separatrix. Rotations about a principal axis and the spherical top have
+    formulas of their own.
     """
     return Sampler(exact_states, attitude=exact_attitude)
 
@@ -354,17 +355,19 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
 K_i = 1 - \tfrac{h^2}{4}\,\alpha_j\alpha_k\,\omega_i^2
 
 \mathrm{sn}^2 v = 1 - \frac{K_2}{K_3}, \qquad k^2\,\mathrm{sn}^2 v = 1 - \frac{K_2}{K_1}
-\qquad \text{(second axis between the others; first and third exchanged if } k > 1)
+
+\text{(second moment of inertia between the others; first and third axis exchanged if } k > 1)
 """,
-    equations="the first difference equations of section 1.2, solved by Jacobi elliptic functions",
+    equations="the first difference equations of section 1.2 of the paper, solved by Jacobi elliptic functions",
     limits={
-        "singular-step": "If K_S <= 0 the phase of the map is not real. Such steps, of the order of 2/|omega| and "
-        "larger, are refused; the message gives the largest admissible step.",
+        "singular-step": "For steps of the order of 2/|omega| and longer, the phase of the map may not be real. The "
+        "scheme refuses such steps, and the message names the largest admissible step.",
     },
 )
 def build_hk_exact(top: Top, options: NoOptions) -> Sampler:
-    """States of ``hk`` without its round-off: Jacobi elliptic functions of a phase that grows by 2 v per step.
+    """The scheme computes the states of ``hk`` without its round-off, by Jacobi elliptic functions of a phase.
 
-    The orbits of the map lie on the elliptic curves defined by its modified integrals; v and the modulus depend on h.
+    The orbits of HK lie on the elliptic curves defined by the modified integrals of HK. The phase grows by 2 v in each
+    step. Both v and the modulus of the elliptic functions depend on h.
     """
     return Sampler(hk_states)

@@ -100,7 +100,7 @@ def _over_mean(top: Euler, h: float, invariant: Invariant, subject: str) -> Inva
     def scale(y: Array) -> Array:
         return invariant.scale(y) / np.abs(_k(top, h, y)).mean(axis=1)
 
-    meaning = f"{subject} over the mean of K1, K2, K3"
+    meaning = f"{subject} divided by the mean of K1, K2, K3"
     return Invariant(f"modified_{invariant.name}", f"{invariant.symbol}/K", f"{invariant.tex}/K", meaning, value, scale)
 
 
@@ -176,10 +176,20 @@ def _gamma_integrals(top: Euler, h: float) -> tuple[Invariant, Invariant]:
     gamma, m = r"\boldsymbol{\gamma}", r"\boldsymbol{m}"
     return (
         Invariant(
-            "modified_m_gamma", "J", rf"J({m}\cdot{gamma})", "m·γ of the HK map", m_gamma(np.positive), m_gamma(np.abs)
+            "modified_m_gamma",
+            "J",
+            rf"J({m}\cdot{gamma})",
+            "m·γ, modified so that the HK map conserves it",
+            m_gamma(np.positive),
+            m_gamma(np.abs),
         ),
         Invariant(
-            "modified_gamma_sq", "G", rf"G({gamma}^2)", "γ² of the HK map", gamma_sq(np.positive), gamma_sq(np.abs)
+            "modified_gamma_sq",
+            "G",
+            rf"G({gamma}^2)",
+            "γ², modified so that the HK map conserves it",
+            gamma_sq(np.positive),
+            gamma_sq(np.abs),
         ),
     )
 
@@ -273,9 +283,10 @@ def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
 
 
 GAMMA_GROWS = (
-    "omega stays bounded by the modified integrals. The modified gamma² is a quadratic form in gamma that bounds it "
-    "while K_i > 0 and R_i > 0 for all i (hk.py), as for short steps; with steps of about one revolution the "
-    "form may be indefinite, and gamma then grows without bound."
+    "The conserved m²/K and m·omega/K keep omega bounded. The modified gamma² is a quadratic form in gamma. For short "
+    "steps the form is positive definite and keeps gamma bounded. If h is about the time of one revolution of the "
+    "body, the form may be indefinite, and gamma then grows without bound. The page What HK conserves with gamma has "
+    "the exact condition."
 )
 
 
@@ -303,7 +314,7 @@ def hk_gamma_change(s: Floats, h: float, p: Floats) -> Floats:
     return (x1, x2, x3, y1, y2, y3)
 
 
-BI_HAMILTONIAN = "a family of brackets of its own (Petrera, Suris 2010)"
+BI_HAMILTONIAN = "a family of brackets of this map (Petrera, Suris 2010)"
 
 
 @scheme(
@@ -321,16 +332,16 @@ BI_HAMILTONIAN = "a family of brackets of its own (Petrera, Suris 2010)"
 \frac{\gamma' - \gamma}{h} = \tfrac12\,(\gamma\times\omega' + \gamma'\times\omega)
 """,
     integrable=lambda top: Integrability(UNKNOWN, BI_HAMILTONIAN if top.form == "euler" else UNKNOWN),
-    equations="the first difference equations of section 1.2; gamma as in dEulerPoisson with the last term corrected",
+    equations="the first difference equations of section 1.2 of the paper; for gamma the corrected (dEulerPoisson)",
     options=CompensatedOption,
     limits=lambda top: {"singular-step": SINGULAR} | ({} if len(top.components) == 3 else {"resonance": GAMMA_GROWS}),
 )
 def build_hk(top: Top, options: CompensatedOption) -> Stepper:
-    """Every product y z of two components becomes (y' z + y z')/2: linear in the new state, solved in closed form.
+    """In Euler's equations every product y z becomes (y' z + y z')/2; each step solves one linear system.
 
-    m²/K and m·omega/K are conserved, with K = 1 + O(h²); m² and m·omega themselves are not, but their errors are of
-    size h² and return to zero. With gamma as part of the state, the same holds for gamma² and m·gamma: modified forms
-    of both are conserved.
+    A prime marks a value after the step. HK conserves m²/K and m·omega/K, with a function K = 1 + O(h²) of omega and h.
+    HK does not conserve m² and m·omega themselves, but their deviations are of size h² and do not grow. If gamma is
+    part of the state, HK conserves modified forms of gamma² and m·gamma too.
     """
     d = len(top.components)
     if is_compensated(options):

@@ -6,7 +6,7 @@ gamma², 2l, E and k², is Poisson, commutes with the flow and with steps of oth
 
 **Constants.** Frozen, tau is computed once, from the initial state. On the surface tau(y) = tau this is the same map;
 off it, a deviation of the integrals by round-off contracts, because the surface attracts. Recomputed from the current
-state, the map is Poisson everywhere, but nothing contracts, and deviations of the integrals grow linearly.
+state, the map is Poisson everywhere, but deviations do not contract: those of the integrals grow linearly.
 
 **Exact nodes.** Steps commute, and each is a flow of E and of k² for times that its length determines. Forward steps
 and one backward step are therefore the motion itself if their lengths satisfy two equations (``backlund_parameters``,
@@ -56,7 +56,7 @@ PROJECTED_NODES = 16
 """Steps with exact nodes from one projection to the next: without it deviations grow for some states."""
 Tau = Callable[[Floats, float, float], float]
 Advance = Callable[[Floats, float, float, float], Floats]
-DOMAIN = "h is longer than round-off allows, and is refused before the run."
+DOMAIN = "The h of this case is so long that round-off would spoil the integrals; the run is refused before its start."
 
 
 class BacklundOptions(CompensatedOption):
@@ -64,23 +64,25 @@ class BacklundOptions(CompensatedOption):
 
     constants: Literal["frozen", "recomputed"] = Field(
         default="frozen",
-        description="integrals that the step depends on: those of the initial state, so that deviations contract, or "
-        "those of the current state (recomputed), so that the map is Poisson everywhere",
+        description="integrals from which the constant tau of the step is computed: those of the initial state "
+        "(frozen: deviations by round-off decay), or those of the current state (recomputed: the step is a Poisson map "
+        "everywhere)",
     )
     nodes: Literal["plain", "exact"] = Field(
         default="plain",
-        description="one step of length h, or three or four forward steps and one backward step whose lengths make h "
-        "the motion itself, without discretization error (exact)",
+        description="division of h: one step of length h (plain), or three or four steps forward and one backward that "
+        "together have no discretization error (exact)",
     )
     project: int | None = Field(
         default=None,
         ge=0,
-        description="steps from one projection onto all four integrals of the initial state to the next; 0: none; "
-        "if not given, 16 with exact nodes and otherwise none",
+        description="number of steps from one projection onto the four integrals of the initial state to the next; 0 "
+        "means no projection; null means 16 with exact nodes and 0 without",
     )
     substeps: Literal[1, "auto"] = Field(
         default=1,
-        description="equal steps per h; auto: as few as the longest admissible step allows (1 refuses a longer h)",
+        description="number of equal steps into which h is divided: 1 (an h that is too long is refused), or as few as "
+        "possible (auto)",
     )
 
     @model_validator(mode="after")
@@ -268,58 +270,67 @@ L'(\lambda)\,U(\lambda) = U(\lambda)\,L(\lambda), \qquad
 -d_2\,x + (t + d_1)\,y - (b + d_3)\,z &= -a\\
 a\,x + (b - d_3)\,y + (2 + t - d_1)\,z &= 2n + d_2
 \end{aligned}
-\qquad e = (1;\ y, -x, -z), \qquad \gamma' \text{ and } \omega' \text{ rational in } e
+
+e = (1;\ y, -x, -z), \qquad \gamma' \text{ and } \omega' \text{ rational in } e
 """,
     equations="L' U = U L with the 5x5 Lax matrix L, U the product of two dressing matrices with poles at ±2/h",
     options=BacklundOptions,
     limits={
         "resonance": DOMAIN,
         "singular-step": DOMAIN,
-        "long steps": "h is refused before the run if it exceeds 5/sqrt(2E + 2k) or 5/sqrt|c gamma|, or if, for it or "
-        "a shorter step, 1 - S + P (see An integrable discrete Kowalevski top) is below 1/32. Up to "
-        "there round-off is safe; the map itself exists for some longer steps too. For tops with energies large "
-        "against gravity this is 0.98 of 4/sqrt(2E + 2k) or less. A member of an ensemble ends as `no_convergence` at "
-        "step 1.",
-        "compositions": "Backward stages let deviations grow. With kahan-li8 the integrals of some motions, 1 to 2 of "
-        "12 random ones, are lost within 2e4 steps of a third of the longest or more. `project: 16` prevents it.",
-        "tiny steps": "A step below 1e-290 in size ends as `no_convergence`: omega times h would lose digits.",
-        "spin about the third axis": "With k between about E/30 and E/8, where the spin about the third axis prevails, "
-        "deviations grow instead of contracting for |h omega3| between about 2.9 and 3.3, and all integrals are lost "
-        "within 1e5 steps: 1 of 300 random states at 0.8 of the longest step, 2 at 0.9, none at the longest. `project: "
-        "16` prevents it.",
-        "hanging top": "Within about 1e-2 of the hanging equilibrium deviations hardly contract: with h beyond "
-        "0.1/sqrt(c) the small 2l deviates by more than round-off after 1e5 steps. `project: 16` prevents it.",
-        "no gravity": "With c0 = 0 omega rotates uniformly, and the rounding errors of gamma recur with it: after 1e5 "
-        "steps gamma² deviates by up to 15 times the bound of round-off. `project: 16` prevents it.",
-        "exact nodes": "The longest h is 0.8 to 2.2 times that of a plain step, 1.6 in the median. Setting up an "
-        "initial state takes 3 to 20 ms, also for each member of an ensemble. If the first step differs from the "
-        "motion by more than 1e-12, or E or k² later deviates by more than 1e-11 of the size of its terms, the run "
-        "ends as `no_convergence`. Without projection (`project: 0`), members of an ensemble are three times as fast, "
-        "but the integrals of some motions with long steps deviate within 1e5 steps.",
-        "recomputed constants": "Deviations of the integrals by round-off do not contract and grow linearly; with long "
-        "steps they are visible after 1e5 steps.",
+        "long steps": "A run is refused if its h exceeds 5/sqrt(2E + 2k) or 5/sqrt|c gamma|. A run is also refused if "
+        "1 - S + Π is below 1/32 for h or for a shorter step (the page An integrable discrete Kowalevski top defines S "
+        "and Π). Up to these limits round-off does no harm; the map itself exists for some longer steps too. If the "
+        "energy is large compared with gravity, the longest h is 0.98 times 4/sqrt(2E + 2k) or less. A member of an "
+        "ensemble whose h is too long ends as `no_convergence` at step 1.",
+        "compositions": "A composition contains backward steps, and these let deviations of the integrals grow. With "
+        "the composition kahan-li8 and an h of at least a third of the longest, the integrals of 1 or 2 of 12 random "
+        "motions are lost within 2e4 steps. `project: 16` prevents this.",
+        "tiny steps": "If |h| is below 1e-290, the run ends as `no_convergence`, because omega times h would lose "
+        "digits.",
+        "spin about the third axis": "If k is between about E/30 and E/8, the body mainly spins about the third axis. "
+        "Deviations of the integrals then grow instead of contracting if |h omega3| is between about 2.9 and 3.3, and "
+        "all integrals are lost within 1e5 steps. Of 300 random motions, 1 lost its integrals at 0.8 "
+        "times the longest step, 2 at 0.9 times and none at the longest step. `project: 16` prevents this.",
+        "hanging top": "Within a distance of about 1e-2 of the hanging equilibrium, deviations of the integrals "
+        "hardly decrease. If h exceeds 0.1/sqrt(c), the small integral 2l deviates by more than round-off after 1e5 "
+        "steps. `project: 16` prevents this.",
+        "no gravity": "Without gravity (c0 = 0), omega rotates uniformly, and the rounding errors of gamma repeat "
+        "with each rotation. After 1e5 steps gamma² deviates by up to 15 times the bound expected of round-off. "
+        "`project: 16` prevents this.",
+        "exact nodes": "The longest h with exact nodes is 0.8 to 2.2 times the longest plain step, with a median of "
+        "1.6. The set-up takes 3 to 20 ms for each initial state, also in an ensemble. The run ends as "
+        "`no_convergence` if the first step differs from the exact motion by more than 1e-12, or if E or k² later "
+        "deviates by more than 1e-11 times the size of its terms. Without projection (`project: 0`), an ensemble is "
+        "three times as fast, but the integrals of some motions with long steps deviate within 1e5 steps.",
+        "recomputed constants": "With `constants: recomputed`, deviations of the integrals by round-off do not "
+        "contract but grow linearly. With long steps they are visible after 1e5 steps.",
     },
     longest_step=domain,
     order_with=lambda options: None if options.nodes == "exact" else 2,
 )
 def build(top: Top, options: BacklundOptions) -> Stepper:
-    """Integrable map: a translation on the tori of the continuous motion, explicit and rational.
+    """An integrable map: each step is a translation on the torus of the exact motion, in explicit rational formulas.
 
-    All four integrals are conserved, the map is Poisson, commutes with the motion and with steps of other lengths, and
-    has a discrete Lax pair; we know of no earlier one for this top. Its only error is one of time: the orbit is exact.
-    A step is one 3x3 linear system and one rotation, with one division. The length h enters through a constant that
-    depends on the integrals. It is computed once (`constants: frozen`), so that deviations of the integrals by
-    round-off contract. With `project: K`, the initial values of all four integrals are restored after every K steps
-    (stages of a composition) by the shortest correction. Steps so long that round-off is not safe, beyond
-    3.6/sqrt(2E + 2k) to 5/sqrt(2E + 2k) depending on the state, are refused, or divided (`substeps: auto`).
+    The map conserves gamma², 2l, E and k², preserves the Poisson bracket, commutes with the motion and with steps of
+    other lengths, and has a discrete Lax pair. We know of no earlier integrable map for this top. The states stay on
+    the torus of the exact motion; only their position on this torus has an error.
 
-    With `compensated: true`, deviations of the integrals after 1e6 steps are smaller by a factor of 32 at h = 0.01 and
-    of 2.1 at h = 0.1 (medians of 20 random states; quartiles 22 to 58 and 1.4 to 2.8); h = 0.5 gains nothing. A step
-    takes 1.16 times as long.
+    A step solves one 3x3 linear system and applies one rotation, with one division. The length h enters through a
+    constant, tau, that depends on the integrals. By default tau is computed once (`constants: frozen`); deviations of
+    the integrals by round-off then contract. With `project: K`, the state is moved by the shortest correction that
+    restores the initial values of all four integrals, after every K steps (or stages of a composition). Round-off
+    spoils the integrals if h exceeds a limit that depends on the state and lies between 3.6/sqrt(2E + 2k) and 5/sqrt(2E
+    + 2k). A longer h is refused, or divided into shorter steps (`substeps: auto`).
 
-    With `nodes: exact` there is no error of time either. A step then consists of three or four steps of one length and
-    one backward step of another; two equations make their composition the motion over h. The first step is compared
-    with Taylor series of 26 terms in integers of 96 bits, and E and k² are watched during the run.
+    With `compensated: true`, the deviations of the integrals after 1e6 steps are smaller by a factor of 32 at h = 0.01
+    and of 2.1 at h = 0.1 (medians of 20 random states; quartiles 22 to 58 and 1.4 to 2.8). At h = 0.5 they are not
+    smaller. A compensated step takes 1.16 times as long as a plain one.
+
+    With `nodes: exact` the position on the torus has no error either. A step then consists of three or four steps of
+    one length and one backward step of another length. The two lengths are chosen such that these steps together are
+    the exact motion over a time h. The first step is checked against a Taylor series of 26 terms, summed in integers of
+    96 bits; E and k² are checked during the run.
     """
     if options.nodes == "exact":
         method, longest = PARTS if options.substeps == "auto" else NODES, NODES_LONGEST

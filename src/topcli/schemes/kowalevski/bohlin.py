@@ -30,12 +30,13 @@ from topcli.schemes.registry import scheme
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
 CONSERVES = ("gamma_sq", "k_sq")
 FIXED_POINT = (
-    "Rest with gamma along the third axis, or rotation about it, where xi = 0, is a fixed point of the map: the state "
-    "never changes, and every step counts as an ambiguous root."
+    "If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state is a "
+    "fixed point of the map: the state never changes, and the counter `ambiguous_roots` counts every step."
 )
 LIMITS = {
-    "homoclinic-spacing": "Near a separatrix the error of a method of order 1 acts like a larger distance from the "
-    "homoclinic orbit: the time between swings is 15.3 instead of 28.17 (the paper's Figure 2).",
+    "homoclinic-spacing": "The motion of this case is close to the homoclinic orbit. The error of a method of order 1 "
+    "acts like a larger distance from this orbit and shortens the time between two swings (falls and rises) of the "
+    "top. In the paper's Figure 2 this time is 15.3 instead of 28.17.",
     "rest-on-axis": FIXED_POINT,
     "delone-sleeping": FIXED_POINT,
     "huge": OVERFLOW,
@@ -58,7 +59,8 @@ class BranchOptions(BaseModel):
 
     branch: Literal["nearest", "sign"] = Field(
         default="nearest",
-        description="choose the root nearest to the prediction, or the one with the same sign of its argument (paper)",
+        description="choice between the two square roots that omega1 + i omega2 can be: the one nearest to a "
+        "prediction of omega1 + i omega2 (nearest), or by the sign of its argument (angle), as in the paper (sign)",
     )
 
 
@@ -67,7 +69,8 @@ class ChartOptions(BranchOptions):
 
     chart: Literal["switch", "single"] = Field(
         default="switch",
-        description="switch to the chart of the other pole near gamma3 = -1, or use only the paper's, singular there",
+        description="stereographic coordinate of gamma near gamma3 = -1, where the paper's coordinate is singular: "
+        "that of the other pole (switch), or always the paper's coordinate (single)",
     )
 
 
@@ -154,24 +157,28 @@ def switched(old: Floats, new: Floats, h: float, p: Floats) -> bool:
 @scheme(
     "bohlin-a",
     top="kowalevski",
-    title="Bohlin's method with gamma by the BS scheme",
+    title="Bohlin's method with gamma by the Bobenko-Suris scheme",
     order=1,
     explicit=True,
     self_adjoint=False,
     conserves=CONSERVES,
     citation=CITATION,
     formula=r"\gamma' - \gamma = h\,\bar\gamma\times\omega" + "\n" + BOHLIN,
-    equations="(A), Kxi, direct",
+    equations="(A), (Kxi) and (direct) of the paper",
     limits=LIMITS,
     options=BranchOptions,
 )
 def build_a(top: Top, options: BranchOptions) -> Stepper:
-    """Cayley rotation of gamma with the old omega.
+    """The scheme rotates gamma by a Cayley transform of the old omega, and computes omega from a rotation of xi.
 
-    Then omega3 follows by the trapezoidal rule, and omega1 + i omega2 is the square root of e^{-i chi} xi + c gamma',
-    where xi = omega² - c gamma rotates by chi = h/2 (omega3' + omega3). |gamma| and |xi| = k are conserved. The order
-    is reduced where omega1 + i omega2 passes 0, because the square root is singular there. Rest with gamma along the
-    third axis, where xi = 0, is a fixed point of all schemes of this family, although the top falls from there.
+    The Cayley transform is that of the Bobenko-Suris scheme (`bs`). The new omega3 follows by the trapezoidal rule. The
+    variable xi = (omega1 + i omega2)² - c (gamma1 + i gamma2) rotates by the angle -chi with chi = h/2 (omega3' +
+    omega3); a prime marks a value after the step. The new omega1 + i omega2 is the square root of e^{-i chi} xi + c
+    (gamma1' + i gamma2'). The scheme conserves |gamma| and k = |xi|. The order of the scheme is reduced where omega1 +
+    i omega2 passes through 0, because the square root is singular there.
+
+    If the body rests with gamma along the third axis, then xi = 0. This state is a fixed point of all three schemes of
+    Bohlin's method, although a real top falls from it.
     """
     return with_root_counter(Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6))
 
@@ -190,17 +197,17 @@ z' - z = \tfrac{ih}{2}\,\bigl((\omega_1 + i\omega_2) - 2\omega_3 z - (\omega_1 -
 z = \frac{\gamma_1 + i\gamma_2}{1 + \gamma_3}
 """
     + BOHLIN,
-    equations="(B), Kxi, direct",
+    equations="(B), (Kxi) and (direct) of the paper",
     limits=LIMITS,
     options=ChartOptions,
 )
 def build_b(top: Top, options: ChartOptions) -> Stepper:
-    """Euler's rule for the stereographic coordinate z of gamma; omega as in bohlin-a.
+    """The scheme advances a stereographic coordinate z of gamma by Euler's rule, and computes omega as in `bohlin-a`.
 
-    The paper's z = (gamma1 + i gamma2)/(1 + gamma3) is infinite at gamma3 = -1. By default the step uses the coordinate
-    of the other pole, 1/conj(z), if gamma3 < -0.8. Euler's rule in this coordinate is a slightly different scheme of
-    the same order. z is computed from gamma at each step, so that only the physical state is carried, a switch costs
-    nothing, and a resumed run equals an uninterrupted one. The number of switches is reported.
+    The paper's coordinate z = (gamma1 + i gamma2)/(1 + gamma3) is infinite at gamma3 = -1. By default the step uses the
+    coordinate of the other pole, 1/conj(z), if gamma3 < -0.8. Euler's rule in that coordinate is a slightly different
+    scheme of the same order. Each step computes z from gamma, so a switch between the two coordinates costs nothing,
+    and a resumed run equals an uninterrupted one. The counter `chart_switches` is the number of switches.
     """
     root = ROOTS[options.branch]
     if options.chart == "single":
@@ -218,17 +225,17 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     conserves=CONSERVES,
     citation=CITATION,
     formula=r"\gamma' = e^{-h\hat\omega}\,\gamma, \qquad \hat\omega v = \omega\times v" + "\n" + BOHLIN,
-    equations="(C), Kxi, direct",
+    equations="(C), (Kxi) and (direct) of the paper",
     limits={
         **LIMITS,
-        "drift": "Conserves no energy: in the case's steps of 0.1 it rises from 2.1 to more than 200 within t = 6500, "
-        "and the run ends as `left_motion`, though gamma² and k² are kept.",
+        "drift": "The scheme does not conserve the energy. In this case, with h = 0.1, the energy rises from 2.1 "
+        "to more than 200 within t = 6500, and the run ends as `left_motion`; gamma² and k² stay constant.",
     },
     options=BranchOptions,
 )
 def build_c(top: Top, options: BranchOptions) -> Stepper:
-    """Rotation of gamma by the angle h |omega| about the old omega (Rodrigues' formula); omega as in bohlin-a.
+    """The scheme rotates gamma about the old omega by the angle h |omega|, and computes omega as in `bohlin-a`.
 
-    The formula does not need the axis omega/|omega|, so omega = 0 is a regular point.
+    Rodrigues' formula gives the rotated gamma without a division by |omega|, so omega = 0 is a regular point.
     """
     return with_root_counter(Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6))

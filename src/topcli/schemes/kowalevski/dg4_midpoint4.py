@@ -250,20 +250,23 @@ D = (\bar\nabla I_1, \dots, \bar\nabla I_4), \qquad \bar\nabla I\cdot(y' - y) = 
     equations="y' = y + h (1 - D (D^T D)^-1 D^T) f((y + y')/2), D the discrete gradients of gamma², 2l, E, k²",
     limits={
         "singular-step": NEWTON_SINGULAR,
-        "delone-sleeping": TRIPLE_ROOT.format("The steps are those of the midpoint rule, and k² is"),
-        "huge": "The iteration ends at the round-off of the whole state: if omega is larger than gamma by many powers "
-        "of ten, the last digits of gamma are not converged, and gamma² changes by 1e-12. Beyond |omega| of about 1e77 "
-        "|xi|² overflows, and the midpoint rule is used.",
+        "delone-sleeping": TRIPLE_ROOT.format("The steps are then those of the midpoint rule, and k² deviates"),
+        "huge": "The iteration for the step ends when the whole state has converged to round-off. If omega is larger "
+        "than gamma by many powers of ten, the last digits of gamma have not converged by then, and gamma² changes by "
+        "1e-12. If |omega| exceeds about 1e77, |xi|² overflows, and the step is that of the midpoint rule.",
     },
 )
 def build_dg4(top: Top, options: NoOptions) -> Stepper:
-    """Implicit midpoint rule without its component along the discrete gradients of gamma², 2l, E and k².
+    """A step of the implicit midpoint rule without its part along the discrete gradients of gamma², 2l, E and k².
 
-    Self-adjoint; all four integrals are conserved. On degenerate tori, where the gradients are linearly dependent, only
-    independent integrals are used. For k = 0 (Delone's motion), and if the iteration does not converge, the step is
-    that of the midpoint rule, projected as in hk-projected; a step whose iteration stalls at magnified round-off is
-    projected too. The numbers of midpoint steps and of those that did not restore all four values are reported. If the
-    midpoint rule does not converge either, the run ends as `no_convergence`.
+    The scheme is self-adjoint and conserves all four integrals. On degenerate tori, where the gradients are linearly
+    dependent, the scheme uses only integrals with independent gradients. For k = 0 (Delone's motion), and if the
+    iteration for the step does not converge, the scheme instead takes a step of the midpoint rule and projects it onto
+    the integrals as in `hk-projected`. If the iteration stops converging at a level above round-off, the step is
+    projected too. If the iteration for the midpoint rule does not converge either, the run ends as `no_convergence`.
+
+    A run reports the number of midpoint steps (`midpoint_steps`) and the number of steps that did not restore the
+    values of all four integrals (`unmet`).
     """
     return stepper(dg4_step, 6, 4, adds=False, counters=COUNTERS, iterative=True, enter=enter_with_targets)
 
@@ -446,19 +449,22 @@ s \text{ such that } k(y') = k(y), \qquad y = (m, \gamma)
     "for y = (m, gamma), m = (2 omega1, 2 omega2, omega3)",
     limits={
         "singular-step": LONG_NEWTON,
-        "delone-sleeping": TRIPLE_ROOT.format("The steps are those of the midpoint rule, and k² is"),
+        "delone-sleeping": TRIPLE_ROOT.format("The steps are then those of the midpoint rule, and k² deviates"),
     },
 )
 def build_midpoint4(top: Top, options: NoOptions) -> Stepper:
-    """Implicit midpoint rule plus a change that conserves gamma², 2l and E, with its length chosen to conserve k².
+    """The implicit midpoint rule plus a change that conserves gamma², 2l and E and whose length makes k² constant.
 
-    The equation is one for m and gamma: J is their Poisson tensor, and |F|² and F·X are products of their fields.
-    Self-adjoint; all four integrals are conserved, and omega1 + i omega2 = 0 is a regular point. For k close to 0
-    (Delone's motion), xi = omega² - c gamma is rotated by the mean omega3 instead, which conserves k. On degenerate
-    tori, where the four gradients are linearly dependent, and if the iteration does not converge, the step is that of
-    the midpoint rule, projected onto the independent integrals. The numbers of iterations, of such steps, and of such
-    steps that did not restore all four values are reported. If the midpoint rule does not converge either, the run ends
-    as `no_convergence`.
+    In the equation of the step, J is the Poisson tensor of m and gamma, and F and X are the Hamiltonian vector fields
+    of the energy and of k². The scheme is self-adjoint and conserves all four integrals. Unlike the scheme `hybrid` and
+    its variants, `midpoint4` is regular at omega1 + i omega2 = 0. For k close to 0 (Delone's motion), the step instead
+    rotates xi = (omega1 + i omega2)² - c (gamma1 + i gamma2) by the mean omega3, which conserves k = |xi|.
+
+    On degenerate tori, where the gradients of the four integrals are linearly dependent, and wherever the iteration for
+    the step does not converge, the scheme instead takes a step of the midpoint rule and projects it onto the
+    independent integrals. If the iteration for the midpoint rule does not converge either, the run ends as
+    `no_convergence`. A run reports the number of iterations, the number of projected steps (`plain_projections`) and
+    the number of those that did not restore the values of all four integrals (`unmet`).
     """
     counters = ("iterations", "plain_projections", "unmet")
     return stepper(midpoint4_step, 18, 6, adds=False, counters=counters, iterative=True, enter=enter_midpoint4)

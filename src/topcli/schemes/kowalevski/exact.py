@@ -1,4 +1,4 @@
-"""Motion of the Kowalevski top in closed form: any time directly, by Kowalevski's separation of variables.
+"""Motion of the Kowalevski top in closed form at any time, by Kowalevski's separation of variables.
 
 The set-up of ``closed_form``, once for each initial state, computes half periods in multiprecision and tabulates their
 inverses; a state then costs the solution of one scalar equation and a rational formula.
@@ -195,21 +195,22 @@ class ExactSetup:
     formula=r"""
 (s_1 - s_2)^2\,\dot s_i^2 = -\Phi(s_i), \qquad \Phi(s) = 4\prod_{i=1}^5 (s - e_i)
 """,
-    equations="(K1), (K2), solved by hyperelliptic integrals of genus two",
+    equations="(K1) and (K2) of the paper, solved by hyperelliptic integrals of genus two",
     limits={
-        "huge": "c gamma is found as a difference of terms of the size of |omega|², with an error of eps |omega|²/c in "
-        "gamma; beyond |omega| of about 1e100 sqrt(c) the motion is refused.",
-        "critical orbits": "A motion on which s1 or s2 rests in a double root of the cubic, such as omega = (0, 1, 2), "
-        "gamma = (0, 0, 1) with c0 = 2, is refused; motions next to it are not.",
-        "weak gravity": "The error eps |omega|²/c of gamma is 1e-10 for c = 1e-6 and |omega| = 1. A motion is refused "
-        "if its states differ from steps of Taylor series by more than 1e-10 (1 + |omega|²/c).",
-        "near a separatrix": "The initial state is taken as exact. Next to an unstable motion an error of one ulp in "
-        "it grows exponentially, and the state is as accurate as that allows.",
+        "huge": "c gamma is computed as a difference of terms of the size of |omega|², so gamma has an error of about "
+        "eps |omega|²/c, with the machine epsilon eps and c = c0/C. A motion is refused if |omega| exceeds about "
+        "1e100 sqrt(c).",
+        "critical orbits": "A motion is refused if s1 or s2 stays at a double root of the cubic factor of Phi, as for "
+        "omega = (0, 1, 2), gamma = (0, 0, 1), c0 = 2. Motions next to such a motion are computed.",
+        "weak gravity": "The error eps |omega|²/c of gamma is about 1e-10 for c = 1e-6 and |omega| = 1. A motion is "
+        "refused if its states differ from those of a Taylor series by more than 1e-10 (1 + |omega|²/c).",
+        "near a separatrix": "The initial state is taken as exact. Next to an unstable motion, an error of one ulp "
+        "(unit in the last place) in the initial state grows exponentially, and no later state can be more accurate.",
     },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """Every state directly from the initial one, at any time, by Kowalevski's variables; no time stepping.
+    """The scheme evaluates the exact motion at any time from Kowalevski's variables s1 and s2, without time stepping.
 
-    The set-up of an initial state takes about a tenth of a second, and is kept on disk.
+    The set-up for an initial state takes about a tenth of a second; its result is stored on disk.
     """
     return Sampler(exact_states, ExactSetup(), exact_accuracy)

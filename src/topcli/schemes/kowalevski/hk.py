@@ -195,16 +195,17 @@ def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 3.2.1",
     formula=HIROTA_KIMURA,
-    equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
+    equations="(dEulerPoisson) of the paper, its last line corrected to end with gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build(top: Top, options: CompensatedOption) -> Stepper:
-    """Linear in the new state, solved in closed form.
+    """Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
 
-    Every quadratic term y z of the vector field becomes (y' z + y z')/2, every linear term its mean. The step is
-    self-adjoint. None of the four integrals is conserved exactly; for small h their deviations stay bounded,
-    of size h². With `compensated`, the rounding errors in the change of gamma are compensated as well.
+    In the equations of motion, every product y z of two variables becomes (y' z + y z')/2, and every linear term y
+    becomes the mean (y + y')/2; a prime marks a value after the step. The step is self-adjoint. HK conserves none of
+    the four integrals exactly; for small h their deviations remain of size h². The option `compensated` compensates the
+    rounding errors of the sums old + change and of the computation of the change of gamma.
     """
     made = Stepper(hk_kowalevski, 6)
     if is_compensated(options):

@@ -113,16 +113,18 @@ def with_hk_counters(stepper: Stepper) -> Stepper:
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
     formula=HYBRID + "\n" + XI,
-    equations="dEulerPoisson, modified BS scheme, Kxi",
+    equations="(dEulerPoisson), the modified BS scheme and (Kxi) of the paper",
     limits={"singular-step": SINGULAR, "huge": OVERFLOW},
     options=BranchOptions,
 )
 def build_hybrid(top: Top, options: BranchOptions) -> Stepper:
-    """omega3 by HK, gamma by a Cayley rotation with the mean omega of HK, omega1 + i omega2 by Bohlin's method.
+    """A step of HK gives omega3, gamma rotates with HK's mean omega, and Bohlin's method gives omega1 + i omega2.
 
-    |gamma| and k = |omega² - c gamma| are conserved. Contrary to the paper, the step is not self-adjoint: a step
-    forward and back has an error of O(h⁴), and 2l and E drift. Where omega1 + i omega2 passes 0 the square root is
-    singular and the order is reduced to 3/2; `midpoint4` and `hk-symproj` conserve k² and have order 2 there.
+    HK is the Hirota-Kimura scheme (`hk`); its mean omega is the mean of omega before and after HK's step. The scheme
+    conserves |gamma| and k = |xi|, where xi = (omega1 + i omega2)² - c (gamma1 + i gamma2). Contrary to the paper, the
+    step is not self-adjoint: a step forward followed by a step back has an error of O(h⁴), and 2l and E drift. Where
+    omega1 + i omega2 passes through 0, the square root in Bohlin's method is singular, and the order is reduced to 3/2.
+    The schemes `midpoint4` and `hk-symproj` also conserve k² and have order 2 there.
     """
     return with_hk_counters(Stepper(hybrid_step(ROOTS[options.branch]), 6))
 
@@ -196,28 +198,32 @@ class HybridOptions(BranchOptions, CompensatedOption):
 @scheme(
     "hybrid-xi",
     top="kowalevski",
-    title="Hybrid of HK and Bohlin's method with carried xi",
+    title="Hybrid of HK and Bohlin's method with xi as a variable",
     order=2,
     explicit=True,
     self_adjoint=False,
     conserves=("gamma_sq", "k_sq"),
     citation="Sogo, Discrete Spinning Tops, section 3.2.3",
     formula=HYBRID + "\n" + r"\xi = k\,e^{i\theta}, \qquad \theta' = \theta - h\,\bar\omega_3",
-    equations="dEulerPoisson, modified BS scheme, Kxi",
+    equations="(dEulerPoisson), the modified BS scheme and (Kxi) of the paper",
     limits={
         "singular-step": SINGULAR,
-        "resonance": "u and gamma are renormalized along their old directions: if they rotate by more than a right "
-        "angle in one step, this increases the deviation of the lengths, and gamma² grows.",
+        "resonance": "Each step restores the lengths of u and gamma by a change along their directions before the "
+        "step. If u and gamma rotate by more than a right angle in one step, this makes the deviations of their "
+        "lengths grow.",
         "huge": OVERFLOW,
     },
     options=HybridOptions,
 )
 def build_xi(top: Top, options: HybridOptions) -> Stepper:
-    """The hybrid of the paper without the drift of gamma² and k² by round-off; the same trajectory up to round-off.
+    """A variant of the paper's scheme `hybrid` in which round-off makes neither gamma² nor k² drift.
 
-    k and gamma² keep their initial values: of xi = k u only u with |u| = 1 is rotated, and the length of gamma is
-    renormalized. Like the hybrid it is not self-adjoint, 2l and E drift, and the order is reduced to 3/2 where
-    omega1 + i omega2 passes 0; `midpoint4` and `hk-symproj` conserve k² and have order 2 there.
+    The trajectory is that of `hybrid` up to round-off, but k and gamma² keep their initial values. The variable xi =
+    (omega1 + i omega2)² - c (gamma1 + i gamma2) is stored as k u with |u| = 1. Each step rotates u, leaves k unchanged,
+    and restores the length of gamma.
+
+    Like `hybrid`, this scheme is not self-adjoint, 2l and E drift, and the order is reduced to 3/2 where omega1 + i
+    omega2 passes through 0. The schemes `midpoint4` and `hk-symproj` also conserve k² and have order 2 there.
     """
     compensated = options.compensated
     step = (compensated_xi_step if compensated else hybrid_xi_step)(ROOTS[options.branch])
@@ -330,17 +336,20 @@ def hybrid_sym_change(s: Floats, h: float, p: Floats) -> Floats:
     conserves=("gamma_sq", "k_sq"),
     citation="after Sogo, Discrete Spinning Tops, section 3.2.3",
     formula=r"\gamma' - \gamma = h\,\bar\gamma\times\bar\omega" + "\n" + BOHLIN,
-    equations="modified BS scheme, Kxi, with the new omega instead of HK's",
+    equations="the modified BS scheme and (Kxi) of the paper, with the new omega instead of HK's",
     options=CompensatedOption,
     limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR, "huge": FAR_OVERFLOW},
 )
 def build_sym(top: Top, options: CompensatedOption) -> Stepper:
-    """The relations of the hybrid between old and new state, solved simultaneously by Newton's method from HK's step.
+    """The scheme solves the equations of `hybrid` with its own new omega in place of HK's, all at once.
 
-    Self-adjoint. |gamma| and k = |omega² - c gamma| are conserved; 2l and E deviate without drift. If a step does not
-    converge, the run ends as `no_convergence`. This can happen where omega1 + i omega2 comes so close to 0 that the two
-    square roots nearly coincide; the order is erratic there. `midpoint4` and `hk-symproj`, which need no square root,
-    conserve k² and have order 2.
+    HK is the Hirota-Kimura scheme (`hk`). Newton's method solves the equations; it starts from HK's step. The scheme is
+    self-adjoint. `hybrid-sym` conserves |gamma| and k = |xi|, where xi = (omega1 + i omega2)² - c (gamma1 + i gamma2);
+    2l and E deviate without drift.
+
+    If a step does not converge, the run ends as `no_convergence`. Convergence may fail where omega1 + i omega2 comes so
+    close to 0 that its two possible values, the two square roots, nearly coincide. There, errors do not fall regularly
+    with h. The schemes `midpoint4` and `hk-symproj` need no square root; they also conserve k² and have order 2.
     """
     lost = range(2, 8) if options.compensated else ()  # u and gamma determine omega1 and omega2 in every step
     iterations = ("iterations",)

@@ -71,8 +71,8 @@ follow_precision(
 Projection = tuple[Floats, float, float, float]
 """Projected state, and the increments of ``COUNTERS``."""
 TRIPLE_ROOT = (
-    "For k = 0 and E = 2 l² at once, the gradients of gamma², 2l, E and of both components of xi are linearly "
-    "dependent on the whole orbit. {} off by more than round-off; counted as unmet."
+    "If k = 0 and also E = 2 l², the gradients of gamma², 2l, E and of both components of xi are linearly dependent on "
+    "the whole orbit. {} by more than round-off. The counter `unmet` counts such steps."
 )
 """Limit of the projections onto the four integrals in the case ``delone-sleeping``."""
 
@@ -199,13 +199,13 @@ follow_precision(__name__, caps=("SYMMETRIC_ROUNDS",), VANISHING=0.5, SETTLED_CH
 MAX_CORRECTION = 1.0
 """Largest length of a correction relative to that of the step: this times h² (omega² + c gamma), but at most 1."""
 LIMITS = {
-    "resonance": "With steps of about one revolution HK jumps so far that no correction as short as its own step "
-    "restores the integrals; counted as unmet.",
-    "delone-sleeping": TRIPLE_ROOT.format("All four may be"),
-    "singular-step": "HK's step is singular for this h, and from a state of size 1e15 or more the integrals cannot be "
-    "restored; counted as unmet.",
-    "huge": "Beyond |omega| of about 1e77 k² overflows: no correction can be assessed, and the integrals are not "
-    "restored; counted as unmet.",
+    "resonance": "If h is about the time of one revolution of the body, HK jumps so far that a correction no longer "
+    "than HK's step cannot restore the integrals. The counter `unmet` counts such steps.",
+    "delone-sleeping": TRIPLE_ROOT.format("All four integrals may deviate"),
+    "singular-step": "The linear system of HK is singular for the h of this case, so HK's new state has a size of "
+    "1e15 or more. From such a state the integrals cannot be restored. The counter `unmet` counts such steps.",
+    "huge": "If |omega| exceeds about 1e77, k² overflows, so no correction can be computed, and the integrals are not "
+    "restored. The counter `unmet` counts such steps.",
 }
 COUNTERS = ("corrections", "short_corrections", "unmet")
 """Number of corrections; of steps with a shortened correction or an omitted integral; of steps that did not restore all
@@ -242,13 +242,16 @@ D = (\nabla I_1, \dots, \nabla I_4)
     limits=LIMITS,
 )
 def build(top: Top, options: NoOptions) -> Stepper:
-    """HK, followed by the shortest correction that restores the initial values of gamma², 2l, E and k.
+    """A step of HK, followed by the shortest correction that restores the initial values of gamma², 2l, E and k.
 
-    Not self-adjoint. After every two corrections the gradients are renewed at the corrected state, so that the equation
-    holds up to terms of the order of x⁴: below round-off in double precision, visible at 50 digits. Where the four
-    gradients are linearly dependent (degenerate tori, relative equilibria) only independent integrals are used. A
-    correction is never longer than HK's step. The numbers of corrections and of steps that did not restore all four
-    values are reported.
+    HK is the Hirota-Kimura scheme (`hk`). The scheme is not self-adjoint. Newton's method for the correction recomputes
+    the gradients of the integrals after every two iterations. The equation of the step therefore holds only up to terms
+    of fourth order in the multipliers x; these terms are below round-off in double precision but visible with 50
+    digits. On degenerate tori and at relative equilibria the four gradients are linearly dependent; there only
+    independent integrals are restored. No iteration moves the state farther than HK's step did.
+
+    A run reports the number of iterations (`corrections`) and the number of steps that did not restore all four values
+    (`unmet`).
     """
     return stepper(projected_step, 6, 4, adds=False, counters=COUNTERS, enter=enter_with_targets)
 
@@ -342,11 +345,15 @@ D = (\nabla I_1, \dots, \nabla I_4)
     limits=LIMITS,
 )
 def build_symmetric(top: Top, options: NoOptions) -> Stepper:
-    """HK between two shifts along the gradients of gamma², 2l, E and k², away from their level set and back to it.
+    """A step of HK between two shifts: the first leaves the level set of the integrals, the second returns to it.
 
-    Self-adjoint, because HK is. For k = 0 (Delone's motion), and if the iteration does not restore the four values, the
-    step is that of hk-projected. The numbers of corrections, of steps that did not restore all four values, and of
-    non-symmetric projections are reported.
+    HK is the Hirota-Kimura scheme (`hk`). The shifts are along the gradients of gamma², 2l, E and k². The scheme is
+    self-adjoint, because HK is self-adjoint and both shifts have the same multipliers x. For k = 0 (Delone's motion),
+    and if the iteration does not restore the values of the four integrals, the scheme takes a step of `hk-projected`
+    instead.
+
+    A run reports the number of iterations (`corrections`), the number of steps that did not restore all four values
+    (`unmet`), and the number of steps of `hk-projected` (`plain_projections`).
     """
     counters = (*COUNTERS, "plain_projections")
     return stepper(symmetric_step, 6, 4, adds=False, counters=counters, enter=enter_with_targets)

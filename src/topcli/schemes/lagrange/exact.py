@@ -296,16 +296,18 @@ def inertial_attitude(y0: Array, q0: Array, h: float, n: NDArray[np.int64], p: F
     conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
     citation="Lagrange 1788; Whittaker, Analytical Dynamics, section 71",
     formula=LAGRANGE_AXIS,
-    equations="(Euler), (Poisson) with A = B, x0 = y0 = 0",
+    equations="(Euler) and (Poisson) of the paper with A = B, x0 = y0 = 0",
     limits={
-        "sleeping-threshold": "For motions asymptotic to the upright top, or within 1e-6 of it at the stability limit, "
-        "the period is infinite or too long to resolve; such motions are refused.",
+        "sleeping-threshold": "The scheme refuses motions that tend to the upright position, because their period is "
+        "infinite. At the stability limit of the upright top it also refuses motions within 1e-6 of the upright "
+        "position, whose period is too long to resolve.",
     },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """gamma3 by Jacobi functions, the angle by the Fourier series of its rate; accurate to round-off at any time.
+    """The scheme computes gamma3 by Jacobi functions and the angle of precession by a Fourier series.
 
-    Motions asymptotic to the upright top, which are not periodic, and almost planar motions are refused.
+    Every state is accurate to round-off, at any time. The scheme refuses motions that tend to the upright position,
+    which are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
     """
     return Sampler(body_states, attitude=body_attitude)
 
@@ -323,8 +325,9 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     equations="m' = p x a, a' = m x a",
 )
 def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
-    """a·p by Jacobi functions, the precession by the Fourier series of its rate; accurate to round-off at any time.
+    """The scheme computes a·p by Jacobi functions and the angle of precession by a Fourier series.
 
-    Motions asymptotic to the upright top, which are not periodic, and almost planar motions are refused.
+    Every state is accurate to round-off, at any time. The scheme refuses motions that tend to the upright position,
+    which are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
     """
     return Sampler(inertial_states, attitude=inertial_attitude)

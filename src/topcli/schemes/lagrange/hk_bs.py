@@ -35,7 +35,7 @@ def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[In
             f"modified_{plain.name}",
             f"{plain.symbol} mod",
             rf"\widetilde{{{plain.tex}}}",
-            f"{plain.meaning}, modified: conserved by the HK map",
+            f"{plain.meaning}, modified so that the HK map conserves it",
             lambda y: plain.value(y) + corrections(y)[index],
             lambda y: plain.scale(y) + np.abs(corrections(y)[index]),
         )
@@ -56,15 +56,15 @@ def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[In
     "Sogo, Discrete Spinning Tops, sections 2.1 and 2.2",
     integrable=Integrability(UNKNOWN, UNKNOWN),
     formula=HIROTA_KIMURA,
-    equations="dEulerPoisson, with the last term of its last line corrected to gamma_2^n omega_1^{n+1}",
+    equations="(dEulerPoisson) of the paper, its last line corrected to end with gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build_hk(top: Top, options: CompensatedOption) -> Stepper:
-    """Linear in the new state, solved in closed form.
+    """Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
 
-    omega3 is conserved bit for bit. gamma², m·gamma and E are not conserved, but each differs by O(h²) from a modified
-    integral, which the map conserves exactly for every h. The map is integrable.
+    HK conserves omega3 without any rounding error. HK does not conserve gamma², m·gamma and E, but each of them differs
+    by O(h²) from a modified integral that HK conserves exactly for every h. The map is integrable.
     """
     return kahan_stepper(top, options)
 
@@ -90,7 +90,7 @@ def bs_modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]
     def scale(y: Array) -> Array:
         return plain.scale(y) + np.abs(0.5 * h) * (np.abs(y[:, 3] * y[:, 1]) + np.abs(y[:, 4] * y[:, 0]))
 
-    meaning = "energy plus h/2 (a×m)·p, conserved by the BS map"
+    meaning = "energy plus h/2 (a×m)·p, which the BS map conserves"
     return (Invariant("modified_energy", "E mod", r"\widetilde{E}", meaning, value, scale),)
 
 
@@ -105,13 +105,13 @@ def bs_modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]
     modified=bs_modified,
     citation="Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3",
     formula=r"m' - m = h\,p\times a, \qquad a' - a = h\,m'\times\bar a",
-    equations="L1, L2",
+    equations="(L1) and (L2) of the paper",
     integrable=Integrability("yes (Bobenko, Suris 1999)", "Lie-Poisson bracket of e(3)", "lie-poisson"),
 )
 def build_bs(top: Top, options: NoOptions) -> Stepper:
-    """Two explicit substeps: m from the old axis, then a Cayley rotation of the axis about the new m.
+    """The axis before the step determines the new m; then a Cayley transform rotates the axis about the new m.
 
-    a², m·p, m·a and a modified energy, which differs from E by a term of size h, are conserved exactly. The map is
-    integrable: although it is of order 1 and not self-adjoint, no integral drifts.
+    The scheme conserves a², m·p, m·a and a modified energy exactly; the modified energy differs from E by a term of
+    size h. The map is integrable. Although the scheme has order 1 and is not self-adjoint, no integral drifts.
     """
     return Stepper(bs_step, 6)

@@ -1,4 +1,4 @@
-"""Subjects of a benchmark: problems, the schemes that take part, and the settings of each from coarse to fine."""
+"""Subjects of a benchmark: problems, participating schemes, and their settings from coarse to fine."""
 
 from __future__ import annotations
 
@@ -271,7 +271,7 @@ def choose(problem: Problem, names: Sequence[str]) -> LineUp:
             if isinstance(method, Sampler):
                 reason = "is evaluated, not stepped: its error is that of the scheme it solves"
             elif isinstance(method, Stepper) and method.plain and not names:
-                reason = "runs in the interpreter; the peer scipy is the same method and shows its cost"
+                reason = "runs in the interpreter; the peer scipy is the same method and is measured instead"
         if reason:
             left_out.append((scheme.name, reason))
         else:

@@ -1,4 +1,4 @@
-"""Measure competitors on one problem: errors once, then times in interleaved repetitions.
+"""Measurements of all participants on one problem: errors once, then times in interleaved repetitions.
 
 Competitors are our schemes in this process, and peers in one or several processes of their own. Errors are Euclidean
 norms of the difference of states from the Taylor reference in double-double arithmetic at the common times. Times are
@@ -295,7 +295,7 @@ class Measured:
 
     rung: Rung
     error: float
-    end_error: float
+    final_error: float
     drift: dict[str, float]
     first: float
     compile_seconds: float
@@ -318,7 +318,7 @@ class Measurements:
     competitor: Competitor
     rungs: list[Measured] = field(default_factory=list)
     failed: list[tuple[float, str]] = field(default_factory=list)
-    ended: str = "the ladder's end"
+    ended: str = "the finest setting is reached"
     broken: str = ""
     """Reason why this competitor stopped; empty if it did not."""
 
@@ -445,7 +445,7 @@ def as_rows(measured: Measurements, duration: float) -> list[dict[str, Any]]:
             {
                 "value": rung.rung.value,
                 "error": rung.error,
-                "end_error": rung.end_error,
+                "final_error": rung.final_error,
                 "drift": max(rung.drift.values(), default=0.0),
                 "invariants": rung.drift,
                 "seconds": float(np.median(spent)),
@@ -516,7 +516,7 @@ def _closed_forms(schemes: Sequence[Scheme], problem: Problem, reference: Array)
                 "name": scheme.name,
                 "title": scheme.title,
                 "error": float(errors.max()),
-                "end_error": float(errors[-1]),
+                "final_error": float(errors[-1]),
                 "invariants": deviations(problem.top.invariants(), states),
                 "seconds_per_state": seconds_per_state,
                 "states": MANY,

@@ -1,4 +1,4 @@
-"""The result of a benchmark: the front of speed and error in words and numbers, its tables, and its folder on disk."""
+"""Result of a benchmark: the fastest scheme at each error, tables, and the folder on disk."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def front(competitors: Sequence[Competitor]) -> list[dict[str, Any]]:
 
 POINTS = "points.parquet"
 SCHEMA_VERSION = 1
-STORED = ("name", "kind", "parameter", "value", "error", "end_error", "drift", "seconds", "fastest", "repetitions")
+STORED = ("name", "kind", "parameter", "value", "error", "final_error", "drift", "seconds", "fastest", "repetitions")
 
 
 def _points(result: dict[str, Any]) -> list[dict[str, Any]]:
@@ -244,7 +244,7 @@ POINT_TABLE = Table(
         Column("µs per unit time", "seconds", microseconds),
         Column("quartiles", "quartiles", lambda ends: " to ".join(map(microseconds, ends))),
         Column("max error", "error", number),
-        Column("at the end", "end_error", number),
+        Column("at the end", "final_error", number),
         Column("largest drift", "drift", number),
     ),
     heading="All points",
@@ -255,7 +255,7 @@ def ladder_lines(result: dict[str, Any]) -> list[str]:
     """Return a line for each competitor: its times to compile or load and to set up, and what ended its ladder."""
     return [
         f"{row['name']}: compiled or loaded in {row['compile_seconds']:.2g} s, set up in {row['setup_seconds']:.2g} s; "
-        f"its ladder ended: {row['ended']}"
+        f"ended: {row['ended']}"
         for row in result["competitors"]
     ]
 
@@ -337,7 +337,7 @@ def store_bench(
                 {REPORT: report, "report.md": report_text(result)},
             )
         except OSError as error:
-            raise writer.failure(error, "nothing was kept of this bench") from error
+            raise writer.failure(error, "nothing of this benchmark was stored") from error
     return stored, writer.set_aside
 
 

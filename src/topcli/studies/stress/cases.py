@@ -1,4 +1,4 @@
-"""The hard cases of all tops, ``CASES``: those that every top has, and those of each."""
+"""Hard cases of ``topcli stress``, ``CASES``: cases that every top has, and cases of single tops."""
 
 from __future__ import annotations
 
@@ -110,15 +110,21 @@ def general_cases(top: Top, regular: Floats = (), singular: bool = True) -> tupl
     d = len(top.components)
     generic, fast = GENERIC[:d], (*FAST, *GAMMA)[:d]
     regular = regular or generic
-    bounded = "h = 1, about a turn a step: does it stay bounded, and does the iteration converge?"
+    vector = next(iter(top.vectors))
+    bounded = (
+        "h = 1, about one turn per step: does the state stay bounded, and do the steps of implicit schemes converge?"
+    )
     huge, tiny = _scaled(generic, 1e150), _scaled(generic, 1e-310)
-    vanishes = "h at which HK's determinant vanishes in the first step: does omega stay of the motion's size?"
+    vanishes = (
+        "h at which the determinant of HK's linear system vanishes in the first step: does the state stay "
+        "about as large as in the exact motion?"
+    )
     plain = _plain_cases(top, generic, regular)
     cases = (
         *plain[:2],
         _case("resonance", bounded, top, fast, 1.0, 2000, stays_bounded),
-        _case("huge", "omega of size 1e150, h of size 1e-152: is the order kept?", top, huge, 2e-152),
-        _case("denormal", "omega of size 1e-310: is the order kept?", top, tiny),
+        _case("huge", f"{vector} of size 1e150, h of size 1e-152: does the scheme keep its order?", top, huge, 2e-152),
+        _case("denormal", f"{vector} of size 1e-310, a denormal number: does the scheme keep its order?", top, tiny),
         *plain[2:],
         _case("singular-step", vanishes, top, generic, None, 50, stays_bounded),
     )
@@ -127,11 +133,18 @@ def general_cases(top: Top, regular: Floats = (), singular: bool = True) -> tupl
 
 def _plain_cases(top: Top, generic: Floats, regular: Floats) -> tuple[Case, ...]:
     """The cases that make sense for any top."""
-    back = "1e5 steps forward and 1e5 back: is only round-off's growth left?"
-    slope = "t = 1e5: do the claimed invariants have a slope beyond its uncertainty?"
+    back = "1e5 steps forward and 1e5 back: does the state return to the initial one, up to the growth of round-off?"
+    slope = "run up to t = 1e5: do the declared invariants drift by more than the uncertainty of the fitted drift?"
     return (
-        _case("backwards", "h < 0: is the order what it is for h > 0?", top, generic, -0.02),
-        _case("one-step", "N = 1: does a single step have the error of its order?", top, generic, 0.1, 1),
+        _case("backwards", "h < 0: is the order the same as for h > 0?", top, generic, -0.02),
+        _case(
+            "one-step",
+            "t = 0.1 in 1, 2 and 4 steps: does the error fall with the declared order?",
+            top,
+            generic,
+            0.1,
+            1,
+        ),
         _case("there-and-back", back, top, regular, 0.02, 100_000, returns),
         _case("drift", slope, top, regular, 0.1, 1_000_000, does_not_drift),
     )
@@ -196,7 +209,10 @@ def degenerate(which: int, low: float, high: float) -> Floats:
 
 def _near_homoclinic(eps: float) -> Case:
     exponent, due = round(math.log10(eps)), swing_time(eps)
-    question = f"gamma3(0) = 1e{exponent}: does the first swing come at sqrt 2 ln(8 sqrt 7/eps) = {due:.4f}?"
+    question = (
+        f"start near the upright rotation, at gamma3 = eps = 1e{exponent}: does the first swing (minimum "
+        f"of gamma1) come at t = sqrt 2 ln(8 sqrt 7/eps) = {due:.4f}?"
+    )
     state = (2.0, 0.0, 0.0, math.sqrt(1.0 - eps * eps), 0.0, eps)
     return _case(f"homoclinic-1e{exponent}", question, TOP, state, 1e-3, round((due + 6.0) / 1e-3), swings_at(due))
 
@@ -213,7 +229,10 @@ RATE = math.sqrt(1.0 / 3.0)
 def _racket(offset: float, top: Top = Euler()) -> Case:  # noqa: B008 (never changed)
     """Case of the tennis racket; omega2 first crosses 0 after about ln(constant/offset)/rate."""
     state = (offset, 1.0, 0.0, 0.0, 1.0, 0.0)[: len(top.components)]
-    question = f"turns about the middle axis, {offset:g} off: does it flip when the closed form says?"
+    question = (
+        f"omega at a distance of {offset:g} from the middle axis: does omega2 first change its sign (the "
+        "body flips over) at the same time as in the closed form?"
+    )
     steps = round((math.log(4.0 / offset) / RATE + 4.0) / 0.01)
     return _case(f"racket-1e{round(math.log10(offset))}", question, top, state, 0.01, steps, flips)
 
@@ -223,7 +242,10 @@ _SLEEPING = math.sqrt(4.0 * _LAGRANGE.A * _LAGRANGE.mu) / _LAGRANGE.C
 """omega3 at which the upright top is just stable: C omega3 = 2 sqrt(A mu)."""
 _TILT = 1e-6
 _SPACING = 2.0 * swing_time(1e-3)
-_SPACED = f"gamma3(0) = 1e-3, the paper's scene: does the second swing follow after {_SPACING:.4f}?"
+_SPACED = (
+    "initial state of the paper's figures, gamma3 = 1e-3: is the time between the first two swings (minima of gamma1) "
+    f"{_SPACING:.4f}?"
+)
 CASES = [
     *map(_near_homoclinic, (1e-3, 1e-6, 1e-9)),
     _case(
@@ -236,72 +258,149 @@ CASES = [
         swings_at(_SPACING, spacing=True),
     ),
     _passing(
-        "pole", "gamma passes -e3, where the paper's stereographic z is infinite", (0.7, -0.4, 1.3, 0.0, 0.0, -1.0)
+        "pole",
+        "gamma passes (0, 0, -1), where its stereographic coordinate z, used by bohlin-b, is infinite: "
+        "does the scheme keep its order?",
+        (0.7, -0.4, 1.3, 0.0, 0.0, -1.0),
     ),
     _passing(
         "branch-point",
-        "omega1 + i omega2 passes 0, where the square root is singular",
+        "omega1 + i omega2 passes 0, where the square root that gives it in Bohlin's method is singular: "
+        "does the scheme keep its order?",
         (0.0, 0.0, 1.3, *GAMMA),
     ),
     _passing(
         "near-branch-point",
-        "omega1 + i omega2 passes 0 at a distance of 1e-3",
+        "omega1 + i omega2 passes 0 at a distance of 1e-3: does the scheme keep its order?",
         (0.0, 1e-3, 1.3, *GAMMA),
     ),
-    _case("at-rest", "omega = 0 at the start", TOP, (0.0, 0.0, 0.0, *GAMMA)),
+    _case("at-rest", "omega = 0 at the start: does the scheme keep its order?", TOP, (0.0, 0.0, 0.0, *GAMMA)),
     _case(
-        "rest-on-axis", "omega = 0 and gamma = e3 at the start, where xi = 0 too", TOP, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        "rest-on-axis",
+        "omega = 0 and gamma = (0, 0, 1) at the start, hence Kowalevski's integral k² = 0: does the "
+        "scheme keep its order?",
+        TOP,
+        (0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
     ),
     _passing(
         "real-axis",
-        "omega1 + i omega2 crosses the negative real axis, where the angle has its cut; branch: sign errs there",
+        "omega1 + i omega2 crosses the negative real axis, where the option branch: sign of Bohlin's "
+        "method takes the wrong square root: does the scheme keep its order?",
         (-0.8, 0.0, 0.5, 0.6, -0.48, -0.64),
     ),
-    _case("delone", "k = 0, Delone's motion: k² has no gradient", TOP, DELONE),
+    _case(
+        "delone",
+        "k = 0 (Delone's motion), where the gradient of k² vanishes: does the scheme keep its order?",
+        TOP,
+        DELONE,
+    ),
     _case(
         "delone-sleeping",
-        "k = 0 and E = 2 l²: gamma = omega = e3 at the start, where all gradients are dependent",
+        "gamma = omega = (0, 0, 1) at the start (k = 0, E = 2 l²), where the gradients of the four "
+        "integrals are linearly dependent: does the scheme keep its order?",
         TOP,
         (0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
     ),
-    _case("torus-e4", "S(e4) = 0: the torus is a closed orbit, the gradients are dependent", TOP, TORUS_E4),
-    _case("torus-e5", "S(e5) = 0, a degenerate torus", TOP, lambda: degenerate(1, 0.585, 0.59)),
-    _case("torus-double-root", "g2³ = 27 g3², a degenerate torus", TOP, lambda: degenerate(2, 0.62, 0.625)),
-    _case("free", "c0 = 0: no gravity", Kowalevski(c0=0.0), GENERIC),
-    _case("strong-gravity", "c0 = 1e6, h = 2e-5", Kowalevski(c0=1e6), GENERIC, 2e-5),
-    _case("negative-gravity", "c0 = -1", Kowalevski(c0=-1.0), GENERIC),
-    _case("vanishing", "c0 = 0 and omega of size 1e-310", Kowalevski(c0=0.0), (7e-311, -4e-311, 1.3e-310, *GAMMA)),
+    _case(
+        "torus-e4",
+        "torus that has shrunk to a closed orbit (e4 is a double zero of Kowalevski's polynomial), where "
+        "the gradients of the four integrals are linearly dependent: does the scheme keep its order?",
+        TOP,
+        TORUS_E4,
+    ),
+    _case(
+        "torus-e5",
+        "degenerate torus (e5 is a double zero of Kowalevski's polynomial): does the scheme keep its order?",
+        TOP,
+        lambda: degenerate(1, 0.585, 0.59),
+    ),
+    _case(
+        "torus-double-root",
+        "degenerate torus (two of e1, e2 and e3, zeros of Kowalevski's polynomial, coincide): does the "
+        "scheme keep its order?",
+        TOP,
+        lambda: degenerate(2, 0.62, 0.625),
+    ),
+    _case("free", "c0 = 0, no gravity: does the scheme keep its order?", Kowalevski(c0=0.0), GENERIC),
+    _case(
+        "strong-gravity",
+        "c0 = 1e6, very strong gravity, with h = 2e-5: does the scheme keep its order?",
+        Kowalevski(c0=1e6),
+        GENERIC,
+        2e-5,
+    ),
+    _case(
+        "negative-gravity", "c0 = -1, gravity reversed: does the scheme keep its order?", Kowalevski(c0=-1.0), GENERIC
+    ),
+    _case(
+        "vanishing",
+        "c0 = 0 and omega of size 1e-310, a denormal number: does the scheme keep its order?",
+        Kowalevski(c0=0.0),
+        (7e-311, -4e-311, 1.3e-310, *GAMMA),
+    ),
     *general_cases(TOP),
     *map(_racket, (1e-3, 1e-6, 1e-9, 1e-12)),
-    _case("spherical", "A = B = C: omega is constant", Euler(A=1.5, B=1.5, C=1.5), OMEGA),
-    _case("middle-axis", "turns about the middle axis exactly, a fixed point", Euler(), (0.0, 1.0, 0.0)),
+    _case(
+        "spherical",
+        "A = B = C, so that omega is constant: does the scheme keep its order?",
+        Euler(A=1.5, B=1.5, C=1.5),
+        OMEGA,
+    ),
+    _case(
+        "middle-axis",
+        "rotation about the middle axis, an unstable fixed point: does the scheme keep its order?",
+        Euler(),
+        (0.0, 1.0, 0.0),
+    ),
     *general_cases(Euler()),
     _racket(1e-9, EulerGamma()),
     _case(
         "spherical",
-        "A = B = C: omega is constant, gamma turns steadily",
+        "A = B = C, so that omega is constant and gamma turns about it steadily: does the scheme keep its order?",
         EulerGamma(A=1.5, B=1.5, C=1.5),
         GENERIC,
     ),
     *general_cases(EulerGamma()),
-    _case("at-rest", "omega = 0 at the start", Heavy(), (0.0, 0.0, 0.0, *GAMMA)),
-    _case("spherical", "A = B = C with gravity", Heavy(A=1.5, B=1.5, C=1.5), GENERIC),
+    _case("at-rest", "omega = 0 at the start: does the scheme keep its order?", Heavy(), (0.0, 0.0, 0.0, *GAMMA)),
+    _case(
+        "spherical",
+        "equal moments of inertia, A = B = C, with gravity: does the scheme keep its order?",
+        Heavy(A=1.5, B=1.5, C=1.5),
+        GENERIC,
+    ),
     *general_cases(Heavy(), (0.05, -0.04, 0.06, -0.70, -0.42, -0.577581)),
     _case(
         "sleeping-threshold",
-        "upright but for 1e-6, C omega3 = 2 sqrt(A mu): the edge of stability",
+        "axis upright within 1e-6 rad, with the spin C omega3 = 2 sqrt(A mu) at the limit of stability: "
+        "does the scheme keep its order?",
         _LAGRANGE,
         (0.0, 0.0, _SLEEPING, math.sin(_TILT), 0.0, math.cos(_TILT)),
         0.02,
         1000,
     ),
-    _case("sleeping", "upright exactly, a fixed point", _LAGRANGE, (0.0, 0.0, 5.0, 0.0, 0.0, 1.0)),
-    _case("at-rest", "omega = 0 at the start: a plane pendulum", _LAGRANGE, (0.0, 0.0, 0.0, 0.6, 0.0, 0.8)),
-    _case("hanging", "mu < 0, gamma near e3: hangs", Lagrange(mu=-1.0), GENERIC),
+    _case(
+        "sleeping",
+        "spin about the exactly upright axis, a fixed point: does the scheme keep its order?",
+        _LAGRANGE,
+        (0.0, 0.0, 5.0, 0.0, 0.0, 1.0),
+    ),
+    _case(
+        "at-rest",
+        "omega = 0 at the start, so that the top swings as a plane pendulum: does the scheme keep its order?",
+        _LAGRANGE,
+        (0.0, 0.0, 0.0, 0.6, 0.0, 0.8),
+    ),
+    _case(
+        "hanging",
+        "mu = -1, centre of gravity below the fixed point at the start: does the scheme keep its order?",
+        Lagrange(mu=-1.0),
+        GENERIC,
+    ),
     *general_cases(_LAGRANGE),
     _case(
         "sleeping-threshold",
-        "upright but for 1e-6, m.a = 2: the edge of stability",
+        "axis upright within 1e-6 rad, with the spin m.a = 2 at the limit of stability: does the scheme "
+        "keep its order?",
         LagrangeInertial(),
         (2.0 * math.sin(_TILT), 0.0, 2.0 * math.cos(_TILT), math.sin(_TILT), 0.0, math.cos(_TILT)),
         0.02,
@@ -325,12 +424,13 @@ def case(
     name : str
         Name of the case, in lower case.
     top : str
-        Form of the top.
+        Name of the top whose schemes the case tests (``Top.form``), such as ``euler`` or ``lagrange/inertial``.
     question : str
-        Question that the case asks about a scheme.
+        Question that the case answers for each scheme, such as "is the order kept?".
     check : callable, optional
-        Function that answers the question: ``check(trial)`` runs the scheme by ``trial.run`` and returns a
-        ``topcli.studies.stress.checks.Finding``. By default the error must have the order of the scheme.
+        Function that answers the question. ``check(trial)`` runs the scheme with ``trial.run`` and returns a
+        ``topcli.studies.stress.checks.Finding``. The default check tests that the error falls with h as the order of
+        the scheme says.
 
     Returns
     -------
@@ -340,12 +440,12 @@ def case(
     Raises
     ------
     ValueError
-        If the top has a case of this name.
+        If the top already has a case with this name.
 
     Examples
     --------
     >>> import topcli
-    >>> @topcli.case("slow", top="euler", question="omega of size 1e-3: is the order kept?")
+    >>> @topcli.case("slow", top="euler", question="omega of size 1e-3: does the scheme keep its order?")
     ... def slow():
     ...     return {"top": "euler", "initial": {"omega": [1e-3, 2e-3, 0]}, "h": 1.0, "N": 200}
     """

@@ -1,8 +1,9 @@
-"""Hard cases: an experiment without a scheme, a question about it, and a check that answers it from runs of a scheme.
+"""Types of the hard cases: an experiment without a scheme, a question, and a check that answers it.
 
-Outcomes: *held*: the scheme does what it claims. *degraded*: it keeps every claim but loses its accuracy. *broke*: it
-blew up, did not converge, refused the case, left the motion altogether, or violated a claim. *not tried*: the case
-asks something that the scheme does not claim, or would take too long in the interpreter.
+A case has one of these outcomes. *held*: the scheme does what it declares. *degraded*: the scheme keeps its declared
+properties but loses accuracy. *broke*: the scheme blew up, did not converge, refused the case, moved far from the exact
+motion, or lost a declared property. *not tried*: the case asks for a property that the scheme does not declare, or it
+would take too long in the interpreter.
 """
 
 from __future__ import annotations
@@ -47,7 +48,11 @@ class CaseOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """The answer: the result, the reason in one short phrase with figures, and the step at which it broke."""
+    """Result of a check.
+
+    ``result`` is the outcome, ``why`` the reason in one short phrase with numbers, and ``step`` the step at which the
+    scheme broke, if it did. ``figures`` contains measured numbers by name.
+    """
 
     result: CaseOutcome
     why: str
@@ -57,9 +62,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Case:
-    """One hard case for the schemes of one form of a top.
+    """Hard case for the schemes of one form of a top.
 
-    ``config`` gives the experiment as a config without a scheme; ``check`` answers the ``question`` for a trial.
+    ``config()`` returns the experiment as a config without a scheme. ``check(trial)`` answers the ``question`` for a
+    trial, which is one scheme in this case.
     """
 
     name: str
@@ -101,7 +107,7 @@ class CaseCache:
 
 
 class Trial:
-    """One scheme in one case, as the checks use it."""
+    """One scheme in one hard case, the argument of a check."""
 
     def __init__(self, case: Case, experiment: Experiment, cache: CaseCache) -> None:
         self.case, self.experiment = case, experiment
@@ -116,7 +122,7 @@ class Trial:
         self.claim_ulps = CLAIM_ULPS
 
     def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Floats | None = None) -> Trajectory:
-        """Run the case, or with another step, another number of steps, or from another state."""
+        """Run the case and return the trajectory; arguments replace its step size, number of steps or initial state."""
         h, N = h or self.h, N or self.N
         with np.errstate(all="ignore"):
             motion = Trajectory.of_run(Run(self.top, self._loop, y0 or self.y0, h, N, every), self.scheme.name)
@@ -125,17 +131,17 @@ class Trial:
         return motion
 
     def reference(self, times: Array) -> Array:
-        """Return the reference motion of the case at ``times``, (m, d)."""
+        """Return the reference solution of the case at ``times``, shape (m, d)."""
         return self._cache.reference(self.top, self.y0, times)
 
     def closed_form(self, n: NDArray[np.int64]) -> Array:
-        """Return the states of the closed form of the top after ``n`` (m,) steps, (m, d)."""
+        """Return the states of the closed form of the top after ``n`` steps (m,), shape (m, d)."""
         closed = closed_form_of(self.top)
         assert closed is not None
         return closed.states(np.array(self.y0), self.h, n, self.top.constants())
 
     def claimed(self, h: float) -> list[Invariant]:
-        """Invariants that the scheme claims to conserve to round-off at the step ``h``."""
+        """Return the invariants that the scheme declares to conserve to round-off at step size ``h``."""
         kept = [invariant for invariant in self.top.invariants() if invariant.name in self.scheme.conserves]
         modified = self.scheme.modified(self.top, h, self.experiment.options) if self.scheme.modified else ()
         return [*kept, *modified]
@@ -168,7 +174,7 @@ def claim_violated(trial: Trial, motion: Trajectory) -> Finding | None:
             over = deviation > np.maximum(bound, 1e-300)
             if over.any():
                 at = int(np.argmax(over))
-                why = f"claims {invariant.symbol}, off by {deviation[at]:.1e} (round-off: {bound[at]:.1e})"
+                why = f"{invariant.symbol} changes by {deviation[at]:.1e} (round-off: {bound[at]:.1e})"
                 return Finding(CaseOutcome.BROKE, why, int(motion.n[at]), {"deviation": float(deviation.max())})
     return None
 
@@ -221,7 +227,7 @@ def keeps_order(trial: Trial) -> Finding:
         worst = float(errors.max())
         if not worst < LEFT_ERROR:
             at = int(np.argmax(~(errors < LEFT_ERROR)))
-            why = f"left the motion: error {errors[at]:.1g} of its size at t = {motion.t[at]:.3g}"
+            why = f"left the exact motion: error {errors[at]:.1g} times its size at t = {motion.t[at]:.3g}"
             return Finding(CaseOutcome.BROKE, why, int(motion.n[at]), {"error": worst})
         worst_errors.append(worst)
     last = worst_errors[-1]
@@ -239,7 +245,7 @@ def keeps_order(trial: Trial) -> Finding:
     why = f"order {order:.2f}, error {worst_errors[0]:.1e}"
     return Finding(
         CaseOutcome.HELD if held else CaseOutcome.DEGRADED,
-        why if held else f"{why}: falls short of its order {trial.order}",
+        why if held else f"{why}; the declared order is {trial.order}",
         figures={**figures, "order": order},
     )
 
@@ -266,7 +272,7 @@ def _timed(what: str, time: float, due: float, trial: Trial, when: str = "at") -
     off = abs(time - due) / abs(due)
     result = CaseOutcome.HELD if off <= RIGHT else CaseOutcome.DEGRADED if off <= ROUGH else CaseOutcome.BROKE
     if result is CaseOutcome.HELD:
-        why = f"{what} {when} t = {time:.4f}, {off:.0e} off the theory"
+        why = f"{what} {when} t = {time:.4f}, relative error {off:.0e}"
     else:
         why = f"{what} {when} t = {time:.4f}, not {due:.4f} ({100 * off:.0f}% off)"
     step = None if result is not CaseOutcome.BROKE else round(min(time, due) / abs(trial.h))
@@ -370,7 +376,7 @@ def returns(trial: Trial) -> Finding:
     if missed <= bound:
         return Finding(CaseOutcome.HELD, why, figures=figures)
     if trial.scheme.self_adjoint:
-        return Finding(CaseOutcome.BROKE, f"claims to be self-adjoint, {why}", 2 * trial.N, figures)
+        return Finding(CaseOutcome.BROKE, f"declared self-adjoint, but {why}", 2 * trial.N, figures)
     return Finding(CaseOutcome.DEGRADED, f"{why}; not self-adjoint", figures=figures)
 
 
@@ -378,7 +384,7 @@ def does_not_drift(trial: Trial) -> Finding:
     """Check over a very long run that no claimed invariant has a slope beyond its uncertainty."""
     claimed = trial.claimed(trial.h)
     if not claimed:
-        return Finding(CaseOutcome.NOT_TRIED, "claims no invariant")
+        return Finding(CaseOutcome.NOT_TRIED, "declares no invariant")
     if trial.plain:
         return Finding(CaseOutcome.NOT_TRIED, "runs in the interpreter")
     motion = trial.run(every=max(1, trial.N // 8192))
@@ -406,5 +412,5 @@ def does_not_drift(trial: Trial) -> Finding:
         return Finding(CaseOutcome.BROKE, f"drifts: {drifting[0]}", int(motion.n[-1]), figures)
     if biased:
         return Finding(CaseOutcome.DEGRADED, f"round-off is biased: {biased[0]}", figures=figures)
-    why = f"no slope; worst {worst.symbol}: {worst.max_deviation:.0e} after {motion.n[-1]:.0e} steps"
+    why = f"no drift; largest deviation: {worst.symbol}, {worst.max_deviation:.0e} after {motion.n[-1]:.0e} steps"
     return Finding(CaseOutcome.HELD, why, figures=figures)

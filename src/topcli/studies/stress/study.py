@@ -1,4 +1,4 @@
-"""``topcli stress``: schemes in hard cases, how their outcomes are shown, and which of them are faults."""
+"""``topcli stress``: trials of schemes in hard cases, and the outcomes that contradict declared limits."""
 
 from __future__ import annotations
 
@@ -7,15 +7,9 @@ from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Any
 
-from topcli.errors import (
-    ExitCode,
-    UnknownNameError,
-    UsageError,
-    nearest,
-    quoted,
-)
+from topcli.errors import ExitCode, UnknownNameError, UsageError, counted, nearest, quoted
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import ConfigFile, Data, Faults, Flag, Head, Result, SchemeNames, Study, TopName
+from topcli.studies.study import Data, Faults, Flag, Head, Result, Study, config_flag, scheme_names, top_flag
 from topcli.table import Column, Table
 
 if TYPE_CHECKING:
@@ -26,7 +20,7 @@ FILE = Path("stress") / "stress.json"
 
 
 SHOWN_TRIALS = 40
-"""List all trials up to this many; beyond it, only failures."""
+"""List all trials up to this many; beyond it, only a line for each scheme."""
 SIGNS = {"held": "·", "degraded": "o", "broke": "X", "not tried": "–"}
 MARKS = {"held": "good", "degraded": "middling", "broke": "bad"}
 UNEXPLAINED = {
@@ -35,6 +29,12 @@ UNEXPLAINED = {
 }
 """Verdicts on trials that contradict a declaration."""
 MEANING = {"ok": "", "limit": "declared limit"}
+FAULTS = {"unexplained": "UNDECLARED", "outlived limit": "DECLARED AS A LIMIT"}
+
+
+def _said(verdict: str) -> str:
+    """Verdict in words; in capitals if it is a fault."""
+    return MEANING.get(verdict, FAULTS.get(verdict, verdict.upper()))
 
 
 def _options(texts: Sequence[str]) -> dict[str, Any]:
@@ -45,7 +45,9 @@ def _options(texts: Sequence[str]) -> dict[str, Any]:
     for text in texts:
         path, value = parse_override(text)
         if path[0] != "scheme" or len(path) != 2 or path[1] in ("name", "compose"):
-            raise UsageError(f"{override_label(text)}: only options of schemes can be set, as scheme.KEY=VALUE")
+            raise UsageError(
+                f"{override_label(text)}: set by the case; only options of schemes can be set, as scheme.KEY=VALUE"
+            )
         options[str(path[1])] = value
     return options
 
@@ -56,7 +58,7 @@ def _top_of(config: str | Path, top: str | None) -> str:
     from topcli.studies.stress.cases import start_from
 
     if top is not None:
-        raise UsageError(f"--top {quoted(top)}: --config names a top too; keep one of them")
+        raise UsageError(f"--top {quoted(top)}: --config names a top too; give one of them")
     experiment = load_experiment(config)
     start_from(experiment.top, experiment.y0)
     return experiment.top.form
@@ -69,44 +71,48 @@ def _case_names() -> list[str]:
 
 
 def measure(
-    *schemes: SchemeNames,
-    cases: Annotated[Sequence[str], Flag("--case", "CASE", names=_case_names)] = (),
-    top: TopName = None,
-    config: ConfigFile = None,
+    *schemes: Annotated[str, scheme_names("all")],
+    cases: Annotated[Sequence[str], Flag("--case", "CASE", names=_case_names, default="all")] = (),
+    top: Annotated[str | None, top_flag("all")] = None,
+    config: Annotated[str | Path | None, config_flag("the configs of the hard cases")] = None,
     options: Annotated[Mapping[str, Any] | None, Flag("--set", "KEY=VALUE", read=_options, several=True)] = None,
     watch: Watch = SILENT,
 ) -> Result:
     """Test schemes in hard cases and find what breaks.
 
-    Exits with status 4 if a scheme breaks without a declared limit, or holds in a case that it declares as its limit;
-    with 3 if the code of some of the schemes fails.
+    Hard cases are, for example, motions near singularities, extreme parameters and extreme step sizes. The command
+    topcli list cases lists them. --set sets an option, such as scheme.branch=sign, for every scheme that has it. Exits
+    with status 4 if a scheme fails a case that it does not declare as a limit, or passes a case that it declares as
+    a limit.
 
     Parameters
     ----------
     *schemes : str
-        Names of schemes; all by default.
+        Names of schemes.
     cases : sequence of str, optional
-        Try only this case; repeat for several. All by default; ``topcli list cases`` shows them.
+        Try only this hard case. By default, all cases are tried; ``topcli list cases`` shows them.
     top : str, optional
-        Try only schemes and cases of this top.
+        Name of a top; only its schemes and cases are tried.
     config : path or str, optional
-        Try the top of this config. A top without cases of its own starts from the initial state of the config.
+        Config whose top is tried. If topcli has no hard cases for this top, general cases are tried, which start from
+        the initial state of the config.
     options : mapping, optional
-        Set an option for all schemes that have it, e.g. scheme.branch=sign.
+        Options of schemes by name, such as ``{"branch": "sign"}``. Each option is set for every scheme that has it.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
     StudyReport
-        ``table`` has a row for each trial, with its outcome and its verdict in view of the limits that the scheme
-        declares; ``unexplained`` those of them that broke without a declared limit, or held in spite of one.
-        ``grid(top)`` is a DataFrame of the outcomes of one of the ``tops``, and ``plot(top=...)`` draws it.
+        Report on all trials. A trial is one scheme in one case. ``table`` gives the outcome of each trial and a verdict
+        that compares it with the limits that the scheme declares (cases that it must fail). ``unexplained`` contains
+        the trials in which a scheme broke without a declared limit, or held in spite of one. ``grid(top)`` is a
+        DataFrame of the outcomes for one of the tops (listed in ``tops``), and ``plot(top=...)`` draws it.
 
     Raises
     ------
     UsageError
-        For unknown schemes, cases, tops and options, or if nothing is left to try.
+        If a scheme, case, top or option is unknown, or if nothing is left to try.
 
     Examples
     --------
@@ -133,7 +139,9 @@ def _failed(trial: Data) -> bool:
 
 
 def _what(trial: Data) -> str:
-    return trial["outcome"] if trial["step"] is None else f"{trial['outcome']} at step {trial['step']}"
+    """Outcome of a trial, the step at which it failed, and the verdict."""
+    outcome = trial["outcome"] if trial["step"] is None else f"{trial['outcome']} at step {trial['step']}"
+    return ", ".join(filter(None, (outcome, _said(trial["verdict"]))))
 
 
 TRIAL = (Column("scheme", "scheme"), Column("top", "top"), Column("case", "case"))
@@ -145,7 +153,6 @@ TRIALS = Table(
         *(Column("", key) for key in ("outcome", "step", "verdict")),
         Column("why", "why", lambda why: shorten(why, 100)),
         *(Column("", key) for key in ("limit", "seconds")),
-        Column(" ", lambda trial: MEANING.get(trial["verdict"], trial["verdict"].upper())),
     ),
     keys=3,
     numbers=False,
@@ -185,47 +192,73 @@ def tops_of(data: Data) -> list[str]:
     return list(dict.fromkeys(str(trial["top"]) for trial in data["trials"]))
 
 
-def grid_of(data: Data, top: str, numbered: bool = False) -> Table:
-    """Outcomes of the schemes of one top: a row for each scheme, a column for each case, ``numbered`` or named."""
+def grid_of(data: Data, top: str) -> Table:
+    """Outcomes of the schemes of one top: a row for each scheme, a column for each case."""
     trials = [trial for trial in data["trials"] if trial["top"] == top]
     rows: dict[str, Data] = {}
     for trial in trials:
         rows.setdefault(trial["scheme"], {"scheme": trial["scheme"]})[f"case {trial['case']}"] = trial["outcome"]
     cases = list(dict.fromkeys(trial["case"] for trial in trials))
-    signs = {**SIGNS, "not tried": ""} if numbered else SIGNS
 
-    def column(number: int, case: str) -> Column:
-        head = str(number) if numbered else case
-        return Column(head, lambda row: row.get(f"case {case}", ""), lambda outcome: signs.get(outcome, ""))
+    def column(case: str) -> Column:
+        return Column(case, lambda row: row.get(f"case {case}", ""), lambda outcome: SIGNS.get(outcome, ""))
 
-    listed = "  " + ", ".join(f"{number}={case}" for number, case in enumerate(cases, 1))
     meanings = ", ".join(f"{sign} {outcome}" for outcome, sign in SIGNS.items())
     return Table(
         lambda data: list(rows.values()),
-        [Column(top if numbered else "scheme", "scheme"), *(column(i, case) for i, case in enumerate(cases, 1))],
+        [Column("scheme", "scheme"), *map(column, cases)],
         name=f"grid {top}",
         heading=f"Outcomes: {top}",
-        caption=listed if numbered else f"{meanings}; no sign: not run",
-        numbers=numbered,
+        caption=f"{meanings}; an empty cell was not run",
+        numbers=False,
         marks={SIGNS[outcome]: kind for outcome, kind in MARKS.items()},
     )
 
 
-def printed(result: Result, *, verbose: Annotated[bool, Flag("--verbose -v")] = False) -> Iterator[Table | str]:
-    """Tables on a terminal: grids of the outcomes of many trials, then a line for each trial that did not hold.
+def summary_of(data: Data, top: str) -> Table:
+    """Cases of one top by outcome: a row for each scheme, or for several of which every case held."""
+    cases: dict[str, dict[str, list[str]]] = {}
+    for trial in data["trials"]:
+        if trial["top"] == top:
+            name = trial["case"] + (f" ({_said(trial['verdict'])})" if trial["verdict"] in UNEXPLAINED else "")
+            cases.setdefault(trial["scheme"], {}).setdefault(trial["outcome"], []).append(name)
+    alike: dict[tuple[Any, ...], list[str]] = {}
+    for scheme, found in cases.items():
+        held = found.get("held", [])
+        others = [", ".join(found.get(outcome, ())) for outcome in SIGNS if outcome != "held"]
+        alike.setdefault((len(held), *others), []).append(scheme)
+    rows = [{"schemes": names, "cells": key} for key, names in alike.items()]
+    shown = [i for i in range(4) if i == 0 or any(row["cells"][i] for row in rows)]
+    return Table(
+        lambda data: rows,
+        [
+            Column("scheme", "schemes", ", ".join),
+            *(Column(list(SIGNS)[i], lambda row, i=i: row["cells"][i] or None) for i in shown),
+        ],
+        name=f"summary {top}",
+        title=f"{top}: cases that did not hold",
+        numbers=(1,),
+    )
 
-    Parameters
-    ----------
-    verbose : bool, optional
-        List trials that held as well.
-    """
+
+def printed(result: Result, verbose: bool) -> Iterator[Table | str]:
+    """Tables on a terminal: a line for each trial, or if there are many, the cases that did not hold by scheme."""
     data = result.data
-    every = verbose or len(data["trials"]) <= SHOWN_TRIALS
-    if not every:
-        for top in tops_of(data):
-            yield grid_of(data, top, numbered=True)
-        yield "· held   o degraded   X broke   (blank: not tried, or not a case of the top)"
-    yield TRIALS if every else Table(FAILURES.rows, TRIALS.columns, keys=3, numbers=False)
+    yield answer(data)
+    if verbose or len(data["trials"]) <= SHOWN_TRIALS:
+        yield TRIALS
+    else:
+        yield from (summary_of(data, top) for top in tops_of(data))
+
+
+def answer(data: Data) -> str:
+    """Numbers of trials by outcome, and of those that contradict a declaration."""
+    trials = data["trials"]
+    wrong = sum(trial["verdict"] in UNEXPLAINED for trial in trials)
+    limits = sum(trial["verdict"] == "limit" for trial in trials)
+    found = f"{counted(len(trials), 'trial')}: {_counts(data)}"
+    found += f"; {limits} at declared limits" if limits else ""
+    return f"{found}; {wrong or 'none'} contradict{'' if wrong > 1 else 's'} what the schemes declare"
 
 
 def grid(result: Result) -> Callable[..., pd.DataFrame]:
@@ -253,18 +286,12 @@ def known_top(data: Data, top: str | None) -> str:
 def head(data: Data) -> Head:
     """Head of the chapter."""
     wrong = sum(trial["verdict"] in UNEXPLAINED for trial in data["trials"])
-    state = f"{wrong} unexplained" if wrong else "as declared"
-    return Head("Stress", "schemes in the hard cases of their tops", state, not wrong, _counts(data))
+    state = f"{wrong} not as declared" if wrong else "as declared"
+    return Head("Stress", "schemes in the hard cases of their tops", state, not wrong)
 
 
 def _counts(data: Data) -> str:
     return ", ".join(f"{count} {outcome}" for outcome, count in data["outcomes"].items())
-
-
-def notes(data: Data) -> Iterator[str]:
-    """Number of each outcome."""
-    limits = data["verdicts"].get("limit", 0)
-    yield _counts(data) + (f"; {limits} of the failures are declared limits" if limits else "")
 
 
 def faults(data: Data) -> Faults:
@@ -289,9 +316,9 @@ STRESS = Study(
     measure,
     head,
     lambda data: [*(grid_of(data, top) for top in tops_of(data)), FAILURES, QUESTIONS],
+    answer=answer,
     printed=printed,
     frames=(TRIALS, UNEXPLAINED_TRIALS),
-    notes=notes,
     faults=faults,
     plotted="topcli.figures.outcomes:stress_panel",
     parts=lambda data: [(trial["top"], str(trial["scheme"]).partition(":")[0]) for trial in data["trials"]],

@@ -1,0 +1,97 @@
+"""Page of the reference on all commands, written from the commands themselves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from descriptor_pages import Page, table
+
+from topcli.cli.app import all_commands, parameter_rows
+from topcli.cli.commands import COMMANDS, GROUPS, examples_of
+
+EVERY = ("--plugin", "--help")
+"""Options of every command, described once."""
+
+
+def plain(text: str) -> str:
+    """Text of a help in Markdown: options and commands as code, and nothing else as markup."""
+    parts = re.split(r"((?<![\w-])--[a-z-]+|\btopcli [a-z]+|pip install '[^']+')", text)
+    escaped = [re.sub(r"([\\`*_\[\]<>$])", r"\\\1", part) for part in parts]
+    return "".join(f"`{part}`" if i % 2 else escaped[i] for i, part in enumerate(parts))
+
+
+def description(command: Any) -> Page:
+    """Paragraphs of the help of a command."""
+    paragraphs = re.split(r"\n\s*\n", (command.help or "").strip())
+    return [line for part in paragraphs for line in (plain(" ".join(part.split())), "")]
+
+
+def split(text: str) -> tuple[str, str]:
+    """A help text and what it says in brackets: the default, bounds, whether the option may be repeated."""
+    found = re.fullmatch(r"(.*?)(?:  \[(.*)\])?", text, re.DOTALL)
+    return (found[1], found[2] or "") if found else (text, "")
+
+
+def parameters(context: Any) -> Page:
+    """Table of the arguments and options of a command, without those of every command."""
+    rows = []
+    for found in parameter_rows(context.command, context).values():
+        for name, text in found:
+            if not any(option in name for option in EVERY):
+                meaning, extra = split(text)
+                rows.append((f"`{name}`", plain(meaning), plain(extra)))
+    return table(("argument or option", "meaning", "default and limits"), rows) if rows else []
+
+
+def section(path: str, context: Any, exits: Mapping[int, str], level: str) -> Page:
+    """Section on one command."""
+    usage = " ".join([context.command_path, *context.command.collect_usage_pieces(context)])
+    codes = ", ".join(f"{code} ({meaning})" for code, meaning in exits.items())
+    return [
+        f"{level} topcli {path}",
+        "",
+        *description(context.command),
+        "```text",
+        usage,
+        "```",
+        "",
+        *parameters(context),
+        "```sh",
+        *examples_of(path),
+        "```",
+        "",
+        *([f"Other exit codes besides 0, 2, 70 and 130: {codes}.", ""] if exits else []),
+    ]
+
+
+def commands_page() -> Page:
+    """All commands in the groups of ``topcli --help``: usage, options, examples, exit codes."""
+    contexts = all_commands()
+    lines = [
+        "An option means the same in every command that has it: `--out` "
+        "is where results are written, `--results` is the folder in which stored results are found by name, and "
+        "`--set KEY=VALUE` overrides a key of the config. A stored result is given by its path or by its name in the "
+        "folder of `--results`.",
+        "",
+        "Every command has `--plugin FILE` (or `--scheme-file FILE`), which loads tops, schemes, measures, figures "
+        "and hard cases [of your own](own-scheme.md), and `--help`. Options marked as repeatable may be given "
+        "several times.",
+        "",
+        "If an output file exists already, the command exits with 2 and names the file; with `--force`, it replaces "
+        "the file. Files with a fixed name that topcli itself wrote earlier, such as the pictures of `topcli plot`, "
+        "are replaced without `--force`. `topcli run --force` and `topcli bench` rename an earlier, different result "
+        "instead of replacing it.",
+        "",
+        "Every command can exit with 0 (success), 2 (wrong usage or config), 70 (an internal error) and 130 "
+        "(interrupted). The page [Exit codes](exit-codes.md) lists all codes.",
+        "",
+    ]
+    for title, group in GROUPS.items():
+        lines += [f"## {title}", ""]
+        for path, context in contexts.items():
+            first, _, rest = path.partition(" ")
+            if first in group:
+                lines += section(path, context, {} if rest else COMMANDS[first].exits, "####" if rest else "###")
+    return lines
