@@ -15,6 +15,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from topcli.errors import UsageError, quoted, shortened
+from topcli.store.series import open_parquet
 
 _PARQUET = b"PAR1"
 _SEPARATORS = (",", ";", "\t")
@@ -104,10 +105,9 @@ class ForeignSeries:
 
     def _read_parquet(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         try:
-            with pq.ParquetFile(self.path, page_checksum_verification=True) as file:
+            with open_parquet(self.path) as file:
                 self._check_parquet(file, names)
                 table = file.read(columns=list(names), use_threads=False)
         except (OSError, ValueError, pa.ArrowException) as error:

@@ -14,13 +14,16 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from topcli.errors import RunError
 from topcli.store.files import named
 from topcli.store.footer import MAGIC, UNFINISHED, merged_footer
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 ROW_GROUP = 131_072
 """Rows of a Parquet row group, which are held in memory until written."""
@@ -228,6 +231,22 @@ class SeriesWriter:
             self._file.close()
 
 
+def open_parquet(path: Path) -> pq.ParquetFile:
+    """Open a Parquet file whose pages are compared with their checksums when they are read.
+
+    The footer has no checksum, and pyarrow would read fewer rows where a bit of their number is flipped; so the number
+    of all rows is compared with that of the row groups. Raises ValueError if they disagree.
+    """
+    import pyarrow.parquet as pq
+
+    file = pq.ParquetFile(path, page_checksum_verification=True)
+    rows = sum(file.metadata.row_group(group).num_rows for group in range(file.num_row_groups))
+    if rows != file.metadata.num_rows:
+        file.close()
+        raise ValueError(f"{file.metadata.num_rows} rows in all, but {rows} in its row groups")
+    return file
+
+
 def read_series(path: Path, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """Columns ``names`` of a series, each (m,); by default all of them.
 
@@ -273,9 +292,8 @@ def _read_columns(path: Path, names: Sequence[str] | None) -> dict[str, np.ndarr
 
         table = csv.read_csv(path, convert_options=_csv_types(path))
     else:
-        import pyarrow.parquet as pq
-
-        table = pq.read_table(path, columns=list(names) if names is not None else None, page_checksum_verification=True)
+        with open_parquet(path) as file:
+            table = file.read(columns=None if names is None else list(names))
     wanted = table.column_names if names is None else names
     return {name: table.column(name).to_numpy() for name in wanted}
 
@@ -293,9 +311,7 @@ def series_pieces(path: Path, names: Sequence[str] | None = None) -> Iterator[di
 
             tables = csv.open_csv(path, convert_options=_csv_types(path))
         else:
-            import pyarrow.parquet as pq
-
-            file = pq.ParquetFile(path, page_checksum_verification=True)
+            file = open_parquet(path)
             groups = range(file.num_row_groups)
             tables = (file.read_row_group(group, columns=None if names is None else list(names)) for group in groups)
         for table in tables:
@@ -308,13 +324,13 @@ def series_pieces(path: Path, names: Sequence[str] | None = None) -> Iterator[di
 def series_length(path: Path) -> int:
     """Number of rows of a series. Raises RunError if the file is missing or damaged."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
         if path.suffix == ".csv":
             with path.open("rb") as file:
                 return max(0, sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b"")) - 1)
-        return pq.read_metadata(path).num_rows
+        with open_parquet(path) as file:
+            return file.metadata.num_rows
     except (OSError, ValueError, pa.ArrowException) as error:
         raise _unreadable(path, error) from None
 

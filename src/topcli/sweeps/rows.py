@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UnknownNameError, UsageError, nearest, quoted, shortened
+from topcli.store.series import open_parquet
 
 ROWS_FILE = "rows.parquet"
 METADATA = "topcli.sweep"
@@ -195,17 +196,17 @@ def read_rows(place: Path) -> SweepRows:
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Metadata and columns of the file. Raises RunError."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
-        schema = pq.read_schema(path)
-        about = json.loads((schema.metadata or {}).get(METADATA.encode(), b"{}"))
-        missing = [key for key in ("name", "keys", "measures") if not isinstance(about, dict) or key not in about]
-        names = [] if missing else list(dict.fromkeys([*OWN, *about["keys"], *about["measures"]]))
-        missing += [name for name in names if name not in schema.names]
-        if missing:
-            raise RunError(f"{path}: not the rows of a sweep ({missing[0]} is missing)")
-        table = pq.read_table(path, columns=names, page_checksum_verification=True)
+        with open_parquet(path) as file:
+            schema = file.schema_arrow
+            about = json.loads((schema.metadata or {}).get(METADATA.encode(), b"{}"))
+            missing = [key for key in ("name", "keys", "measures") if not isinstance(about, dict) or key not in about]
+            names = [] if missing else list(dict.fromkeys([*OWN, *about["keys"], *about["measures"]]))
+            missing += [name for name in names if name not in schema.names]
+            if missing:
+                raise RunError(f"{path}: not the rows of a sweep ({missing[0]} is missing)")
+            table = file.read(columns=names)
         columns = {name: table.column(name).to_numpy() for name in names}
     except (OSError, ValueError, pa.ArrowException) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
