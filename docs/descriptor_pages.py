@@ -210,7 +210,8 @@ def scheme_page(schemes: Sequence[Scheme]) -> Page:
     summary, *rest = first.doc.split("\n\n")
     alike = len({one.doc for one in schemes}) == 1
     words = "top" if len(schemes) == 1 else "tops"
-    tops = ", ".join(f"[`{one.top}`](../tops/{file_of(one.top)}.md)" for one in schemes)
+    *most, last = [f"[`{one.top}`](../tops/{file_of(one.top)}.md)" for one in schemes]
+    tops = f"{', '.join(most)} and {last}" if most else last
     lines = [
         f"# {shown}",
         "",
@@ -264,8 +265,8 @@ def scheme_page(schemes: Sequence[Scheme]) -> Page:
     lines += ["## Limits", ""]
     if any(limits.values()):
         lines += [
-            "A limit with a name such as `singular-step` says what happens in the [hard case](../../stress.md) of this "
-            "name, which `topcli stress` runs. The page [Hard cases](../../stress.md#counters-of-critical-events) also "
+            "A limit named after a [hard case](../../stress.md) of `topcli stress`, such as `singular-step`, says what "
+            "happens in this case. The page [Hard cases](../../stress.md#counters-of-critical-events) also "
             "explains counters such as `unmet` and outcomes such as `no_convergence`.",
             "",
         ]
@@ -402,8 +403,10 @@ def top_page(top: type[Top]) -> Page:
         lines += ["## Parameters", "", *table(("parameter", "type", "default", "meaning"), rows)]
     if top.step_constants:
         constants = ", ".join(f"`{one}`" for one in top.step_constants)
+        these = "these constants" if len(top.step_constants) > 1 else "one constant"
+        these = "these constants" if len(top.step_constants) > 1 else "one constant"
         lines += [
-            "In the code of a scheme, the argument `p` of a step contains these constants of the equations of motion: "
+            f"In the code of a scheme, the argument `p` of a step contains {these} of the equations of motion: "
             f"{constants}.",
             "",
         ]

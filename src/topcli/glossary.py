@@ -296,8 +296,8 @@ _WORDS = (
     Term("lost", "verdict on an invariant: its deviation is as large as the invariant itself"),
     Term(
         "unjudged",
-        "verdict on an invariant: its values are not finite, no step was recorded, or the exact motion does not "
-        "conserve it for these initial values",
+        "no verdict is possible: the values of the invariant are not finite, no step was recorded, or the exact motion "
+        "does not conserve the quantity for these initial values",
     ),
 )
 WORDS = {term.name: term for term in _WORDS}

@@ -1,4 +1,4 @@
-"""Example of a scheme in a separate package: Bohlin's method, with gamma by the Bobenko-Suris (BS) scheme."""
+"""Example of a scheme in a separate package: Bohlin's method, with gamma advanced by the Bobenko-Suris (BS) scheme."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ MeasureY = Annotated[
     typer.Option(
         "--y",
         metavar="MEASURE",
-        help="Put this measure of a sweep, or column of a section, on the y axis; with --colour, a key.",
+        help="Put this measure of a sweep, or column of a section, on the y axis. With --colour, give a key.",
     ),
 ]
 KeyBy = Annotated[

@@ -173,7 +173,7 @@ def run(
     config : path, str or mapping
         Config file (YAML or TOML), name of a scene (a packaged config), or the content of a config as nested mappings.
     out : path or str, optional
-        Folder in which the folder of the run, ``out/name``, is created, as for ``--out`` on the command line.
+        Folder for results, as for ``--out`` on the command line. The run is stored in its subfolder ``name``.
     overrides : sequence of str, optional
         Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line. They are applied
         after ``changes``.
@@ -355,8 +355,8 @@ def sweep(
     file : path, str or mapping
         Sweep file (YAML or TOML), name of a packaged sweep, or the content of a sweep file as nested mappings.
     out : path or str, optional
-        Folder in which the folder of the sweep is created, as for ``--out`` on the command line. Finished rows in that
-        folder do not run again.
+        Folder for results, as for ``--out`` on the command line. The sweep is stored in its subfolder ``name``. Rows
+        that are finished there do not run again.
     overrides : sequence of str, optional
         Texts ``"key=value"`` that replace keys of the sweep file, as for ``--set`` on the command line, such as
         ``"base.N=100"``.

@@ -49,8 +49,8 @@ class Gaudin(Top):
 
     In the rational Gaudin model, the spins a and b turn about each other and about the field, which acts on each spin
     with its own strength. The Hirota-Kimura (HK) map is integrable, and the degrees of its iterates grow like n². Two
-    of its four integrals are polynomials. One is a₃ + b₃, the other is the sum of the energy, (a² + b²)/2 and a term
-    of size h².
+    of its four integrals are polynomials. One is a₃ + b₃. The other is H + (a² + b²)/2 plus a term of size h², where H
+    is the energy.
     """
 
     kind = "gaudin"

@@ -77,9 +77,9 @@ class LagrangeGyrostat(HeavyGyrostat):
     """Lagrange top with a rotor on its axis.
 
     With the angular momentum k of the rotor, the total angular momentum is m = (Aω₁, Aω₂, Cω₃ + k). Since ω₃ is
-    constant, the rotor acts like a change of C. The Hirota-Kimura (HK) map is therefore integrable like that of the
-    Lagrange top, with modified integrals of the same form, and the degrees of its iterates grow like n². With the rotor
-    on another axis, neither the motion nor the HK map would be integrable.
+    constant, the rotor acts like a change of C. Therefore the Hirota-Kimura (HK) map is integrable, like that of the
+    Lagrange top: it has modified integrals of the same form, and the degree of its n-th iterate grows like n². With the
+    rotor on another axis, neither the motion nor the HK map would be integrable.
     """
 
     kind = "lagrange-gyrostat"

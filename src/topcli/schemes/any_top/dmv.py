@@ -391,8 +391,8 @@ def build(top: Top, options: DmvOptions) -> Stepper:
     oscillates by about h² and does not drift. For a free body the scheme is the integrable Moser-Veselov map, which
     also conserves m² and the energy.
 
-    With `moments: preprocessed`, the map of the free body has order 4, 6, 8 or 10 (option `order`) in m and in gamma,
-    at nearly the same cost.
+    With `moments: preprocessed`, the map of the free body has order 4, 6, 8 or 10 (option `order`) for both m and
+    gamma. A step takes hardly longer than with `moments: plain`.
 
     If |h| |omega| exceeds about 1, a step has no solution, and the run ends as `no_convergence`.
     """

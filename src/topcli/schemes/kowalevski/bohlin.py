@@ -157,7 +157,7 @@ def switched(old: Floats, new: Floats, h: float, p: Floats) -> bool:
 @scheme(
     "bohlin-a",
     top="kowalevski",
-    title="Bohlin's method with gamma by the Bobenko-Suris scheme",
+    title="Bohlin's method with gamma advanced by the Bobenko-Suris scheme",
     order=1,
     explicit=True,
     self_adjoint=False,
@@ -186,7 +186,7 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
 @scheme(
     "bohlin-b",
     top="kowalevski",
-    title="Bohlin's method with gamma by a stereographic coordinate",
+    title="Bohlin's method with gamma advanced in a stereographic coordinate",
     order=1,
     explicit=True,
     self_adjoint=False,
@@ -218,7 +218,7 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
 @scheme(
     "bohlin-c",
     top="kowalevski",
-    title="Bohlin's method with gamma by an instantaneous rotation",
+    title="Bohlin's method with gamma advanced by an instantaneous rotation",
     order=1,
     explicit=True,
     self_adjoint=False,

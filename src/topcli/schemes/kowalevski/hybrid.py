@@ -118,7 +118,7 @@ def with_hk_counters(stepper: Stepper) -> Stepper:
     options=BranchOptions,
 )
 def build_hybrid(top: Top, options: BranchOptions) -> Stepper:
-    """A step of HK gives omega3, gamma rotates with HK's mean omega, and Bohlin's method gives omega1 + i omega2.
+    """HK gives the new omega3, a rotation with HK's mean omega the new gamma, and Bohlin's method omega1 + i omega2.
 
     HK is the Hirota-Kimura scheme (`hk`); its mean omega is the mean of omega before and after HK's step. The scheme
     conserves |gamma| and k = |xi|, where xi = (omega1 + i omega2)² - c (gamma1 + i gamma2). Contrary to the paper, the
@@ -222,8 +222,9 @@ def build_xi(top: Top, options: HybridOptions) -> Stepper:
     (omega1 + i omega2)² - c (gamma1 + i gamma2) is stored as k u with |u| = 1. Each step rotates u, leaves k unchanged,
     and restores the length of gamma.
 
-    Like `hybrid`, this scheme is not self-adjoint, 2l and E drift, and the order is reduced to 3/2 where omega1 + i
-    omega2 passes through 0. The schemes `midpoint4` and `hk-symproj` also conserve k² and have order 2 there.
+    This scheme, like `hybrid`, is not self-adjoint. Under both, 2l and E drift. The order of both is reduced to 3/2
+    where omega1 + i omega2 passes through 0. The schemes `midpoint4` and `hk-symproj` also conserve k² and have order
+    2 there.
     """
     compensated = options.compensated
     step = (compensated_xi_step if compensated else hybrid_xi_step)(ROOTS[options.branch])

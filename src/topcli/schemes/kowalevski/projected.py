@@ -244,11 +244,11 @@ D = (\nabla I_1, \dots, \nabla I_4)
 def build(top: Top, options: NoOptions) -> Stepper:
     """A step of HK, followed by the shortest correction that restores the initial values of gamma², 2l, E and k.
 
-    HK is the Hirota-Kimura scheme (`hk`). The scheme is not self-adjoint. Newton's method for the correction recomputes
-    the gradients of the integrals after every two iterations. The equation of the step therefore holds only up to terms
-    of fourth order in the multipliers x; these terms are below round-off in double precision but visible with 50
-    digits. On degenerate tori and at relative equilibria the four gradients are linearly dependent; there only
-    independent integrals are restored. No iteration moves the state farther than HK's step did.
+    HK is the Hirota-Kimura scheme (`hk`). Unlike HK, the projected scheme is not self-adjoint. Newton's method for the
+    correction recomputes the gradients of the integrals after every two iterations. The equation of the step therefore
+    holds only up to terms of fourth order in the multipliers x; these terms are below round-off in double precision but
+    visible with 50 digits. On degenerate tori and at relative equilibria the four gradients are linearly dependent;
+    there only independent integrals are restored. No iteration moves the state farther than HK's step did.
 
     A run reports the number of iterations (`corrections`) and the number of steps that did not restore all four values
     (`unmet`).
