@@ -13,11 +13,15 @@ from topcli.cli.commands import COMMANDS, GROUPS, examples_of
 
 EVERY = ("--plugin", "--help")
 """Options of every command, described once."""
+CODE = (
+    r"((?<![\w-])--[a-z-]+|\btopcli list [a-z]+|\btopcli plot (?:section|sweep)\b|\btopcli [a-z]+|pip install '[^']+')"
+)
+"""Options and commands in a help text."""
 
 
 def plain(text: str) -> str:
     """Text of a help in Markdown: options and commands as code, and nothing else as markup."""
-    parts = re.split(r"((?<![\w-])--[a-z-]+|\btopcli [a-z]+|pip install '[^']+')", text)
+    parts = re.split(CODE, text)
     escaped = [re.sub(r"([\\`*_\[\]<>$])", r"\\\1", part) for part in parts]
     return "".join(f"`{part}`" if i % 2 else escaped[i] for i, part in enumerate(parts))
 
@@ -72,11 +76,11 @@ def commands_page() -> Page:
     lines = [
         "An option means the same in every command that has it: `--out` "
         "is where results are written, `--results` is the folder in which stored results are found by name, and "
-        "`--set KEY=VALUE` overrides a key of the config. A stored result is given by its path or by its name in the "
-        "folder of `--results`.",
+        "`--set KEY=VALUE` overrides a key of the config (in `topcli sweep`, of the sweep file). A stored result is "
+        "given by its path or by its name in the folder of `--results`.",
         "",
-        "Every command has `--plugin FILE` (or `--scheme-file FILE`), which loads tops, schemes, measures, figures "
-        "and hard cases [of your own](own-scheme.md), and `--help`. Options marked as repeatable may be given "
+        "Every command has `--help`, and `--plugin FILE` (or `--scheme-file FILE`), which loads tops, schemes, "
+        "measures, figures and hard cases [of your own](own-scheme.md). Options marked as repeatable may be given "
         "several times.",
         "",
         "If an output file exists already, the command exits with 2 and names the file; with `--force`, it replaces "

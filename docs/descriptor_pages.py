@@ -245,13 +245,13 @@ def scheme_page(schemes: Sequence[Scheme]) -> Page:
         lines += symbol_table(formula, name, group.partition(",")[0])
     lines += [notation(one.formula for one in schemes), ""]
     lines += [
-        f"Source of these equations: {equations}".replace("the paper", "[the paper](../../paper.md)", 1)
-        + f"{f' (for {group})' if group else ''}.\n"
+        f"Source of these equations{f' for {group}' if group else ''}: "
+        + f"{equations}.\n".replace("the paper", "[the paper](../../paper.md)", 1)
         for group, equations in distinct(schemes, {one.top: one.equations for one in schemes})
         if "=" not in equations and "Sogo" in first.citation
     ]
     pages = {EXPLAINED[name, one.top]: one.top for one in schemes if (name, one.top) in EXPLAINED}
-    lines += [f"A page of its own [derives this step for the top `{top}`]({page}).\n" for page, top in pages.items()]
+    lines += [f"A separate page [explains this scheme for the top `{top}`]({page}).\n" for page, top in pages.items()]
     if not alike:
         lines += ["## On each top", ""]
         for group, doc in distinct(schemes, {one.top: one.doc for one in schemes}):
@@ -307,9 +307,10 @@ def properties(schemes: Sequence[Scheme]) -> Page:
     return [
         *lines,
         "An invariant that is conserved exactly deviates by round-off only. If an invariant is conserved in modified "
-        "form, a function near the invariant, which depends on $h$, is conserved exactly. The page of each top (linked "
-        "above) defines the invariants of the top. The operations of a step are counted with the default options at "
-        "h = 0.01, including iterations and counters; the page [Speed](../../speed.md) has measured times.",
+        "form, the scheme conserves exactly a function that depends on $h$ and is close to the invariant. The page of "
+        "each top (linked above) defines the invariants of the top. The operations of a step, including those of "
+        "iterations and counters, are counted with the default options at h = 0.01. The page [Speed](../../speed.md) "
+        "gives measured times.",
         "",
     ]
 
@@ -379,7 +380,8 @@ def top_page(top: type[Top]) -> Page:
     made = top.new()
     short = re.sub(r" \([^)]*\)", "", capitalized(top.title))
     lines = [f"# {short}", "", *indexed(top.form, short)]
-    lines += [f"*{capitalized(top.title)}.*", ""] if short != capitalized(top.title) else []
+    summary = (top.__doc__ or "").split("\n")[0]
+    lines += [f"*{capitalized(top.title)}.*", ""] if capitalized(top.title) not in (short, summary.rstrip(".")) else []
     lines += [prose(top.__doc__ or "").replace("\n    ", "\n"), ""]
     if top.form in CATALOGUE:
         picture = f"![Motions of the gentle and the hard scene of this top](../../images/tops/{top.form}.png)"
@@ -387,7 +389,8 @@ def top_page(top: type[Top]) -> Page:
         degrees = "[shows whether the map is integrable](../../catalogue.md#what-is-known-about-their-hk-maps)"
         lines += [picture, "", f"The figure shows the exact motions of the scenes (packaged experiments) {scenes}.", ""]
         lines += [
-            f"The n-th iterate of the HK map is a rational function of the state; the growth of its degree {degrees}."
+            "A step of the [HK](../../glossary.md) scheme, the HK map, is a rational function of the state, and so is "
+            f"its n-th iterate. The growth of the degree of the iterates {degrees}."
         ]
         lines += [""]
     lines += ["## Equations of motion", "", *display(top.formula), *symbol_table(top.formula, top=top.form)]
@@ -403,7 +406,6 @@ def top_page(top: type[Top]) -> Page:
         lines += ["## Parameters", "", *table(("parameter", "type", "default", "meaning"), rows)]
     if top.step_constants:
         constants = ", ".join(f"`{one}`" for one in top.step_constants)
-        these = "these constants" if len(top.step_constants) > 1 else "one constant"
         these = "these constants" if len(top.step_constants) > 1 else "one constant"
         lines += [
             f"In the code of a scheme, the argument `p` of a step contains {these} of the equations of motion: "

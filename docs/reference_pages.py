@@ -62,17 +62,18 @@ def config_page() -> Page:
     lines += [
         "## `section`",
         "",
-        "The keys of a Poincaré section ([Poincaré sections](sections.md)). Give either `component` or `quantity`.",
+        "These are the keys of a Poincaré section ([Poincaré sections](sections.md)). Give either `component` or "
+        "`quantity`.",
         "",
         *table(header, keys_of(PoincareSection)),
     ]
     lines += [
         "## `ensemble`",
         "",
-        "The keys of an ensemble ([Ensembles](ensembles.md)). Give one of `states`, `grid` and `random`.",
+        "These are the keys of an ensemble ([Ensembles](ensembles.md)). Give one of `states`, `grid` and `random`.",
         "",
         *table(header, keys_of(Section)),
-        "In `grid`, evenly spaced values can be written as a range, a section with these keys:",
+        "In `grid`, evenly spaced values can be written as a range, which is a section with these keys:",
         "",
         *table(header, keys_of(Range)),
         "The section `random` has a key for each vector, which says how the vector is drawn, and these keys:",
@@ -97,7 +98,7 @@ def config_page() -> Page:
         "## `scheme`",
         "",
         "Give the name of the scheme alone, or a section with `name` and options. A scheme that can be composed also "
-        "takes the key `compose`, the name of a [composition](higher-order.md). The page of each scheme "
+        "takes the key `compose`, whose value is the name of a [composition](higher-order.md). The page of each scheme "
         "([Schemes](schemes.md)) explains its options. These schemes have options (with their default values):",
         "",
     ]
@@ -144,12 +145,13 @@ def integrable_page() -> Page:
         "of the continuous top. Such a map conserves as many independent integrals as the top, exactly or in modified "
         "form. Other schemes conserve fewer integrals, or we do not know whether they are integrable. A projection or "
         "a discrete gradient, for example, conserves the energy and k² of the Kowalevski top, but no Poisson bracket "
-        "that we know of. In the table, a tilde marks the modified form of an integral. [HK with "
-        "gamma](../hk-gamma.md) defines K, J, G, $K_i$ and $\\alpha_k$; $\\kappa_{ij}$ is $(K_i/K_j - 1)$ divided by "
-        "$(h/2)^2\\alpha_k$. L is a Lax matrix before a step, and L' after it.",
+        "that we know of. In the table, a tilde marks the modified form of an integral. The page [What "
+        "HK conserves with gamma](../hk-gamma.md) defines K, J, G, $K_i$ and $\\alpha_k$; $\\kappa_{ij}$ is "
+        "$(K_i/K_j - 1)$ divided by $(h/2)^2\\alpha_k$. L is a Lax matrix before a step, and L' is the same "
+        "matrix after it.",
         "",
         *integrable_table(),
-        "For the Kowalevski top `backlund` is an integrable map; we know of no earlier one. [Its "
+        "For the Kowalevski top, `backlund` is an integrable map; we know of no earlier one. [Its "
         "derivation](../backlund.md) follows the general recipe of Kuznetsov and Vanhaecke (2000) with the Lax pair of "
         "Bobenko, Reyman and Semenov-Tian-Shansky (1989). `hk` is not integrable for the Kowalevski top.",
         "",
@@ -183,7 +185,7 @@ def figure_page(name: str, figure: Figure) -> Page:
     else:
         lines += [f"This build of the documentation has no picture of it. `topcli plot {name}` draws it.", ""]
     made = f"From `{figure.scene}`" if figure.scene.startswith("topcli ") else f"From the scene `{figure.scene}`"
-    return [*lines, f"{made}. [Figures](../../figures.md) explains the options of the command.", ""]
+    return [*lines, f"{made}. The page [Figures](../../figures.md) explains the options of the command.", ""]
 
 
 def gallery(folder: Path) -> Page:
@@ -220,8 +222,8 @@ def bibliography_entries() -> Page:
     for one in sorted(bibliography().values(), key=lambda one: (one.surnames, one.fields.get("year", ""))):
         cited = ", ".join(f"`{name}`" for name in dict.fromkeys(citing.get(one.key, ())))
         about = f"Cited by {cited}." if cited else "Cited on other pages of this documentation."
-        if "not checked" in one.fields.get("note", ""):
-            about += " **Not checked in full:** see the note."
+        if "not checked" in one.fields.get("note", "").lower():
+            about += " **Not checked in full.**"
         lines += [f"({anchor(one)})=", f"{linked(one)}\\", about, ""]
     return lines
 

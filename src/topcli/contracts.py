@@ -79,8 +79,8 @@ class Invariant:
         ``scale(states)`` returns the sum of the magnitudes of the terms that ``value`` adds, shape (n,). Round-off is
         measured relative to this scale, because a value near zero may be a difference of large terms.
     on : mapping of str to float, optional
-        Values of other invariants, by name, that a motion must have to conserve this one: with ``{"m_gamma": 0.0}``,
-        only motions with m_gamma = 0 conserve it. Empty if every motion conserves the invariant.
+        Values of other invariants, by name, that a motion must have to conserve this one. For example, with
+        ``{"m_gamma": 0.0}``, only motions with m_gamma = 0 conserve it. Empty if every motion conserves the invariant.
     """
 
     name: str
@@ -233,8 +233,8 @@ class Top(BaseModel):
         Returns
         -------
         tuple of float
-            Constants, the last argument of ``field`` and of every step of a scheme, dimensionless. By default, they are
-            the values of the parameters of the top, in their order.
+            Dimensionless constants, the last argument of ``field`` and of the step function of every scheme. By
+            default, they are the values of the parameters of the top, in their order.
         """
         return tuple(getattr(self, name) for name in type(self).model_fields)
 
@@ -278,7 +278,7 @@ class Top(BaseModel):
         )
 
     def euler_poisson(self) -> EulerPoisson:
-        """Return the coefficients of this top in the general Euler-Poisson equations; optional.
+        """Return the coefficients of this top in the general Euler-Poisson equations; a top need not define them.
 
         Returns
         -------
@@ -474,9 +474,10 @@ def same_state(state: Any, h: float, p: Any) -> Any:
 class Stepper:
     """Step of a scheme for one top; the engine compiles and iterates it.
 
-    The step may work on another form of the state, the *working state*. For example, it may be scaled by h, use a
-    stereographic coordinate, or have additional numbers such as the compensation terms of sums. ``enter`` converts the
-    physical state to the working state, and ``leave`` converts it back. Only the result of ``leave`` is recorded.
+    The step may work on another form of the state, the *working state*. For example, the working state may be scaled
+    by h, use a stereographic coordinate, or have additional numbers such as the compensation terms of sums. ``enter``
+    converts the physical state to the working state, and ``leave`` converts it back. Only the result of ``leave`` is
+    recorded.
 
     Parameters
     ----------
@@ -502,15 +503,15 @@ class Stepper:
         0.0, or nan if the iteration did not converge; a run with status nan ends as ``no_convergence``.
     checked : int, optional
         How many numbers of the working state, from the first one on, are tested after each step. A run ends as
-        ``blew_up`` if a tested number is not finite. 0 tests all numbers. A number needs no test if its non-finite
-        values spread to tested numbers.
+        ``blew_up`` if a tested number is not finite. With 0, all numbers are tested. A number needs no test if its
+        non-finite values spread to tested numbers.
     advice : callable, optional
         ``advice(work, h)`` returns a hint for the user of a run that ended as ``no_convergence``. ``work`` is the
         working state after the failed step.
     stages : tuple, optional
-        For a composition, which takes several steps (stages) of a base scheme in each step: the step of the base
-        scheme, and the lengths of the stages as fractions of h, in order. The composition stops after the first stage
-        whose state is not finite. Ensembles advance by one stage at a time.
+        Only for a composition, which takes several steps (stages) of a base scheme in each of its own steps. ``stages``
+        contains the step function of the base scheme, and the lengths of the stages as fractions of h, in order. The
+        composition stops after the first stage whose state is not finite. Ensembles advance by one stage at a time.
     constants : tuple of Fraction, optional
         Constants of the step as exact fractions. In the argument ``p`` of the step, they follow the constants of the
         top. ``enter`` and ``leave`` do not need them.
@@ -521,8 +522,8 @@ class Stepper:
         The same method with a working state that does not depend on h, for methods that change the step size within one
         step. None if the working state of this Stepper does not depend on h, or if there is no such method.
     tangent : callable, optional
-        ``tangent()`` returns a Stepper for a state together with a tangent vector. The first 2 d numbers of its working
-        state are the d components of the state, then those of the vector. None if the compiler can differentiate the
+        ``tangent()`` returns a Stepper for a state together with a tangent vector. Its working state starts with the d
+        components of the state, followed by the d components of the vector. None if the compiler can differentiate the
         step.
     """
 
@@ -598,7 +599,8 @@ class Sampler:
         Slow work that ``states`` needs once for each initial state. If this work has not been done before, ``states``
         does it.
     accuracy : callable, optional
-        ``accuracy(y0, h, n, p)`` returns the limits of the accuracy of the states after ``n`` steps, shape (m,).
+        ``accuracy(y0, h, n, p)`` returns an ``Accuracy``, which contains the limits of the accuracy of the states after
+        ``n`` steps; ``n`` has shape (m,).
     attitude : callable, optional
         ``attitude(y0, q0, h, n, p)`` returns the attitude (the rotation from the body's frame to space) as quaternions,
         shape (m, 4). ``q0``, shape (4,), is the quaternion at the start. None if the attitude has no closed form and is
@@ -659,12 +661,13 @@ class Integrability:
     Parameters
     ----------
     lax : str
-        Description of the discrete Lax pair in a few words, or ``UNKNOWN``.
+        Description of the discrete Lax pair in a few words, or ``UNKNOWN`` if none is known.
     poisson : str
-        Description of the Poisson bracket that the map preserves, in a few words, or ``UNKNOWN``.
+        Description of the Poisson bracket that the map preserves, in a few words, or ``UNKNOWN`` if none is known.
     bracket : str, optional
-        ``"lie-poisson"`` if the map preserves the Lie-Poisson bracket of the angular momentum m and of the other vector
-        in the state (the vertical or the axis of the top), if there is one. The tests check this declaration.
+        ``"lie-poisson"`` if the map preserves the Lie-Poisson bracket of the angular momentum m and of the vertical or
+        the axis of the top. If the state contains neither of these two, it is the bracket of m alone. The tests check
+        this declaration.
     """
 
     lax: str
@@ -688,13 +691,13 @@ class Scheme:
     title: str
     """Title on one line."""
     order: int | None
-    """Order of convergence; None for an exact solution, or if the order follows from a tolerance."""
+    """Order of convergence; None for an exact solution, or if the scheme chooses its order from a tolerance."""
     explicit: bool
     """True if a step needs no iteration."""
     self_adjoint: bool
     """True if a step with -h inverts a step with h."""
     conserves: tuple[str, ...]
-    """Names of the invariants conserved exactly, that is, to round-off."""
+    """Names of the invariants that the scheme conserves exactly, that is, up to round-off."""
     citation: str
     """Source of the method."""
     equations: str
@@ -707,8 +710,9 @@ class Scheme:
     options: type[BaseModel] = NoOptions
     """Pydantic model of the options of the scheme."""
     adaptive: bool = False
-    """True if the method divides each h into internal steps, controlled by a tolerance. ``order`` is then the order of
-    one internal step. Runs show this order only if the tolerance is so loose that each h is one internal step."""
+    """True if the method divides each step into internal steps, whose lengths follow from a tolerance. ``order`` is
+    then the order of an internal step. Runs show this order only if the tolerance is so loose that each step consists
+    of one internal step."""
     limits: Mapping[str, str] = field(default_factory=dict, hash=False)
     """Conditions under which the scheme fails, each with the reason in a sentence. A key may be the name of a hard case
     of ``topcli stress``. The scheme must fail the hard cases that are keys, and it must not fail other hard cases. Any

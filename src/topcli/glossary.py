@@ -208,8 +208,8 @@ def in_words(name: str) -> str:
 _WORDS = (
     Term(
         "adaptive scheme",
-        "a scheme that chooses the lengths of its internal steps from an error tolerance; it still gives a state after "
-        "every h",
+        "a scheme that chooses the lengths of its internal steps from an error tolerance; it still gives a state at "
+        "every multiple of h",
     ),
     Term("attitude", "the rotation from a frame fixed in the body to a frame fixed in space"),
     Term(
@@ -222,7 +222,11 @@ _WORDS = (
         "composition",
         "a scheme of higher order made of several steps of a self-adjoint scheme, such as `hk+kahan-li8`",
     ),
-    Term("config", "a file in YAML or TOML that describes an experiment: top, scheme, h, N and initial state"),
+    Term(
+        "config",
+        "a file in YAML or TOML that describes an experiment: top, scheme, step size h, number of steps N and initial "
+        "state",
+    ),
     Term("deviation", "the value of an invariant minus its first value in the run"),
     Term("drift", "the slope of a line fitted to the deviation of an invariant, per unit time"),
     Term("ensemble", "an experiment with many initial states, all with the same scheme and step size"),
@@ -244,8 +248,7 @@ _WORDS = (
     ),
     Term(
         "order",
-        "the power p with which the error of a scheme falls with the step size: for small h, the error is about a "
-        "constant times h^p",
+        "the power p of the step size h in the error of a scheme: for small h, the error is about a constant times h^p",
     ),
     Term(
         "reference solution",
@@ -254,7 +257,7 @@ _WORDS = (
     Term(
         "round-off",
         "the effect of rounding to doubles; topcli ascribes deviations of an invariant below its `round_off_bound` "
-        "(see the quantities) to round-off",
+        "(defined under Quantities) to round-off",
     ),
     Term("scene", "a config that comes with topcli and can be run by its name; `topcli list scenes` lists all scenes"),
     Term("scheme", "a numerical method that takes the state at time t to the state at time t + h"),
@@ -286,14 +289,14 @@ _WORDS = (
     ),
     Term(
         "drifting",
-        "verdict on an invariant: its drift is statistically significant, and is given with its error (95 %)",
+        "verdict on an invariant: its drift is statistically significant; the drift is given with its 95 % interval",
     ),
     Term(
         "undecided",
         "verdict on an invariant: the run is too short to tell whether the invariant drifts; the shortest length of a "
         "run that may suffice is given",
     ),
-    Term("lost", "verdict on an invariant: its deviation is as large as the invariant itself"),
+    Term("lost", "verdict on an invariant: its deviation exceeds a quarter of its first value"),
     Term(
         "unjudged",
         "no verdict is possible: the values of the invariant are not finite, no step was recorded, or the exact motion "

@@ -360,12 +360,13 @@ def factors(form: LaxForm, states: Array, h: float, lam: complex) -> tuple[Matri
 
 
 def discrete_lax_defect(form: LaxForm, states: Array, h: float, lam: complex) -> float:
-    """Return the largest defect of the discrete Lax pair L' U = U L over consecutive states of a run.
+    """Return the largest defect of the discrete Lax equation L' U = U L over consecutive states of a run.
 
-    L is the Lax matrix before a step, L' the Lax matrix after it. The defect of the step is ||L' U - U L||, divided by
-    the norms of L and of the two factors of U. ``form`` is the Lax form of the Kowalevski top, ``states``, shape (n,
-    6), are states one step h apart, and ``lam`` is the spectral parameter. The result is nan if a state is not finite,
-    or if no matrix U (the dressing matrix) exists for a step.
+    L is the Lax matrix before a step, and L' is the Lax matrix after it. U is the dressing matrix of the step. It is a
+    product of two factors. The defect of the step is ||L' U - U L||, divided by the norms of L and of the two factors
+    of U. ``form`` is the Lax form of the Kowalevski top, and ``lam`` is the spectral parameter. ``states``, shape
+    (n, 6), contains states that are one step ``h`` apart. The result is nan if a state is not finite, or if a step has
+    no matrix U.
     """
     L = form.L(states, lam)
     with np.errstate(all="ignore"):

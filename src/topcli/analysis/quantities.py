@@ -21,8 +21,8 @@ TIME, STEP = "t", "h"
 class Quantity:
     """Formula given in ``output.quantities`` of a config.
 
-    ``name`` is the name of the column, and ``formula`` is the text. ``function(y, p)`` evaluates the formula; ``y``
-    contains the components and the time, ``p`` the parameters of the top and h.
+    ``name`` is the name of its column, and ``formula`` is its text. ``function(y, p)`` evaluates the formula. ``y``
+    contains the components of the state and the time; ``p`` contains the parameters of the top, and h.
     """
 
     name: str
@@ -30,7 +30,10 @@ class Quantity:
     function: Callable[[Sequence[Any], Sequence[Any]], Any]
 
     def values(self, top: Top, n: NDArray[Any], h: Any, states: Array) -> Array:
-        """Values (m,) of the formula at ``states`` (m, d) of ``top`` after ``n`` (m,) steps of ``h``."""
+        """Return the values of the formula at given states of ``top``, shape (m,).
+
+        ``states``, shape (m, d), are the states after ``n`` steps of ``h``; ``n`` has shape (m,).
+        """
         parameters = (getattr(top, name) for name in type(top).model_fields)
         t = np.array([int(step) * h for step in n], dtype=object) if states.dtype.hasobject else n * h
         with np.errstate(all="ignore"):

@@ -276,7 +276,8 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
     """Return the reference solution at given times, computed in double-double arithmetic.
 
     Each state differs from the exact solution by at most one ulp (unit in the last place) of its size, unless the
-    motion amplifies the error of 1e-31 of a Taylor step beyond that. ``contracts.check_stop`` can stop the computation.
+    motion amplifies the error of a Taylor step (1e-31) to more than one ulp. The computation calls
+    ``contracts.check_stop``, so that it can be stopped.
 
     Parameters
     ----------
@@ -287,8 +288,8 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
     times : ndarray, shape (m,)
         Times, taken as exact numbers. They are either all >= 0 and ascending, or all <= 0 and descending.
     max_steps : int, optional
-        Largest number of Taylor steps. A motion that certainly needs more steps is refused before the first step;
-        another motion is refused as soon as its first steps show that it needs more.
+        Largest number of Taylor steps. A motion that certainly needs more steps is refused before the first step. Any
+        other motion is refused as soon as the steps already taken show that it needs more.
 
     Returns
     -------

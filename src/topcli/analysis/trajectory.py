@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 class Trajectory:
     """Recorded states of one run, as returned by ``topcli.simulate``.
 
-    ``trajectory[name]`` is the column ``name``, shape (m,). The name is ``n``, ``t``, a component of the state, an
-    invariant of the top, a modified integral of the scheme, a quantity of ``output.quantities``, or a component of the
-    attitude. ``len(trajectory)`` is the number of rows m.
+    ``trajectory[name]`` is the column called ``name``, shape (m,). The name is ``n``, ``t``, a component of the state,
+    an invariant of the top, a modified integral of the scheme, a quantity of ``output.quantities``, or a component of
+    the attitude. ``len(trajectory)`` is the number of rows m.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Trajectory:
         quantities: tuple[Quantity, ...] = (),
         search: CrossingSearch | None = None,
     ) -> Trajectory:
-        """Carry out ``run`` and return its trajectory, with the step at which it left its energy surface.
+        """Carry out ``run`` and return its trajectory; ``ending`` says whether the run left its energy surface.
 
         ``attitude`` is the value of ``output.attitude``; if it is given, each state of ``run`` is followed by the
         quaternion of the attitude. With ``search``, only the crossings of a Poincaré section are kept.
@@ -182,7 +182,7 @@ class Trajectory:
 class Ensemble:
     """Trajectories of one scheme from many initial states, as returned by ``topcli.simulate_ensemble``.
 
-    ``ensemble[name]`` is the column ``name``, shape (trajectories, m). The name is a component of the state, an
+    ``ensemble[name]`` is the column called ``name``, shape (trajectories, m). The name is a component of the state, an
     invariant of the top, or a modified integral of the scheme. ``len(ensemble)`` is the number of trajectories.
 
     Attributes
@@ -194,7 +194,7 @@ class Ensemble:
     h : float
         Step size, in units of time.
     n : ndarray of int64, shape (m,)
-        Numbers of the recorded steps; m is 0 if the rows were not stored.
+        Step numbers of the m rows (recorded states); m is 0 if the rows were not stored.
     states : ndarray, shape (trajectories, m, d)
         States in the order of ``top.components``. They are nan after the end of a trajectory that ended early.
     initial : ndarray, shape (trajectories, d)
@@ -206,7 +206,7 @@ class Ensemble:
     endings : Endings
         Ending of each trajectory.
     tallies : tuple of InvariantTally
-        Deviations of the invariants, one object for each group of trajectories that have the same top.
+        Deviations of the invariants, with one object for each group of trajectories that have the same top.
     table : dict of str to ndarray
         Columns of the DataFrame that ``trajectories()`` returns.
     modified : tuple of tuple of Invariant
@@ -271,7 +271,7 @@ class Ensemble:
     def trajectory(self, index: int) -> Trajectory:
         """Return one trajectory.
 
-        Raises IndexError if there is no trajectory ``index``, and ValueError if the rows were not stored.
+        Raises IndexError if no trajectory has the number ``index``, and ValueError if the rows were not stored.
         """
         if not len(self.n):
             raise ValueError("the rows were not stored; run with store='trajectories'")

@@ -50,7 +50,7 @@ def _with_plugins(
             "--plugin",
             "--scheme-file",
             metavar="FILE",
-            help="Load tops, schemes, measures, figures from a Python file.",
+            help="Load tops, schemes, measures, figures and hard cases from a Python file.",
             callback=_load_plugins,
             expose_value=False,
             is_eager=True,  # the completion of other options knows them
@@ -219,7 +219,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Run, measure, compare and draw numerical experiments on discrete spinning tops.",
-    epilog=f"Exit codes: {', '.join(f'{code} {code.meaning}' for code in ExitCode)}.",
+    epilog=f"Exit codes: {'; '.join(f'{code} {code.meaning}' for code in ExitCode)}.",
 )
 
 

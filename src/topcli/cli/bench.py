@@ -101,7 +101,7 @@ Configs = Annotated[
     config_option("the packaged scenes of the benchmark"),
 ]
 Against = Annotated[
-    str, typer.Option("--against", metavar="PEER,...", help="Compare with all peers, with none, or with these.")
+    str, typer.Option("--against", metavar="PEER,...", help="Compare with the peers named here, or with all or none.")
 ]
 Budget = Annotated[float, typer.Option("--budget", metavar="SECONDS", help="Limit the CPU time of one run.", min=1e-4)]
 Repetitions = Annotated[
@@ -109,12 +109,12 @@ Repetitions = Annotated[
 ]
 Processes = Annotated[
     int,
-    typer.Option("--processes", metavar="COUNT", help="Time peers of varying speed in this many processes.", min=1),
+    typer.Option("--processes", metavar="COUNT", help="Use this many processes for each peer of varying speed.", min=1),
 ]
 Samples = Annotated[
     int,
     typer.Option(
-        "--samples", metavar="COUNT", help="Measure the error at this many times of the motion.", min=1, max=100_000
+        "--samples", metavar="COUNT", help="Measure the error at this many points in time.", min=1, max=100_000
     ),
 ]
 Points = Annotated[bool, typer.Option("--points", help="Print all measurements, not only the fastest ones.")]

@@ -138,7 +138,7 @@ def init(
 ) -> None:
     """Write a config with comments to start from.
 
-    The JSON Schema of configs is written to the same folder, where editors find it.
+    The JSON Schema of configs is written to the same folder, where text editors find it.
     """
     import json
 

@@ -102,8 +102,8 @@ def print_plugin_failures() -> None:
 def tops(as_json: Json = False) -> Listing:
     """List the tops with their parameters and invariants.
 
-    The parameters are keys of a config. The Python function of a step gets other numbers, p: the constants of the
-    equations of motion.
+    The parameters are keys of a config. The argument p of a step function in Python has other numbers: the constants
+    of the equations of motion.
     """
     from topcli.schemes.plugins import top_origin
     from topcli.tops import TOPS
@@ -256,9 +256,9 @@ def runs(
 ) -> Listing:
     """List runs and sweeps in a folder, including unfinished ones.
 
-    The state of a run is running while another process computes it, and killed if that process ended too early. To
-    continue an unfinished run, use topcli run NAME --resume. To continue a sweep, use topcli sweep with the same file.
-    For a sweep, the column of steps counts rows.
+    The outcome of a run is "running" while another process computes it, and "killed" if that process ended before the
+    run did. To continue an unfinished run, use topcli run NAME --resume. To continue a sweep, use topcli sweep with the
+    same file. For a sweep, the columns step and N count rows.
     """
     from topcli.errors import UsageError
     from topcli.runs.run_list import listed_runs

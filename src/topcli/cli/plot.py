@@ -43,11 +43,11 @@ Names = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="FIGURE",
-        help="Names of figures; or sweep DIR/NAME; or section RUN.",
+        help="Names of figures, or the word sweep and a stored sweep, or the word section and stored runs.",
         autocompletion=complete_figure,
     ),
 ]
-Every = Annotated[bool, typer.Option("--all", help="Draw all figures except those that take minutes.")]
+Every = Annotated[bool, typer.Option("--all", help="Draw all figures, but compute nothing that takes minutes.")]
 Overlay = Annotated[
     str | None,
     typer.Option("--overlay", metavar="exact", help="Draw the exact motion in grey behind the runs."),
@@ -88,7 +88,9 @@ KeyBy = Annotated[
 ]
 Colour = Annotated[
     str | None,
-    typer.Option("--colour", metavar="MEASURE", help="Colour a map of a sweep by this measure; a section by verdict."),
+    typer.Option(
+        "--colour", metavar="MEASURE", help="Colour a map of a sweep by this measure, or a section by verdict."
+    ),
 ]
 
 
@@ -263,8 +265,9 @@ def plot(
     --results. A figure that is up to date is not drawn again. --set changes the runs that a figure shows; the file name
     then ends in the first digits of a hash of the changed experiment.
 
-    Two figures show results that you have stored: topcli plot sweep NAME --x KEY --y MEASURE --by KEY, and topcli plot
-    section NAME --colour verdict. To draw a single run, use topcli report.
+    Two other forms of this command draw results that you have stored. One draws measures of a sweep: topcli plot sweep
+    NAME --x KEY --y MEASURE --by KEY. The other draws the Poincaré sections of runs: topcli plot section NAME --colour
+    verdict. To draw a single run, use topcli report.
     """
     from topcli.engine.ensemble import default_threads
     from topcli.errors import ExitCode

@@ -64,8 +64,8 @@ def verify(
 ) -> None:
     """Verify stored results by their checksums.
 
-    For an unfinished run, the checkpoint and the rows before it are verified; for an unfinished sweep, its journal.
-    Exits with status 1 if a file is damaged.
+    Of an unfinished run, the command verifies the checkpoint and the rows before it. Of an unfinished sweep, it
+    verifies the journal. The command exits with code 1 if a file is damaged.
     """
     from topcli.studies.health import check_all
 
@@ -87,14 +87,14 @@ def verify(
 Place = Annotated[Path, typer.Argument(metavar="RUN", help="Folder or name of a result, or the file of a study.")]
 Where = Annotated[
     list[str] | None,
-    typer.Option("--where", metavar="KEY=VALUE", help="Use only these rows of the sweep."),
+    typer.Option("--where", metavar="KEY=VALUE", help="Use only the rows of the sweep in which KEY has this value."),
 ]
 Aggregate = Annotated[
     str | None,
     typer.Option(
         "--aggregate",
         metavar="NAME",
-        help="Combine rows by median, max, mean or observed order.",
+        help="Combine rows by median, mean, max or order (the observed order in h).",
         show_default="none",
     ),
 ]
@@ -145,7 +145,7 @@ def table(
 ) -> None:
     """Show tables of a result as text, CSV or LaTeX.
 
-    For a run, a benchmark or the file of a study, the command shows the tables of the report. For a sweep, --rows and
+    For a run, a benchmark or the file of a study, the command shows the tables of its report. For a sweep, --rows and
     --value define a table of measures. Each cell contains one value, or with --aggregate the median with its quartiles,
     the mean with its standard error, the maximum, or the observed order in h. Cells to which failed rows belong are
     marked. In CSV and JSON, numbers have all digits.
@@ -344,8 +344,8 @@ def animate(
     """Animate the body of a run, with the trace of its axis.
 
     If the run recorded the attitude of the body (output.attitude), the attitude is read from the run. Otherwise it is
-    reconstructed from the recorded rows, which must then be close in time. The file name ends in .gif or .mp4; an .mp4
-    file needs pip install 'topcli[video]'.
+    reconstructed from the recorded rows, which must then be close in time. The file name must end in .gif or .mp4; an
+    .mp4 file needs pip install 'topcli[video]'.
     """
     from topcli.figures.animation import animate as draw
     from topcli.figures.animation import encoder_for, planned

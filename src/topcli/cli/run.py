@@ -252,7 +252,7 @@ Configs = Annotated[
     list[str],
     typer.Argument(
         metavar="CONFIG",
-        help="Config files or names of scenes; with --resume, stored runs.",
+        help="Config files or names of packaged scenes; with --resume, also stored runs.",
         autocompletion=complete_config,
     ),
 ]
@@ -274,7 +274,7 @@ CheckpointEvery = Annotated[
     typer.Option(
         "--checkpoint-every",
         metavar="SECONDS",
-        help="Set the seconds between checkpoints; 0: as often as possible.",
+        help="Set the seconds between checkpoints; with 0, checkpoints are written as often as possible.",
     ),
 ]
 
@@ -303,8 +303,9 @@ def run(
     name.
 
     A long run writes checkpoints. Ctrl-C or SIGTERM stops the run with exit code 130 and keeps the rows recorded so
-    far. --resume continues an interrupted or killed run, named by its config or its folder; the result is the same as
-    without the interruption. With --force, an earlier, different run of the same name is renamed.
+    far. To continue an interrupted or killed run, give --resume and its config or folder; the result is the same as
+    without the interruption. --force repeats a run that exists already. If the earlier run of the same name is of a
+    different experiment, it is renamed and kept.
     """
     if output_format not in (None, "parquet", "csv"):
         raise UsageError(f"unknown format {quoted(output_format)}; use parquet or csv")

@@ -34,7 +34,7 @@ def complete_sweep(incomplete: str) -> list[str]:
 
 SweepFile = Annotated[
     str,
-    typer.Argument(metavar="SWEEP", help="A sweep file, or the name of a packaged one.", autocompletion=complete_sweep),
+    typer.Argument(metavar="SWEEP", help="Sweep file or name of a packaged sweep.", autocompletion=complete_sweep),
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="Run a sweep even if it has more than 100000 rows.")]
 TimeLimit = Annotated[
@@ -151,9 +151,10 @@ def sweep(
 ) -> None:
     """Run all combinations of the values in a sweep file.
 
-    The result is a table with one row for each run, stored as DIR/NAME/rows.parquet. Finished rows are not run again.
-    To continue an interrupted or killed sweep, give the same command again. After a change of the sweep file, only new
-    rows are run. --set sets a key of the sweep file, such as base.T=20 or name=other.
+    The result is a table with one row for each run. It is stored as NAME/rows.parquet in the folder of --out, where
+    NAME is the name of the sweep. Finished rows are not run again. To continue an interrupted or killed sweep, give the
+    same command again. After a change of the sweep file, only new rows are run. In this command, --set sets a key of
+    the sweep file, such as base.T=20 or name=other.
     """
     from topcli.config.sweep import load_sweep
     from topcli.sweeps.run import SweepOptions

@@ -40,7 +40,8 @@ class CustomSection(BaseModel):
     )
     vertical: list[Any] | None = Field(
         default=None,
-        description="three formulas: a vector that is fixed in space and drawn upright, in the frame of the body",
+        description="three formulas: the components, in the frame of the body, of a vector that is fixed in space and "
+        "drawn upright",
     )
 
 

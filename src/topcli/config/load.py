@@ -45,9 +45,9 @@ def load(
     arrays.
 
     The default name of the experiment is the name of the file or scene; for a dict, it is made from top and scheme.
-    With ``rename``, changes and overrides that change the computed or recorded data also change this name: the first
-    digits of the digest (a hash of the experiment) are appended, as in ``kowalevski_hybrid-3f2a9c``, unless a change or
-    override sets the name.
+    With ``rename``, the first digits of the digest (a hash of the experiment) are appended to the name if changes or
+    overrides alter the computed or recorded data of a file or scene, as in ``kowalevski_hybrid-3f2a9c``. A name that a
+    change or override sets is kept, and so is the name of a dict.
 
     Raises ConfigError or UnknownNameError. The message gives ``file:line``, the key, what is wrong and what is right.
     """

@@ -276,7 +276,7 @@ FIGURES: dict[str, Figure] = {
         ),
         Figure(
             "chaos",
-            "Chaotic orbits under HK: Kowalevski top against h, heavy top against its centre of gravity, and gyrostat",
+            "Chaotic orbits under HK against the step size, the centre of gravity and the strength of a rotor",
             "kowalevski_generic_hk",
             deferred("chaos:load_chaos"),
             rank=1,
@@ -321,18 +321,18 @@ def figure(name: str, *, title: str, scene: str = "") -> Callable[[Load], Load]:
     Parameters
     ----------
     name : str
-        Name of the figure and its files, in lower case.
+        Name of the figure and of its files, in lower case.
     title : str
         Description on one line.
     scene : str, optional
-        Name of the scene whose results the figure shows, or command that computes these results.
+        Name of the scene whose results the figure shows, or the command that computes these results.
 
     Returns
     -------
     callable
-        Decorator that registers the function and returns it unchanged. The function takes a
-        ``topcli.figures.figure.Request`` and returns a ``topcli.figures.figure.Loaded``, which contains panels and the
-        data that they draw.
+        Decorator that registers the function and returns it unchanged. The decorated function
+        takes a ``topcli.figures.figure.Request`` and returns a ``topcli.figures.figure.Loaded``, which contains panels
+        and the data that they draw.
 
     Raises
     ------

@@ -20,26 +20,29 @@ with 4 if a verdict differs from the one recorded in the repository. `topcli cla
 - The experiment for a claim about a figure uses the initial state, duration and step of the figure. The experiments for
   a general law use random parameters, states and steps. Results that go beyond the statements of the paper are
   [findings of ours](#findings-beyond-the-paper) and are counted separately.
-- Each bound is known before the measurement. The bound follows from round-off, from the order of a scheme,
-  from a conservation law or from the width of a line in a printed figure.
-- Exact laws are tested in rational numbers, where the deviation must be 0, or with 50 digits. A *rational identity*
-  evaluates both sides of an equation of the paper at random rational points. A *rational test* shows whether a step is
-  explicit: it takes the second difference of an equation in its unknowns, which is 0 if the equation is linear in them.
-- The verdict *holds* means that the measured value is within the bound. *holds within* a bound means that the statement
-  is approximate ("very small") and that the measured value is within the stated tolerance. *misprint* means that the
-  printed formula is wrong and the corrected one holds; the value for the corrected formula follows the measured one.
+- Each bound is known before the measurement. The bound follows from round-off, from the order of a scheme, from a
+  conservation law or from the width of a line in a printed figure.
+- Exact laws are tested in rational numbers, without any tolerance, or with 50 digits. The experiment *rational
+  identity* evaluates both sides of an equation of the paper at random rational points. A *rational test* shows whether
+  a step is explicit. The test takes the second difference of an equation with respect to its unknowns; this difference
+  is 0 if the equation is linear in them.
+- The verdict *holds* means that the measured value is within the bound. *holds within* a bound means the same for an
+  approximate statement ("very small"). *misprint* means that the printed formula is wrong and the corrected one holds;
+  the table then gives the values measured for both formulas.
 - Statements that no experiment can test are [listed with the reason](#statements-that-are-not-tested).
 - Each kind of check is also applied to [a deliberate error](#kinds-of-checks), to show that the check can fail.
 
 Symbols and labels are those of the paper:
 
 - **State**: ω is the angular velocity, m the angular momentum, and γ the unit vector along the vertical; A, B, C are
-  the principal moments of inertia. The centre of gravity is (x0, y0, z0), and g is its product with the weight. All
-  vectors are taken in the frame of the body, except in (L1) and (L2), where a is the direction of the top's axis and p
-  that of the vertical in space. In complex formulas of the Kowalevski top, ω = ω₁ + iω₂ and γ = γ₁ + iγ₂. Ω, M, Γ and
-  G are the antisymmetric matrices of ω, m, γ and g. A prime marks a value after the step, h is the step size, and N is
-  the number of steps. The *general top* has any moments of inertia and any centre of gravity.
-- **Conserved quantities**: E is the energy, 2ℓ = m·γ, and k² is Kowalevski's integral.
+  the principal moments of inertia. The centre of gravity is (x0, y0, z0), and g is this vector times the weight.
+  Vectors are given in the frame of the body; only those of (L1) and (L2) are given in the frame of space, where a is
+  the direction of the top's axis and p that of the vertical. In complex formulas of the Kowalevski top, ω = ω₁ + iω₂
+  and γ = γ₁ + iγ₂. Ω, M, Γ and G are the antisymmetric matrices of ω, m, γ and g. A prime marks a value after the step,
+  h is the step size, and N is the number of steps. The *general top* has any moments of inertia and any centre of
+  gravity.
+- **Conserved quantities**: E is the energy, 2ℓ = m·γ is the angular momentum about the vertical, and k² is Kowalevski's
+  integral.
 - **Schemes**: *HK* is the Hirota-Kimura scheme and *BS* the Bobenko-Suris scheme. *Bohlin's method* advances ω of the
   Kowalevski top, and method (A), (B) or (C) advances its γ. *Bohlin A* combines Bohlin's method with (A). The
   *hybrid* combines HK with a modified BS step. [Schemes](schemes.md) describes all these schemes.

@@ -32,14 +32,14 @@ def measure(
 ) -> Result:
     """Test the claims of the paper by experiments.
 
-    The list also has results of topcli that are not in the paper, marked as ours. Claims given by name are shown with
-    all details. Exits with status 4 if the verdict on a claim differs from the recorded one, or if a check accepts its
-    control, a statement with a deliberate error.
+    Findings of topcli that are not in the paper are tested too; their origin is given as "ours". Claims given by name
+    are shown with all details. The command exits with code 4 if the verdict on a claim differs from the recorded one,
+    or if a check accepts its control, a statement with a deliberate error.
 
     Parameters
     ----------
     ids : str or sequence of str, optional
-        Names of the claims to test. For example ``"hybrid-reversible"``; all by default.
+        Names of the claims to test. An example is ``"hybrid-reversible"``. By default, all claims are tested.
     fast : bool, optional
         Skip claims that take longer than a few tenths of a second. Claims that are named are never skipped.
     watch : Watch, optional
@@ -49,16 +49,17 @@ def measure(
     -------
     StudyReport
         Report on the claims. ``table`` has a row for each claim, with its origin (paper or ours), statement, source,
-        experiment, measured number, bound and verdict. ``rows`` contains the tested claims, and ``controls`` the
+        experiment, measured number, bound and verdict. ``rows`` contains the tested claims. ``controls`` contains the
         deliberate error that each kind of check must find. ``counts`` gives the number of claims of the paper with each
-        verdict, and ``findings`` the same for our own findings. ``changed`` lists the claims whose verdicts differ from
-        the recorded ones, ``failed`` lists the claims that could not be tested, and ``uncaught`` lists the checks that
-        missed their deliberate error. ``to_markdown()`` returns the documentation's page of claims as Markdown.
+        verdict, and ``findings`` gives the same numbers for our own findings. ``changed`` lists the claims whose
+        verdicts differ from the recorded ones, ``failed`` lists the claims that could not be tested, and ``uncaught``
+        lists the checks that missed their deliberate error. ``to_markdown()`` returns the documentation's page of
+        claims as Markdown.
 
     Raises
     ------
     UnknownNameError
-        If there is no claim with this name. The message gives the nearest names.
+        If ``ids`` contains an unknown name. The message gives the nearest names.
 
     Examples
     --------

@@ -59,8 +59,8 @@ def simulate(
     Returns
     -------
     Trajectory
-        Recorded states, shape (m, d): m rows of d components. The first row is the initial state, and a row follows
-        after every ``output.every`` steps. If a run fails, the rows end with its last finite state, and ``outcome`` and
+        Recorded states of shape (m, d): m rows of d components. The first row is the initial state. One row follows for
+        every ``output.every`` steps. If a run fails, the rows end with its last finite state, and ``outcome`` and
         ``ending`` describe the failure.
 
     Raises
@@ -165,8 +165,8 @@ def simulate_ensemble(
     config : path, str or mapping, optional
         Config file, name of a scene (a packaged config), or the content of a config, as for ``topcli.simulate``.
     states : array_like of float, shape (trajectories, d), optional
-        Initial states, in the order of ``top.components``. By default, the section ``ensemble`` of the config defines
-        them by a list ``states``, a ``grid``, or ``random`` draws.
+        Initial states, with components in the order of ``top.components``. By default, the section ``ensemble`` of the
+        config defines the initial states: by a list (``states``), a grid (``grid``), or random draws (``random``).
     overrides : sequence of str
         Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line. They are applied
         after ``changes``.
@@ -179,9 +179,9 @@ def simulate_ensemble(
     Returns
     -------
     Ensemble
-        Recorded states, shape (trajectories, m, d), initial and last states, shape (trajectories, d), endings (how each
-        trajectory ended), and a table of the deviations of all invariants. A trajectory that fails does not affect the
-        others.
+        Recorded states of shape (trajectories, m, d); initial and last states of shape (trajectories, d); endings,
+        which say how each trajectory ended; and a table of the deviations of all invariants. A trajectory that fails
+        does not affect the others.
 
     Raises
     ------

@@ -182,7 +182,7 @@ class CompensatedOption(BaseModel):
 
     compensated: bool = Field(
         default=False,
-        description="compensated summation: round-off falls by a factor of about h",
+        description="compensated summation: round-off is multiplied by about h",
     )
 
 

@@ -25,8 +25,8 @@ def top(declared: type[Top]) -> type[Top]:
     """Register the decorated class as a top, with the general schemes (such as ``rk4``) that its field allows.
 
     The class derives from ``topcli.Top``. It declares ``kind``, ``components``, its parameters as floats with defaults,
-    the right-hand side ``field(y, p)`` of the equations of motion (y is the state, p contains the constants) and, by
-    name, the ``integrals`` as functions of ``y`` and ``p``. The first line of its docstring is its title. All
+    the right-hand side ``field(y, p)`` of the equations of motion (y is the state, p contains the constants), and
+    ``integrals``, a mapping of names to functions of ``y`` and ``p``. The first line of its docstring is its title. All
     quantities are dimensionless.
 
     Parameters

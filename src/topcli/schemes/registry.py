@@ -65,9 +65,9 @@ def scheme(
 ) -> Callable[[Build], Build]:
     """Register the decorated function ``build(top, options)`` as a scheme.
 
-    ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (own
-    time loop) of ``topcli.contracts``. The docstring of ``build`` is the description of the scheme. The other arguments
-    declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
+    ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
+    its own time loop) of ``topcli.contracts``. The docstring of ``build`` is the description of the scheme. The other
+    arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def scheme(
         Name of the scheme in configs. It is case-insensitive and contains no ``+``. Schemes of different tops may have
         the same name.
     top : str, iterable of str, or None
-        Form or forms of tops (``Top.form``) that the scheme integrates; None for every top.
+        Name (``Top.form``) of the top that the scheme integrates, or names of several; None for every top.
     title : str
         Title on one line.
     order : int or None
@@ -83,8 +83,8 @@ def scheme(
     explicit : bool
         True if a step needs no iteration.
     self_adjoint : bool
-        True if a step with -h inverts a step with h. Steps of a self-adjoint scheme of order 2 can be composed to a
-        scheme of higher order.
+        True if a step with -h inverts a step with h. Steps of a self-adjoint scheme of order 2 can be composed into
+        a scheme of higher order.
     citation : str
         Source of the method.
     equations : str
@@ -105,20 +105,20 @@ def scheme(
         this case.
     longest_step : callable, optional
         ``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from ``y0``. A
-        single run with a larger one is refused before it starts. In an ensemble, ``step`` must return nan for such an
-        h.
+        single run with a larger step size is refused before it starts. In an ensemble, ``step`` of the ``Stepper`` must
+        return nan for such an h.
     order_with : callable, optional
-        ``order_with(options)`` returns the order, if it depends on the options; ``order`` is the order with the
-        defaults.
+        ``order_with(options)`` returns the order, if it depends on the options; ``order`` is then the order with the
+        default options.
     formula : str, optional
         Step in LaTeX for the documentation: display formulas without delimiters, separated by empty lines.
     integrable : Integrability or callable, optional
         Lax pair and Poisson bracket if the step is an integrable map, or a function ``integrable(top)`` that returns
         them, or None if the step is not integrable.
     later : callable, optional
-        ``later(top)`` returns True if the scheme also integrates ``top``, a top of the catalogue or a top registered
-        later, for example from a user's file. Otherwise it returns False or raises UsageError with the reason. With
-        ``top=None`` and without ``later``, the scheme integrates all tops of the catalogue and all later ones.
+        ``later(top)`` returns True if the scheme also integrates ``top``. Otherwise it returns False or raises
+        UsageError with the reason. It is called with tops of the catalogue, and with tops that are registered later,
+        for example from a user's file. With ``top=None`` and without ``later``, the scheme integrates all these tops.
 
     Returns
     -------

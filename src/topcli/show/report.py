@@ -45,7 +45,7 @@ _WIDTH = (6.4, 3.6)
 
 
 class Report(ABC):
-    """Base class of the reports that ``topcli.run``, ``topcli.compare`` and the other commands return in Python.
+    """Base class of the reports that ``topcli.run``, ``topcli.compare`` and similar functions return.
 
     Attributes
     ----------
@@ -172,8 +172,8 @@ class StudyReport(Report):
     study : dict
         The measured data as plain data, ready for JSON.
     table : pandas.DataFrame
-        The main table. Each further table is an attribute with its name, such as ``errors`` of a report of
-        ``topcli.order``.
+        The main table. Each further table is an attribute with the name of the table, such as ``errors`` in a report
+        of ``topcli.order``.
     """
 
     declaration: Study
@@ -316,8 +316,8 @@ def motion(
 ) -> MotionReport:
     """Return the class and the frequencies of an exact motion, and the critical motions nearest to it.
 
-    All results follow from the closed form of the motion. Nothing is integrated, so the scheme, ``h`` and ``N`` of the
-    config do not matter. All quantities are dimensionless, as in configs.
+    All results follow from the initial state and the closed form of the motion. Nothing is integrated, so the scheme,
+    ``h`` and ``N`` of the config do not matter. All quantities are dimensionless, as in configs.
 
     Parameters
     ----------
@@ -335,8 +335,8 @@ def motion(
     MotionReport
         For the Kowalevski top, the report gives the class of the torus, its frequencies, periods and actions, and the
         nearest critical motions. For the Euler top, the report gives the class and the period of the polhode. For the
-        Lagrange top, it gives nutation and precession. For a heavy top without a closed form, the report gives
-        only the integrals.
+        Lagrange top, it gives nutation and precession. For a top without a closed form, the report gives only the
+        integrals.
 
     Raises
     ------

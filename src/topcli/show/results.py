@@ -33,12 +33,13 @@ if TYPE_CHECKING:
 class RunReport(Report):
     """Report on a stored run or ensemble, as returned by ``topcli.run``.
 
-    ``report[name]`` is the column ``name`` of the series, which contains the recorded rows of the run.
+    ``report[name]`` is the column called ``name`` of the series, which contains the recorded rows of the run.
 
     Attributes
     ----------
     result : RunResult
-        Folder of the run with its manifest (the description of the run), content of ``report.json``, and ``status``.
+        The folder of the run with its manifest (the description of the run), the content of ``report.json``, and
+        ``status``.
     table : pandas.DataFrame
         One row per invariant, indexed by the name of the invariant. The columns contain deviations, drift and verdict;
         for an ensemble, they contain quantiles over the trajectories.
@@ -53,7 +54,11 @@ class RunReport(Report):
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the run; for an ensemble, the outcome of the first trajectory that failed."""
+        """Outcome of the run.
+
+        For an ensemble, it is ``interrupted`` if a trajectory was interrupted. Otherwise it is the outcome of the first
+        trajectory that failed, or ``completed`` if none failed.
+        """
         return self.result.outcome
 
     @property
@@ -109,10 +114,10 @@ class RunReport(Report):
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Axes to draw into, in their own style. By default, new axes are made.
+            Axes to draw into; their style is kept. By default, new axes are made.
         columns : sequence of str, optional
-            Names of columns. The default is the last vector of the state, for example gamma; with ``deviation``, the
-            default is all recorded invariants.
+            Names of columns. The default is the last vector of the state, for example gamma. If ``deviation`` is true,
+            the default is all recorded invariants.
         deviation : bool, optional
             True to draw absolute deviations from the first values, on a logarithmic axis.
 
@@ -185,20 +190,20 @@ def run(
         True to repeat a run that failed before.
     checkpoint_every : float, optional
         Seconds between checkpoints, from which an interrupted run can continue. With 0, a checkpoint is written after
-        every chunk of steps (the engine divides a run into chunks). An ensemble writes none.
+        every chunk of steps (the engine divides a run into chunks). An ensemble has no checkpoints.
     threads : int, optional
         Number of threads for an ensemble, by default one per CPU. The results do not depend on this number.
     progress : bool, optional
         False to show no progress bar in a notebook or terminal.
     **changes
         Values that replace whole top-level keys of the config, such as ``h=0.01``. If the changes or the overrides
-        alter the run, the first digits of its digest (a hash of the config) are appended to its name, unless ``name``
-        is given.
+        alter the run, the first digits of its digest (a hash of the config) are appended to its name, unless they set
+        the name themselves.
 
     Returns
     -------
     RunReport
-        Report with the folder of the run. A run that fails is reported too; ``outcome`` says how it ended.
+        Report with the folder of the run. A failed run raises no exception; ``outcome`` says how the run ended.
 
     Raises
     ------
@@ -302,12 +307,12 @@ class SweepReport(Report):
         ax : matplotlib Axes, optional
             Axes to draw into. By default, new axes are made.
         x, y, by : str, optional
-            ``x`` is the key on the horizontal axis, ``y`` the measure on the vertical axis, and ``by`` the key whose
-            values distinguish the curves. If ``x``, ``by`` and ``aggregate`` are all left out, the plot is the one on
-            the page of ``topcli report``: ``x`` is the numeric key with the most values, and ``by`` the key with the
-            next most.
+            ``x`` is the key on the horizontal axis, and ``y`` is the measure on the vertical axis. There is one curve
+            for each value of the key ``by``. If ``x``, ``by`` and ``aggregate`` are all left out, the plot is the one
+            on the page of ``topcli report``: ``x`` is the numeric key with the most values, and ``by`` is the key with
+            the next most.
         aggregate : {"median", "mean", "max", "order"}, optional
-            Function that combines the values of ``y`` in rows that differ only in other keys than ``x`` and ``by``.
+            Function that combines the values of ``y`` in rows that have the same values of ``x`` and ``by``.
 
         Returns
         -------

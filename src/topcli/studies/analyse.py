@@ -18,7 +18,7 @@ def measure(
     path: Annotated[str | Path, Flag("", "FILE")],
     config: Annotated[str | Path | Mapping[str, Any], Flag("--config", "CONFIG")],
     columns: Annotated[Sequence[str], Flag("--rename", "NAME=COLUMN,...")] = (),
-    steps: Annotated[int | None, steps_flag("rows - 1")] = None,
+    steps: Annotated[int | None, steps_flag("rows - 1, or from the column n")] = None,
     overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
@@ -37,8 +37,8 @@ def measure(
     columns : sequence of str, optional
         Read t or a component from a column of another name, e.g. t=time.
     steps : int, optional
-        Number of steps that the program took, for the bound of round-off. By default, the numbers in a column n give
-        it; without this column, it is the number of rows minus 1.
+        Number of steps that the program took, for the bound of round-off. By default, it is the difference between the
+        last and the first step number in a column n or, without this column, the number of rows minus 1.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional

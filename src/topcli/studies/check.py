@@ -22,10 +22,11 @@ def measure(
 ) -> Result:
     """Check the declared properties of schemes and tops.
 
-    For a scheme, the study checks order, self-adjointness, exact and modified invariants, and counters of critical
-    events. It also checks that compiled code agrees with plain Python, and that ensembles agree with single runs. For a
-    top, it checks the equations and the integrals. Each check is also applied to a control, a deliberately wrong scheme
-    or top, which it must reject. Exits with status 4 if a scheme or top is not as declared.
+    For a scheme, the study checks order, self-adjointness, and exact and modified invariants. It also checks that
+    compiled code agrees with plain Python, that ensembles agree with single runs, and that the counters of critical
+    events, which some schemes have, are finite. For a top, it checks the equations and the integrals. Each check is
+    also applied to a control, a deliberately wrong scheme or top, which it must reject. The command exits with code 4
+    if a scheme or top is not as declared.
 
     Parameters
     ----------

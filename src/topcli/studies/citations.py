@@ -133,8 +133,9 @@ def works_of(name: str) -> list[Publication]:
     Returns
     -------
     list of Publication
-        Publications in the order of the citation, each once. For a publication that a plugin cites and that is not in
-        the bibliography of topcli, the list contains an entry with the text of the citation as its note.
+        Publications in the order in which they are cited, without repetitions. For a publication that a plugin cites
+        and that is not in the bibliography of topcli, the list contains an entry with the text of the citation as its
+        note.
 
     Raises
     ------

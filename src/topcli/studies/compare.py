@@ -34,18 +34,19 @@ def measure(
     Parameters
     ----------
     *entries : str
-        Names of schemes, each with its own h and options if needed. For example ``"hk"``, ``"hk:h=0.02"``,
+        Names of schemes, each with its own h and options if needed. Examples are ``"hk"``, ``"hk:h=0.02"`` and
         ``"hybrid:branch=sign"``.
     config : path, str or mapping, optional
-        Read the experiment from a config or scene. In Python, it may also be the content of a config, as a mapping.
+        Read the experiment from a config or scene. In Python, ``config`` may also be the content of a config, as a
+        mapping.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign. An option of schemes, such as
         ``scheme.branch``, is set for every scheme that has it. Overrides are applied after ``changes``.
     options : mapping, optional
         Options of schemes by name, such as ``{"branch": "sign"}``. Each option is set for every scheme that has it.
     reference : {"taylor", "exact"}, optional
-        Measure errors against a taylor series or the exact solution. The Taylor series is computed in double-double
-        arithmetic (32 digits), the exact solution from a closed form.
+        Measure errors against taylor (a Taylor series) or exact (the exact solution). The Taylor series is computed in
+        double-double arithmetic (32 digits), the exact solution from a closed form.
     watch : Watch, optional
         Observer of the study.
     **changes
@@ -56,9 +57,9 @@ def measure(
     StudyReport
         Report on all schemes in ``entries``. An error is the Euclidean norm of the difference between a state and the
         reference state. ``figures`` is a dict of all measured data; its item ``"reference"`` describes the reference.
-        ``series`` is a DataFrame with the compared times and for each scheme the columns ``error:<entry>`` and
-        ``swing:<entry>``. The second is the component that shows the swings of the top, such as gamma1;
-        ``plot(what="swing")`` draws it instead of the errors.
+        ``series`` is a DataFrame with the compared times and, for each entry, the columns ``error:<entry>`` and
+        ``swing:<entry>``. ``swing:<entry>`` contains the component that shows the swings of the top, such as gamma1;
+        ``plot(what="swing")`` draws this component instead of the errors.
 
     Raises
     ------

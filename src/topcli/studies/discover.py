@@ -24,8 +24,8 @@ def measure(
     """Find polynomials that stay constant along orbits.
 
     The study computes the singular values of a matrix with a column for each monomial and a row for each recorded
-    state. Singular values count as zero if they are below the tolerance, relative to the largest one, and separated
-    from the others by a gap of at least a factor 1e4. Each singular value that counts as zero gives a polynomial that
+    state. Singular values count as zero if their ratio to the largest one is below the tolerance and a gap of at least
+    a factor of 1e4 separates them from the others. Each singular value that counts as zero gives a polynomial that
     is constant along the orbits. Polynomials that follow from constants of a lower degree are not listed.
 
     Parameters
@@ -37,7 +37,7 @@ def measure(
     columns : sequence of str, optional
         Components of the state that the polynomials may contain; by default all.
     tolerance : float, optional
-        Take singular values below this fraction of the largest as zero.
+        Treat singular values below this fraction of the largest one as zero.
     watch : Watch, optional
         Observer of the study.
 
@@ -45,12 +45,13 @@ def measure(
     -------
     StudyReport
         Report on the polynomials. ``table`` has a row for each polynomial. ``levels`` has a row for each degree, with
-        the largest singular value that counts as zero and the smallest other one.
+        the largest singular value that counts as zero and the smallest one that does not.
 
     Raises
     ------
     UsageError
-        If an argument is neither a run nor a series, if a component is unknown, or if there are too few rows.
+        If an argument is neither a run nor a CSV or Parquet file, if a component is unknown, or if there are too few
+        rows.
     RunError
         If the files of a run are damaged.
 

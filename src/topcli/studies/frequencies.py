@@ -39,10 +39,11 @@ def measure(
     config : path or str
         Config file or name of a packaged scene.
     component : sequence of str, optional
-        Components, invariants or quantities (formulas in ``output.quantities`` of the config) to measure; by default,
-        all components and quantities.
+        Components, invariants or quantities (formulas in ``output.quantities`` of the config) to measure. By default,
+        all components and quantities are measured, or none if an ``angle`` is given.
     angle : sequence of str, optional
-        Measure how fast the point with two columns as coordinates (X, Y) turns about the origin.
+        Measure how fast the point (X, Y) turns about the origin, where X and Y are two columns. Each pair is a text
+        such as ``"gamma1,gamma2"``.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
@@ -56,7 +57,7 @@ def measure(
     Raises
     ------
     UsageError
-        If a column is unknown, or if the run has too few rows for a frequency or too many for the memory.
+        If a column is unknown, or if the run has too few rows for a frequency or too many to fit in memory.
 
     Examples
     --------

@@ -35,14 +35,14 @@ def measure(
 
     A Lax form is a pair of matrices L and M that depend on the state. The study tests the Lax equation dL/dt = [M, L]
     along the motion and measures the drift of the spectrum of L under each scheme. For the Kowalevski top, it also
-    tests the discrete Lax pair L' U = U L, where L' is L after a step and U another matrix.
+    tests the discrete Lax equation L' U = U L, where L' is L after a step and U is another matrix.
 
     Parameters
     ----------
     top : str
         Name of a top.
     *schemes : str
-        Names of schemes. By default, all schemes of the top except adaptive ones.
+        Names of schemes. By default, all schemes of the top except adaptive ones are tested.
     config : path or str, optional
         Config of the experiment; by default, a generic initial state with h = 0.01 and N = 5000.
     overrides : sequence of str, optional

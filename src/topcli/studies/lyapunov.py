@@ -24,8 +24,8 @@ def measure(
     """Measure Lyapunov exponents and detect chaos.
 
     The study follows a tangent vector along the orbit of a config with the tangent map (the derivative of a step) of
-    the scheme. The growth of this vector decides whether the orbit is regular or chaotic. With --spectrum, the study
-    follows as many tangent vectors as the state has components.
+    the scheme. The growth of this vector decides whether the orbit is regular or chaotic. With the option
+    spectrum, the study follows as many tangent vectors as the state has components.
 
     Parameters
     ----------

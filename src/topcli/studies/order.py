@@ -78,15 +78,15 @@ def measure(
     """Measure errors at several h, and orders of convergence.
 
     The error of a run is its largest distance from a reference solution in double-double arithmetic. The order is
-    fitted at the smallest step sizes whose errors exceed round-off. Exits with status 4 if the measured order
-    is below the order that the scheme declares, or if an invariant that the scheme declares as conserved changes by
-    more than round-off.
+    fitted at the smallest step sizes whose errors exceed round-off. The command exits with code 4 if the
+    measured order is below the order that the scheme declares, or if an invariant that the scheme declares as conserved
+    changes by more than round-off.
 
     Parameters
     ----------
     *schemes : str
-        Names of schemes. Without names, all schemes that fit ``top`` or ``config`` are measured. If neither is given,
-        six schemes of the Kowalevski top are measured.
+        Names of schemes. Without names, all schemes that fit ``top`` or ``config`` are measured, or six schemes of the
+        Kowalevski top if neither ``top`` nor ``config`` is given.
     top : str, optional
         Name of a top, whose packaged scene is run.
     config : path, str or mapping, optional
@@ -95,21 +95,21 @@ def measure(
         Override a key of the config, e.g. top.c0=-1 or scheme.branch=sign. The keys h and T set ``sizes`` and
         ``duration``.
     sizes : sequence of float, optional
-        Use this step size. In Python, give a sequence of step sizes. By default, each scheme is run with its own
-        decreasing step sizes, until round-off dominates or a run would need more than ``steps`` steps.
+        Run each scheme with these step sizes. By default, each scheme is run with its own decreasing step sizes,
+        until round-off dominates or a run would need more than ``steps`` steps.
     duration : float, optional
-        Run from time 0 to time T.
+        Run from time 0 to this time.
     steps : int, optional
-        Take at most N steps in each run.
+        Take at most this many steps in each run.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
     StudyReport
-        Report with the orders and the errors. The error of a run is the largest Euclidean norm of the difference
-        between its states and a Taylor reference in double-double arithmetic, at common times. ``table`` has a row for
-        each scheme. ``errors`` has a row for each step size and a column for each scheme.
+        Report with the orders and the errors. The error of a run is the largest Euclidean distance between its states
+        and the reference solution, a Taylor series, at evenly spaced times. ``table`` has a row for each scheme.
+        ``errors`` has a row for each step size and a column for each scheme.
 
     Raises
     ------

@@ -25,7 +25,7 @@ def measure(
     """Measure growth of round-off, and cost of compensated sums.
 
     Round-off may grow as a random walk, linearly because of a bias, or not at all. If the scheme has a form with
-    compensated summation, both forms are measured, and --max-exponent and --max-drift apply to the compensated form.
+    compensated summation, both forms are measured. Limits on exponents and drifts then apply to the compensated form.
 
     Parameters
     ----------
@@ -36,13 +36,12 @@ def measure(
     steps : float, optional
         Number of steps of each run, e.g. 1e8.
     copies : int, optional
-        Run the experiment K times, from initial states that differ by up to 1e-14 of their values.
+        Run the experiment this many times, from initial states that differ by up to 1e-14 of their values.
     max_exponent : float, optional
-        Exit with status 4 if a growth exponent minus two standard errors exceeds X. Round-off grows as the number of
-        steps to the power of this exponent: 1/2 for a random walk, 1 for a bias.
+        Report a violation (exit code 4) if a growth exponent exceeds this value by more than two standard errors.
+        Round-off grows as the number of steps to the power of the growth exponent: 1/2 for a random walk, 1 for a bias.
     max_drift : float, optional
-        Exit with status 4 if a drift exceeds X. Here, the drift of an invariant is its largest change by round-off in
-        any of the K runs.
+        Report a violation (exit code 4) if round-off changes an invariant by more than this value in any of the runs.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional

@@ -29,7 +29,7 @@ HEAD = """# Schemes
 
 In the HTML documentation each name links to a page with the equations, the cost and the limits of the scheme. The
 search finds this page by the name of the scheme or of its authors (HK, Hirota-Kimura, Kahan). In a terminal,
-`topcli show NAME` describes a scheme. [Which scheme when](which-scheme.md) helps to choose a scheme.
+`topcli show NAME` describes a scheme. The page [Which scheme when](which-scheme.md) helps to choose a scheme.
 """
 FOOT = """
 ```{toctree}

@@ -41,7 +41,7 @@ MAX_RUN_BYTES = 1 << 31
 
 @dataclass(frozen=True)
 class Batch:
-    """Finished runs of one experiment from several initial states, the argument of the function of a measure.
+    """Finished runs of one experiment from several initial states, passed to the function of a measure.
 
     ``len(batch)`` is the number of runs. Attributes that no measure of the sweep needs are empty.
 
@@ -64,17 +64,17 @@ class Batch:
     probes : ndarray, shape (runs, k, d)
         For each run, k recorded states (at most 16) that are evenly spread along the run.
     deviations, drifts : mapping of str to ndarray, shape (runs,)
-        For each invariant, by its name: in ``deviations`` the largest deviation from the first value, and in ``drifts``
-        the fitted slope per unit time.
+        ``deviations`` contains the largest deviation of each invariant from its first value. ``drifts`` contains the
+        slope of a line fitted to each invariant, per unit time. The keys are the names of the invariants.
     max_error, final_error : ndarray, shape (runs,)
-        Euclidean distance from the reference solution: in ``max_error`` the largest over the recorded states, and in
-        ``final_error`` the distance at step N.
+        Euclidean distances from the reference solution. ``max_error`` is the largest distance over the recorded states,
+        and ``final_error`` is the distance at step N.
     faults : mapping of str to sequence of str
-        Under ``"error"`` and ``"final_error"``: for each run, the reason why ``max_error`` or ``final_error`` could not
-        be computed; an empty text if it was computed.
+        The key ``"error"`` belongs to ``max_error``, and ``"final_error"`` to ``final_error``. The value has a text for
+        each run: the reason why this error could not be computed, or an empty text if it was computed.
     one_step : callable
-        ``one_step(states, h)`` returns the states, shape (k, d), after one step of ``h`` from ``states``, shape (k, d).
-        A state is nan if its step fails.
+        ``one_step(states, h)`` takes k states, shape (k, d), and returns the states after one step of ``h`` in an array
+        of the same shape. A state is nan if its step fails.
     """
 
     experiment: Experiment

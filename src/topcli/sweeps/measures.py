@@ -135,9 +135,9 @@ def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation
     unit : str, optional
         Unit in words, such as ``"inverse time"``; the numbers themselves are dimensionless.
     needs : iterable of str, optional
-        Data that the runs must record for the measure. They may be names of columns (components and invariants),
+        Data that the runs must record for the measure: names of columns (components and invariants),
         ``"states"`` for all components, ``"swing"`` for the component whose minima mark the swings of the top (each
-        fall and rise), ``"error"`` and ``"final_error"`` for the distance from the reference solution, and ``"probes"``
+        fall and rise), ``"error"`` and ``"final_error"`` for the distance from the reference solution, or ``"probes"``
         for a few states along the run.
     names : callable, optional
         For a family of measures: ``names(top, scheme, options)`` returns the names of its members.

@@ -125,8 +125,8 @@ def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
     """Return the class of the top called ``name`` that has the ``vectors`` in its initial state.
 
     If a top has several forms (choices of state variables), the names of the ``vectors``, such as omega and gamma,
-    choose one. If no form has these vectors, the default form is returned. Raises UnknownNameError, with the nearest
-    names, if there is no such top.
+    decide which form is meant. If no form has these vectors, the default form is returned. Raises UnknownNameError,
+    with the nearest names, if there is no such top.
     """
     found = forms(name)
     return next((top for top in found if set(top.vectors) == set(vectors)), found[0])

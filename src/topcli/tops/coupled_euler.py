@@ -39,7 +39,7 @@ def mixed(y: Floats, p: Floats) -> Any:
 
 
 class CoupledEuler(Top):
-    """Two coupled Euler tops (five components, one in common).
+    """Two coupled Euler tops with five components, one of which belongs to both tops.
 
     The motion has three quadratic integrals, and a fourth one if α₁α₂ = α₅α₆. In that case, all four integrals, divided
     by 1 - h²/4 α₁α₂x₃², are integrals of the Hirota-Kimura (HK) map with the step size h. The map is then integrable,
@@ -49,7 +49,7 @@ class CoupledEuler(Top):
     """
 
     kind = "coupled-euler"
-    title = "coupled Euler tops (two with a common component)"
+    title = "coupled Euler tops (two tops with a common component)"
     citation = "Petrera, Pfadler, Suris 2011"
     formula = r"""
 \dot x_1 = \alpha_1 x_2x_3, \quad \dot x_2 = \alpha_2 x_3x_1, \quad \dot x_3 = \alpha_3 x_1x_2 + \alpha_4 x_4x_5, \quad

@@ -93,9 +93,9 @@ class Clebsch(InFluid):
 
     The state consists of the angular momentum m and the linear momentum p of body and fluid. The motion has four
     quadratic integrals. If m·p = 0, p moves like the point in Neumann's problem (a point on a sphere in a quadratic
-    potential). The Hirota-Kimura (HK) map is integrable too, and the degrees of its iterates grow like n². The HK map
+    potential). The Hirota-Kimura (HK) map is integrable, and the degrees of its iterates grow like n². The HK map
     conserves four functions. One of them is a simple quotient; the others are quotients of the coefficients of an HK
-    basis (a set of linear relations between monomials along an orbit).
+    basis (a set of linear relations that hold between monomials along an orbit).
     """
 
     kind = "clebsch"
@@ -134,9 +134,9 @@ class Kirchhoff(InFluid):
     """Kirchhoff top (rigid body of revolution in an ideal fluid).
 
     The motion has three quadratic integrals and the integral m3, the angular momentum about the axis of revolution. The
-    motion is given by elliptic functions. The Hirota-Kimura (HK) map conserves m3 exactly. The HK map is integrable
-    too, and the degrees of its iterates grow like n². Its three other integrals are quotients of the coefficients of an
-    HK basis (a set of linear relations between monomials along an orbit). For a body that is neither a body of
+    motion is given by elliptic functions. The Hirota-Kimura (HK) map conserves m3 exactly. The HK map is integrable,
+    and the degrees of its iterates grow like n². Its three other integrals are quotients of the coefficients of an HK
+    basis (a set of linear relations that hold between monomials along an orbit). For a body that is neither a body of
     revolution nor a Clebsch top, the degrees grow like 6^n.
     """
 

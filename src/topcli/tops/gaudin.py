@@ -47,10 +47,10 @@ def total(y: Floats, p: Floats) -> Any:
 class Gaudin(Top):
     """Gaudin magnet (two spins of su(2) in a field along the third axis).
 
-    In the rational Gaudin model, the spins a and b turn about each other and about the field, which acts on each spin
-    with its own strength. The Hirota-Kimura (HK) map is integrable, and the degrees of its iterates grow like n². Two
-    of its four integrals are polynomials. One is a₃ + b₃. The other is H + (a² + b²)/2 plus a term of size h², where H
-    is the energy.
+    In the rational Gaudin model, the spins a and b turn about each other and about the field. The strength of the field
+    is λ₁ for a and λ₂ for b. The Hirota-Kimura (HK) map is integrable, and the degrees of its iterates grow like n².
+    Two of its four integrals are polynomials. One is a₃ + b₃. The other is H + (a² + b²)/2 plus a term of size h²,
+    where H is the energy.
     """
 
     kind = "gaudin"

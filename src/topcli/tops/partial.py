@@ -57,11 +57,11 @@ J = \mathrm{diag}(4, 4, 1), \qquad r = (c_0, 0, 0)
 class HessAppelrot(HeavyGyrostat):
     """Hess-Appelrot top: A (B - C) x₀² = C (A - B) z₀².
 
-    This condition determines B. Geometrically, the centre of gravity lies on the normal through the fixed point to a
-    circular section of the gyration ellipsoid (Σ mᵢ²/Jᵢ = const). A motion that starts on the hyperplane
-    F = A x₀ ω₁ + C z₀ ω₃ = 0 remains there, since dF/dt is a multiple of ω₂ F; other motions are chaotic in general.
-    The Hirota-Kimura (HK) map also maps this hyperplane to itself, but conserves no integral of the motion. The degrees
-    of its iterates grow like (3 + √6)^n. As long as ω₂ keeps its sign, rounding errors of F can grow exponentially.
+    This condition determines B. Geometrically, the centre of gravity lies on a line through the fixed point that is
+    normal to a circular section of the gyration ellipsoid (Σ mᵢ²/Jᵢ = const). A motion that starts on the hyperplane
+    F = A x₀ ω₁ + C z₀ ω₃ = 0 remains there, since dF/dt = λ ω₂ F with a constant λ; other motions are chaotic in
+    general. The Hirota-Kimura (HK) map also maps this hyperplane to itself, but conserves no integral of the motion.
+    The degrees of its iterates grow like (3 + √6)^n. While λ ω₂ is positive, rounding errors of F grow exponentially.
     """
 
     kind = "hess-appelrot"

@@ -55,7 +55,7 @@ class So4(Top):
     The angular momentum is M_ij = (J_i + J_j) Ω_ij, where Ω is the angular velocity and J_i the second moment of the
     mass along axis i. All four integrals of the motion are quadratic. The Hirota-Kimura (HK) map is integrable, and the
     degrees of its iterates grow like n². The four integrals of the map are quotients of the coefficients of HK bases
-    (sets of linear relations between monomials along an orbit); no simple form of them is known to us.
+    (sets of linear relations that hold between monomials along an orbit). We know no simple form of these integrals.
     """
 
     kind = "so4"

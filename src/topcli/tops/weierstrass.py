@@ -25,9 +25,9 @@ class Weierstrass(Top):
     """Equation of the Weierstrass function (x = ℘(t - t0) with the invariants g2 and g3).
 
     A coordinate of many tops, such as gamma3 of the Lagrange top, obeys this equation up to a shift and a scale factor.
-    Motions in the potential well, between the two lower roots of 4x³ - g₂x - g₃, are periodic; all other motions have
-    poles. The Hirota-Kimura (HK) map is integrable and conserves a modified energy, a rational function of the state.
-    The degrees of its iterates grow like n².
+    Motions in the potential well, between the two lower roots of 4x³ - g₂x - g₃, are periodic; motions outside the well
+    have poles. The Hirota-Kimura (HK) map is integrable and conserves a modified energy, a rational function of the
+    state. The degrees of its iterates grow like n².
     """
 
     kind = "weierstrass"

@@ -38,8 +38,8 @@ class Neighbour(NamedTuple):
 class Motion:
     """Class, periods and frequencies of one exact motion of a top.
 
-    ``motion[name]`` is the value of a quantity such as ``frequency.s1``. ``name in motion`` is true if the motion has
-    this quantity.
+    ``motion[name]`` is the value of a quantity such as ``frequency.s1``. The expression ``name in motion`` is true if
+    the motion has this quantity.
 
     Attributes
     ----------

@@ -385,11 +385,11 @@ m' = m^+ + \tfrac h2\,\gamma'\times r
     order_with=lambda options: options.order if options.moments == "preprocessed" else 2,
 )
 def build(top: Top, options: DmvOptions) -> Stepper:
-    """A discrete Moser-Veselov step of the free body between two steps h/2 of gravity alone (kicks).
+    """A kick (gravity alone for h/2), a discrete Moser-Veselov step of the free body for h, and another kick for h/2.
 
-    The scheme is implicit, self-adjoint and canonical (a Poisson map). `dmv` conserves gamma² and m·gamma; the energy
-    oscillates by about h² and does not drift. For a free body the scheme is the integrable Moser-Veselov map, which
-    also conserves m² and the energy.
+    The scheme is implicit, self-adjoint and canonical (a Poisson map). `dmv` conserves gamma² and m·gamma; the
+    deviation of the energy oscillates, is of size h² and does not drift. For a free body the scheme is the integrable
+    Moser-Veselov map, which also conserves m² and the energy.
 
     With `moments: preprocessed`, the map of the free body has order 4, 6, 8 or 10 (option `order`) for both m and
     gamma. A step takes hardly longer than with `moments: plain`.

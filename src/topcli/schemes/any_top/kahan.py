@@ -97,7 +97,7 @@ def kahan_stepper(top: Top, options: object) -> Stepper:
     self_adjoint=True,
     citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 2.1",
     formula=HIROTA_KIMURA,
-    equations="(dEulerPoisson) of the paper, its last line corrected to end with gamma_2^n omega_1^{n+1}",
+    equations="(dEulerPoisson) of the paper, with the last line corrected so that it ends with gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )

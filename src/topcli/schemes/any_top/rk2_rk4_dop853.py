@@ -136,8 +136,8 @@ def build_dop853(top: Top, options: Tolerances) -> Stepper:
     """A widely used adaptive integrator, controlled by tolerances instead of a step size.
 
     DOP853 chooses inner steps within each h and reaches every t = n h exactly. DOP853 is therefore most efficient if h
-    is longer than the inner steps. The method runs in the Python interpreter, about a thousand times slower than the
-    compiled steps of other schemes.
+    is longer than the inner steps. The method runs in the Python interpreter and is about a thousand times slower than
+    the compiled steps of other schemes.
 
     The run ends as `no_convergence` if the inner steps shrink below round-off, or if one step of h takes more than a
     million evaluations of the equations of motion. The run already ends after 500 evaluations if the step would take

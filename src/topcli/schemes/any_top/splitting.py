@@ -218,7 +218,7 @@ def build(top: Top, options: SplittingOptions) -> Stepper:
 
     If A = B, the motion of the free body is computed in closed form; otherwise it is split into rotations about the
     axes of the body. The scheme is explicit, self-adjoint and canonical (a Poisson map). `splitting` conserves gamma²
-    and m·gamma; the energy oscillates by about h² and does not drift.
+    and m·gamma; the deviation of the energy oscillates, is of size h² and does not drift.
 
     If A = B, the error is proportional to the torque of gravity and independent of the spin, so steps may be long for a
     fast top. With `free: axes`, the scheme does not conserve the integrals m·e3 and m·p of the Lagrange top.

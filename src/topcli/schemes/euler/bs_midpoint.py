@@ -250,10 +250,10 @@ def build_bs(top: Top, options: CompensatedOption) -> Stepper:
 def build_bs_implicit(top: Top, options: CompensatedOption) -> Stepper:
     """The scheme rotates m and gamma by a Cayley transform of the new omega.
 
-    The new omega is omega after the step. A step of h undoes a step of ``bs`` with -h. Newton's method determines the
-    new omega to round-off; the method halves an iteration's correction where it is too long. The scheme conserves m²,
-    gamma² and m·gamma; m·omega decreases until the top rotates about the axis of its largest moment of inertia. If a
-    step does not converge, the run ends as `no_convergence`.
+    The new omega is omega after the step. A step of length h undoes a step of ``bs`` of length -h. Newton's method
+    determines the new omega to round-off; a correction that does not decrease the residual is halved. The scheme
+    conserves m², gamma² and m·gamma; m·omega decreases until the top rotates about the axis of its largest moment of
+    inertia. If a step does not converge, the run ends as `no_convergence`.
     """
     return omega_gamma_stepper(top, implicit_change, new_omega, options, iterative=True)
 
@@ -317,7 +317,7 @@ def midpoint_change(w1: float, w2: float, w3: float, d: float, p: Floats) -> Vec
     conserves=all_invariants,
     citation=CITATION,
     formula=r"m' - m = h\,\bar m\times\bar\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\bar\omega",
-    equations="the last difference equations of section 1.2 of the paper; for gamma the modified BS scheme of its "
+    equations="the last difference equations of section 1.2 of the paper and, for gamma, the modified BS scheme of its "
     "section 3.2.3",
     options=CompensatedOption,
     limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR},

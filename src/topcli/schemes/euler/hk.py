@@ -283,10 +283,10 @@ def euler_determinant(state: Floats, h: float, p: Floats) -> tuple[float, float]
 
 
 GAMMA_GROWS = (
-    "The conserved m²/K and m·omega/K keep omega bounded. The modified gamma² is a quadratic form in gamma. For short "
-    "steps the form is positive definite and keeps gamma bounded. If h is about the time of one revolution of the "
-    "body, the form may be indefinite, and gamma then grows without bound. The page What HK conserves with gamma has "
-    "the exact condition."
+    "The conserved m²/K and m·omega/K keep omega bounded. The modified integral that HK conserves in place of "
+    "gamma² is a quadratic form in gamma. For short steps the form is positive definite and keeps gamma bounded. If h "
+    "is about the time of one revolution of the body, the form may be indefinite, and gamma then grows without bound. "
+    "The page What HK conserves with gamma gives the exact condition."
 )
 
 
@@ -332,7 +332,8 @@ BI_HAMILTONIAN = "a family of brackets of this map (Petrera, Suris 2010)"
 \frac{\gamma' - \gamma}{h} = \tfrac12\,(\gamma\times\omega' + \gamma'\times\omega)
 """,
     integrable=lambda top: Integrability(UNKNOWN, BI_HAMILTONIAN if top.form == "euler" else UNKNOWN),
-    equations="the first difference equations of section 1.2 of the paper; for gamma the corrected (dEulerPoisson)",
+    equations="the first difference equations of section 1.2 of the paper and, for gamma, its (dEulerPoisson) with "
+    "the last line corrected",
     options=CompensatedOption,
     limits=lambda top: {"singular-step": SINGULAR} | ({} if len(top.components) == 3 else {"resonance": GAMMA_GROWS}),
 )

@@ -281,56 +281,58 @@ e = (1;\ y, -x, -z), \qquad \gamma' \text{ and } \omega' \text{ rational in } e
         "long steps": "A run is refused if its h exceeds 5/sqrt(2E + 2k) or 5/sqrt|c gamma|. A run is also refused if "
         "1 - S + Π is below 1/32 for h or for a shorter step (the page An integrable discrete Kowalevski top defines S "
         "and Π). Up to these limits round-off does no harm; the map itself exists for some longer steps too. If the "
-        "energy is large compared with gravity, the longest h is 0.98 times 4/sqrt(2E + 2k) or less. A member of an "
-        "ensemble whose h is too long ends as `no_convergence` at step 1.",
+        "energy is large compared with gravity, the longest h is 0.98 times 4/sqrt(2E + 2k) or less. In an ensemble, a "
+        "motion for which h is too long ends as `no_convergence` at step 1.",
         "compositions": "A composition contains backward steps, and these let deviations of the integrals grow. With "
-        "the composition kahan-li8 and an h of at least a third of the longest, the integrals of 1 or 2 of 12 random "
-        "motions are lost within 2e4 steps. `project: 16` prevents this.",
+        "the composition kahan-li8 and an h of at least a third of the longest h, the integrals of 1 or 2 of 12 random "
+        "motions are lost within 2e4 steps. The option `project: 16` prevents this.",
         "tiny steps": "If |h| is below 1e-290, the run ends as `no_convergence`, because omega times h would lose "
         "digits.",
         "spin about the third axis": "If k is between about E/30 and E/8, the body mainly spins about the third axis. "
-        "Deviations of the integrals then grow instead of contracting if |h omega3| is between about 2.9 and 3.3, and "
-        "all integrals are lost within 1e5 steps. Of 300 random motions, 1 lost its integrals at 0.8 "
-        "times the longest step, 2 at 0.9 times and none at the longest step. `project: 16` prevents this.",
+        "If then |h omega3| is between about 2.9 and 3.3, deviations of the integrals grow instead of shrinking, and "
+        "all integrals are lost within 1e5 steps. Of 300 random motions, 1 lost its integrals with 0.8 times the "
+        "longest step, 2 with 0.9 times the longest step, and none with the longest step. The option `project: 16` "
+        "prevents this.",
         "hanging top": "Within a distance of about 1e-2 of the hanging equilibrium, deviations of the integrals "
-        "hardly decrease. If h exceeds 0.1/sqrt(c), the small integral 2l deviates by more than round-off after 1e5 "
-        "steps. `project: 16` prevents this.",
+        "hardly decrease. If h exceeds 0.1/sqrt(c), the integral 2l, which is small there, deviates by more than "
+        "round-off after 1e5 steps. The option `project: 16` prevents this.",
         "no gravity": "Without gravity (c0 = 0), omega rotates uniformly, and the rounding errors of gamma repeat "
-        "with each rotation. After 1e5 steps gamma² deviates by up to 15 times the bound expected of round-off. "
-        "`project: 16` prevents this.",
+        "with each rotation. After 1e5 steps gamma² deviates by up to 15 times the bound expected for "
+        "round-off. The option `project: 16` prevents this.",
         "exact nodes": "The longest h with exact nodes is 0.8 to 2.2 times the longest plain step, with a median of "
         "1.6. The set-up takes 3 to 20 ms for each initial state, also in an ensemble. The run ends as "
         "`no_convergence` if the first step differs from the exact motion by more than 1e-12, or if E or k² later "
         "deviates by more than 1e-11 times the size of its terms. Without projection (`project: 0`), an ensemble is "
         "three times as fast, but the integrals of some motions with long steps deviate within 1e5 steps.",
-        "recomputed constants": "With `constants: recomputed`, deviations of the integrals by round-off do not "
-        "contract but grow linearly. With long steps they are visible after 1e5 steps.",
+        "recomputed constants": "With `constants: recomputed`, deviations of the integrals due to round-off do "
+        "not shrink but grow linearly. With long steps these deviations are visible after 1e5 steps.",
     },
     longest_step=domain,
     order_with=lambda options: None if options.nodes == "exact" else 2,
 )
 def build(top: Top, options: BacklundOptions) -> Stepper:
-    """An integrable map: each step is a translation on the torus of the exact motion, in explicit rational formulas.
+    """Each step is a translation on the torus of the exact motion, given by explicit rational formulas.
 
-    The map conserves gamma², 2l, E and k², preserves the Poisson bracket, commutes with the motion and with steps of
-    other lengths, and has a discrete Lax pair. We know of no earlier integrable map for this top. The states stay on
+    The map conserves gamma², 2l, E and k², preserves the Poisson bracket, commutes with the exact motion and with steps
+    of other lengths, and has a discrete Lax pair. We know of no earlier integrable map for this top. The states stay on
     the torus of the exact motion; only their position on this torus has an error.
 
-    A step solves one 3x3 linear system and applies one rotation, with one division. The length h enters through a
-    constant, tau, that depends on the integrals. By default tau is computed once (`constants: frozen`); deviations of
-    the integrals by round-off then contract. With `project: K`, the state is moved by the shortest correction that
-    restores the initial values of all four integrals, after every K steps (or stages of a composition). Round-off
-    spoils the integrals if h exceeds a limit that depends on the state and lies between 3.6/sqrt(2E + 2k) and 5/sqrt(2E
-    + 2k). A longer h is refused, or divided into shorter steps (`substeps: auto`).
+    A step solves one 3x3 linear system, applies one rotation and needs only one division. The formulas contain a
+    constant, tau, that depends on h and on the integrals. By default tau is computed once (`constants: frozen`);
+    deviations of the integrals due to round-off then shrink. With `project: K`, the state is projected after every K
+    steps (or stages of a composition): the shortest correction restores the initial values of all four integrals.
+    Round-off spoils the integrals if h exceeds a limit that depends on the state and lies between 3.6/sqrt(2E + 2k) and
+    5/sqrt(2E + 2k), or below these values near the hanging equilibrium. A longer h is refused, or divided into shorter
+    steps (`substeps: auto`).
 
     With `compensated: true`, the deviations of the integrals after 1e6 steps are smaller by a factor of 32 at h = 0.01
     and of 2.1 at h = 0.1 (medians of 20 random states; quartiles 22 to 58 and 1.4 to 2.8). At h = 0.5 they are not
     smaller. A compensated step takes 1.16 times as long as a plain one.
 
-    With `nodes: exact` the position on the torus has no error either. A step then consists of three or four steps of
+    With `nodes: exact`, the position on the torus has no error either. A step then consists of three or four steps of
     one length and one backward step of another length. The two lengths are chosen such that these steps together are
-    the exact motion over a time h. The first step is checked against a Taylor series of 26 terms, summed in integers of
-    96 bits; E and k² are checked during the run.
+    the exact motion over a time h. The first step is checked against a Taylor series of 26 terms, computed in 96-bit
+    integer arithmetic; E and k² are checked during the run.
     """
     if options.nodes == "exact":
         method, longest = PARTS if options.substeps == "auto" else NODES, NODES_LONGEST

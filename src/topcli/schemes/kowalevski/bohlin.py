@@ -169,16 +169,16 @@ def switched(old: Floats, new: Floats, h: float, p: Floats) -> bool:
     options=BranchOptions,
 )
 def build_a(top: Top, options: BranchOptions) -> Stepper:
-    """The scheme rotates gamma by a Cayley transform of the old omega, and computes omega from a rotation of xi.
+    """The scheme rotates gamma by a Cayley transform of the old omega, and computes the new omega by a rotation of xi.
 
-    The Cayley transform is that of the Bobenko-Suris scheme (`bs`). The new omega3 follows by the trapezoidal rule. The
-    variable xi = (omega1 + i omega2)² - c (gamma1 + i gamma2) rotates by the angle -chi with chi = h/2 (omega3' +
-    omega3); a prime marks a value after the step. The new omega1 + i omega2 is the square root of e^{-i chi} xi + c
-    (gamma1' + i gamma2'). The scheme conserves |gamma| and k = |xi|. The order of the scheme is reduced where omega1 +
-    i omega2 passes through 0, because the square root is singular there.
+    The old omega is omega before the step. The Cayley transform is that of the Bobenko-Suris scheme (`bs`). The new
+    omega3 follows by the trapezoidal rule. The variable xi = (omega1 + i omega2)² - c (gamma1 + i gamma2) rotates by
+    the angle -chi with chi = h/2 (omega3' + omega3); a prime marks a value after the step. The new omega1 + i omega2 is
+    a square root of e^{-i chi} xi + c (gamma1' + i gamma2'). The scheme conserves |gamma| and k = |xi|. The order of
+    the scheme is reduced where omega1 + i omega2 passes through 0, because the square root is singular there.
 
     If the body rests with gamma along the third axis, then xi = 0. This state is a fixed point of all three schemes of
-    Bohlin's method, although a real top falls from it.
+    Bohlin's method (`bohlin-a`, `bohlin-b` and `bohlin-c`), although a real top would start to fall.
     """
     return with_root_counter(Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6))
 
@@ -236,6 +236,7 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
 def build_c(top: Top, options: BranchOptions) -> Stepper:
     """The scheme rotates gamma about the old omega by the angle h |omega|, and computes omega as in `bohlin-a`.
 
-    Rodrigues' formula gives the rotated gamma without a division by |omega|, so omega = 0 is a regular point.
+    The old omega is omega before the step. Rodrigues' formula gives the rotated gamma without a division by |omega|, so
+    omega = 0 is a regular point.
     """
     return with_root_counter(Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6))

@@ -251,16 +251,17 @@ D = (\bar\nabla I_1, \dots, \bar\nabla I_4), \qquad \bar\nabla I\cdot(y' - y) = 
     limits={
         "singular-step": NEWTON_SINGULAR,
         "delone-sleeping": TRIPLE_ROOT.format("The steps are then those of the midpoint rule, and k² deviates"),
-        "huge": "The iteration for the step ends when the whole state has converged to round-off. If omega is larger "
-        "than gamma by many powers of ten, the last digits of gamma have not converged by then, and gamma² changes by "
-        "1e-12. If |omega| exceeds about 1e77, |xi|² overflows, and the step is that of the midpoint rule.",
+        "huge": "The iteration for the step ends when its error is at the level of round-off relative to the whole "
+        "state. If omega is larger than gamma by many powers of ten, the last digits of gamma have not converged by "
+        "then, and gamma² changes by 1e-12. If |omega| exceeds about 1e77, k² overflows, and the step is that of the "
+        "midpoint rule.",
     },
 )
 def build_dg4(top: Top, options: NoOptions) -> Stepper:
-    """A step of the implicit midpoint rule without its part along the discrete gradients of gamma², 2l, E and k².
+    """The scheme omits from the implicit midpoint rule the part along the discrete gradients of gamma², 2l, E and k².
 
     The scheme is self-adjoint and conserves all four integrals. On degenerate tori, where the gradients are linearly
-    dependent, the scheme uses only integrals with independent gradients. For k = 0 (Delone's motion), and if the
+    dependent, the scheme uses only integrals with independent gradients. For k = 0 (Delone's motion), or if the
     iteration for the step does not converge, the scheme instead takes a step of the midpoint rule and projects it onto
     the integrals as in `hk-projected`. If the iteration stops converging at a level above round-off, the step is
     projected too. If the iteration for the midpoint rule does not converge either, the run ends as `no_convergence`.
@@ -453,12 +454,13 @@ s \text{ such that } k(y') = k(y), \qquad y = (m, \gamma)
     },
 )
 def build_midpoint4(top: Top, options: NoOptions) -> Stepper:
-    """The implicit midpoint rule plus a change that conserves gamma², 2l and E and whose length makes k² constant.
+    """The implicit midpoint rule plus a term that conserves gamma², 2l and E and has the size that keeps k² constant.
 
     In the equation of the step, J is the Poisson tensor of m and gamma, and F and X are the Hamiltonian vector fields
     of the energy and of k². The scheme is self-adjoint and conserves all four integrals. Unlike the scheme `hybrid` and
-    its variants, `midpoint4` is regular at omega1 + i omega2 = 0. For k close to 0 (Delone's motion), the step instead
-    rotates xi = (omega1 + i omega2)² - c (gamma1 + i gamma2) by the mean omega3, which conserves k = |xi|.
+    its variants, `midpoint4` is regular at omega1 + i omega2 = 0. For k close to 0 (Delone's motion), two such terms
+    make xi = (omega1 + i omega2)² - c (gamma1 + i gamma2) rotate by the angle -h times the mean omega3, which conserves
+    k = |xi|.
 
     On degenerate tori, where the gradients of the four integrals are linearly dependent, and wherever the iteration for
     the step does not converge, the scheme instead takes a step of the midpoint rule and projects it onto the

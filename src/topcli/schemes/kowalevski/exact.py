@@ -197,15 +197,15 @@ class ExactSetup:
 """,
     equations="(K1) and (K2) of the paper, solved by hyperelliptic integrals of genus two",
     limits={
-        "huge": "c gamma is computed as a difference of terms of the size of |omega|², so gamma has an error of about "
-        "eps |omega|²/c, with the machine epsilon eps and c = c0/C. A motion is refused if |omega| exceeds about "
-        "1e100 sqrt(c).",
+        "huge": "The product c gamma is computed as a difference of terms of the size of |omega|², so gamma has an "
+        "error of about eps |omega|²/c, with the machine epsilon eps and c = c0/C. A motion is refused if |omega| "
+        "exceeds about 1e100 sqrt(c).",
         "critical orbits": "A motion is refused if s1 or s2 stays at a double root of the cubic factor of Phi, as for "
-        "omega = (0, 1, 2), gamma = (0, 0, 1), c0 = 2. Motions next to such a motion are computed.",
+        "omega = (0, 1, 2), gamma = (0, 0, 1), c0 = 2. Motions near such a motion are computed.",
         "weak gravity": "The error eps |omega|²/c of gamma is about 1e-10 for c = 1e-6 and |omega| = 1. A motion is "
         "refused if its states differ from those of a Taylor series by more than 1e-10 (1 + |omega|²/c).",
-        "near a separatrix": "The initial state is taken as exact. Next to an unstable motion, an error of one ulp "
-        "(unit in the last place) in the initial state grows exponentially, and no later state can be more accurate.",
+        "near a separatrix": "The initial state is taken as exact. Near an unstable motion, an error of one ulp (unit "
+        "in the last place) in the initial state grows exponentially, and this limits the accuracy of later states.",
     },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:

@@ -195,7 +195,7 @@ def enter_compensated(y: Floats, h: float, p: Floats) -> Floats:
     self_adjoint=True,
     citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Sogo, Discrete Spinning Tops, section 3.2.1",
     formula=HIROTA_KIMURA,
-    equations="(dEulerPoisson) of the paper, its last line corrected to end with gamma_2^n omega_1^{n+1}",
+    equations="(dEulerPoisson) of the paper, with the last line corrected so that it ends with gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
@@ -204,8 +204,8 @@ def build(top: Top, options: CompensatedOption) -> Stepper:
 
     In the equations of motion, every product y z of two variables becomes (y' z + y z')/2, and every linear term y
     becomes the mean (y + y')/2; a prime marks a value after the step. The step is self-adjoint. HK conserves none of
-    the four integrals exactly; for small h their deviations remain of size h². The option `compensated` compensates the
-    rounding errors of the sums old + change and of the computation of the change of gamma.
+    the four integrals exactly; for small h their deviations remain of size h². With `compensated: true`, the scheme
+    compensates the rounding errors of the change of gamma and of the sums of old state and change.
     """
     made = Stepper(hk_kowalevski, 6)
     if is_compensated(options):

@@ -118,13 +118,13 @@ def with_hk_counters(stepper: Stepper) -> Stepper:
     options=BranchOptions,
 )
 def build_hybrid(top: Top, options: BranchOptions) -> Stepper:
-    """HK gives the new omega3, a rotation with HK's mean omega the new gamma, and Bohlin's method omega1 + i omega2.
+    """HK gives omega3, a rotation with HK's mean omega gives gamma, and Bohlin's method gives omega1 + i omega2.
 
     HK is the Hirota-Kimura scheme (`hk`); its mean omega is the mean of omega before and after HK's step. The scheme
-    conserves |gamma| and k = |xi|, where xi = (omega1 + i omega2)² - c (gamma1 + i gamma2). Contrary to the paper, the
-    step is not self-adjoint: a step forward followed by a step back has an error of O(h⁴), and 2l and E drift. Where
-    omega1 + i omega2 passes through 0, the square root in Bohlin's method is singular, and the order is reduced to 3/2.
-    The schemes `midpoint4` and `hk-symproj` also conserve k² and have order 2 there.
+    conserves |gamma| and k = |xi|, where xi = (omega1 + i omega2)² - c (gamma1 + i gamma2). Contrary to what the paper
+    states, the step is not self-adjoint: a step forward followed by a step back has an error of O(h⁴), and 2l and E
+    drift. Where omega1 + i omega2 passes through 0, the square root in Bohlin's method is singular, and the order is
+    reduced to 3/2. The schemes `midpoint4` and `hk-symproj` also conserve k² and have order 2 there.
     """
     return with_hk_counters(Stepper(hybrid_step(ROOTS[options.branch]), 6))
 
@@ -209,8 +209,8 @@ class HybridOptions(BranchOptions, CompensatedOption):
     limits={
         "singular-step": SINGULAR,
         "resonance": "Each step restores the lengths of u and gamma by a change along their directions before the "
-        "step. If u and gamma rotate by more than a right angle in one step, this makes the deviations of their "
-        "lengths grow.",
+        "step. If u and gamma rotate by more than a right angle in one step, this change makes the deviations "
+        "of their lengths grow.",
         "huge": OVERFLOW,
     },
     options=HybridOptions,
@@ -222,9 +222,9 @@ def build_xi(top: Top, options: HybridOptions) -> Stepper:
     (omega1 + i omega2)² - c (gamma1 + i gamma2) is stored as k u with |u| = 1. Each step rotates u, leaves k unchanged,
     and restores the length of gamma.
 
-    This scheme, like `hybrid`, is not self-adjoint. Under both, 2l and E drift. The order of both is reduced to 3/2
-    where omega1 + i omega2 passes through 0. The schemes `midpoint4` and `hk-symproj` also conserve k² and have order
-    2 there.
+    This scheme, like `hybrid`, is not self-adjoint. Under both schemes 2l and E drift, and the order is reduced to 3/2
+    where omega1 + i omega2 passes through 0. The schemes `midpoint4` and `hk-symproj` also conserve k² and have order 2
+    there.
     """
     compensated = options.compensated
     step = (compensated_xi_step if compensated else hybrid_xi_step)(ROOTS[options.branch])
@@ -342,7 +342,7 @@ def hybrid_sym_change(s: Floats, h: float, p: Floats) -> Floats:
     limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR, "huge": FAR_OVERFLOW},
 )
 def build_sym(top: Top, options: CompensatedOption) -> Stepper:
-    """The scheme solves the equations of `hybrid` with its own new omega in place of HK's, all at once.
+    """The scheme solves all equations of `hybrid` at once, with its own new omega in place of HK's.
 
     HK is the Hirota-Kimura scheme (`hk`). Newton's method solves the equations; it starts from HK's step. The scheme is
     self-adjoint. `hybrid-sym` conserves |gamma| and k = |xi|, where xi = (omega1 + i omega2)² - c (gamma1 + i gamma2);

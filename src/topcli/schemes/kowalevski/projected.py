@@ -71,8 +71,9 @@ follow_precision(
 Projection = tuple[Floats, float, float, float]
 """Projected state, and the increments of ``COUNTERS``."""
 TRIPLE_ROOT = (
-    "If k = 0 and also E = 2 l², the gradients of gamma², 2l, E and of both components of xi are linearly dependent on "
-    "the whole orbit. {} by more than round-off. The counter `unmet` counts such steps."
+    "If k = 0 and also E = 2 l², the gradients of gamma², 2l, E and of both components of Kowalevski's variable xi, "
+    "with k = |xi|, are linearly dependent on the whole orbit. {} by more than round-off. The counter `unmet` counts "
+    "such steps."
 )
 """Limit of the projections onto the four integrals in the case ``delone-sleeping``."""
 
@@ -199,8 +200,8 @@ follow_precision(__name__, caps=("SYMMETRIC_ROUNDS",), VANISHING=0.5, SETTLED_CH
 MAX_CORRECTION = 1.0
 """Largest length of a correction relative to that of the step: this times h² (omega² + c gamma), but at most 1."""
 LIMITS = {
-    "resonance": "If h is about the time of one revolution of the body, HK jumps so far that a correction no longer "
-    "than HK's step cannot restore the integrals. The counter `unmet` counts such steps.",
+    "resonance": "If h is about the time of one revolution of the body, HK jumps so far that no correction of at most "
+    "the length of HK's step restores the integrals. The counter `unmet` counts such steps.",
     "delone-sleeping": TRIPLE_ROOT.format("All four integrals may deviate"),
     "singular-step": "The linear system of HK is singular for the h of this case, so HK's new state has a size of "
     "1e15 or more. From such a state the integrals cannot be restored. The counter `unmet` counts such steps.",
@@ -349,7 +350,7 @@ def build_symmetric(top: Top, options: NoOptions) -> Stepper:
 
     HK is the Hirota-Kimura scheme (`hk`). The shifts are along the gradients of gamma², 2l, E and k². The scheme is
     self-adjoint, because HK is self-adjoint and both shifts have the same multipliers x. For k = 0 (Delone's motion),
-    and if the iteration does not restore the values of the four integrals, the scheme takes a step of `hk-projected`
+    or if the iteration does not restore the values of the four integrals, the scheme takes a step of `hk-projected`
     instead.
 
     A run reports the number of iterations (`corrections`), the number of steps that did not restore all four values

@@ -300,14 +300,14 @@ def inertial_attitude(y0: Array, q0: Array, h: float, n: NDArray[np.int64], p: F
     limits={
         "sleeping-threshold": "The scheme refuses motions that tend to the upright position, because their period is "
         "infinite. At the stability limit of the upright top it also refuses motions within 1e-6 of the upright "
-        "position, whose period is too long to resolve.",
+        "position, because their period is too long to resolve.",
     },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
     """The scheme computes gamma3 by Jacobi functions and the angle of precession by a Fourier series.
 
     Every state is accurate to round-off, at any time. The scheme refuses motions that tend to the upright position,
-    which are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
+    because they are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
     """
     return Sampler(body_states, attitude=body_attitude)
 
@@ -328,6 +328,6 @@ def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
     """The scheme computes a·p by Jacobi functions and the angle of precession by a Fourier series.
 
     Every state is accurate to round-off, at any time. The scheme refuses motions that tend to the upright position,
-    which are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
+    because they are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
     """
     return Sampler(inertial_states, attitude=inertial_attitude)

@@ -56,14 +56,14 @@ def hk_modified(top: Lagrange, h: float, options: CompensatedOption) -> tuple[In
     "Sogo, Discrete Spinning Tops, sections 2.1 and 2.2",
     integrable=Integrability(UNKNOWN, UNKNOWN),
     formula=HIROTA_KIMURA,
-    equations="(dEulerPoisson) of the paper, its last line corrected to end with gamma_2^n omega_1^{n+1}",
+    equations="(dEulerPoisson) of the paper, with the last line corrected so that it ends with gamma_2^n omega_1^{n+1}",
     options=CompensatedOption,
     limits={"singular-step": SINGULAR, "resonance": LONG_HK},
 )
 def build_hk(top: Top, options: CompensatedOption) -> Stepper:
     """Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
 
-    HK conserves omega3 without any rounding error. HK does not conserve gamma², m·gamma and E, but each of them differs
+    HK conserves omega3 without any rounding error. HK conserves none of gamma², m·gamma and E, but each of them differs
     by O(h²) from a modified integral that HK conserves exactly for every h. The map is integrable.
     """
     return kahan_stepper(top, options)
@@ -109,7 +109,7 @@ def bs_modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]
     integrable=Integrability("yes (Bobenko, Suris 1999)", "Lie-Poisson bracket of e(3)", "lie-poisson"),
 )
 def build_bs(top: Top, options: NoOptions) -> Stepper:
-    """The axis before the step determines the new m; then a Cayley transform rotates the axis about the new m.
+    """The new m is m + h p x a. A Cayley transform then rotates the axis a of the top about the new m.
 
     The scheme conserves a², m·p, m·a and a modified energy exactly; the modified energy differs from E by a term of
     size h. The map is integrable. Although the scheme has order 1 and is not self-adjoint, no integral drifts.

@@ -134,7 +134,10 @@ def general_cases(top: Top, regular: Floats = (), singular: bool = True) -> tupl
 def _plain_cases(top: Top, generic: Floats, regular: Floats) -> tuple[Case, ...]:
     """The cases that make sense for any top."""
     back = "1e5 steps forward and 1e5 back: does the state return to the initial one, up to the growth of round-off?"
-    slope = "run up to t = 1e5: do the declared invariants drift by more than the uncertainty of the fitted drift?"
+    slope = (
+        "run up to t = 1e5: do the invariants that the scheme must conserve drift by more than the uncertainty of the "
+        "fitted drift?"
+    )
     return (
         _case("backwards", "h < 0: is the order the same as for h > 0?", top, generic, -0.02),
         _case(
@@ -230,8 +233,8 @@ def _racket(offset: float, top: Top = Euler()) -> Case:  # noqa: B008 (never cha
     """Case of the tennis racket; omega2 first crosses 0 after about ln(constant/offset)/rate."""
     state = (offset, 1.0, 0.0, 0.0, 1.0, 0.0)[: len(top.components)]
     question = (
-        f"omega at a distance of {offset:g} from the middle axis: does omega2 first change its sign (the "
-        "body flips over) at the same time as in the closed form?"
+        f"omega at a distance of {offset:g} from the middle axis: does the first change of sign of omega2 (the "
+        "body flips over) come at the same time as in the closed form?"
     )
     steps = round((math.log(4.0 / offset) / RATE + 4.0) / 0.01)
     return _case(f"racket-1e{round(math.log10(offset))}", question, top, state, 0.01, steps, flips)
@@ -259,13 +262,13 @@ CASES = [
     ),
     _passing(
         "pole",
-        "gamma passes (0, 0, -1), where its stereographic coordinate z, used by bohlin-b, is infinite: "
+        "gamma passes through (0, 0, -1), where its stereographic coordinate z, used by bohlin-b, is infinite: "
         "does the scheme keep its order?",
         (0.7, -0.4, 1.3, 0.0, 0.0, -1.0),
     ),
     _passing(
         "branch-point",
-        "omega1 + i omega2 passes 0, where the square root that gives it in Bohlin's method is singular: "
+        "omega1 + i omega2 passes through 0, where the square root that gives it in Bohlin's method is singular: "
         "does the scheme keep its order?",
         (0.0, 0.0, 1.3, *GAMMA),
     ),
@@ -284,8 +287,8 @@ CASES = [
     ),
     _passing(
         "real-axis",
-        "omega1 + i omega2 crosses the negative real axis, where the option branch: sign of Bohlin's "
-        "method takes the wrong square root: does the scheme keep its order?",
+        "omega1 + i omega2 crosses the negative real axis, where Bohlin's method with the option "
+        "branch=sign takes the wrong square root: does the scheme keep its order?",
         (-0.8, 0.0, 0.5, 0.6, -0.48, -0.64),
     ),
     _case(

@@ -80,17 +80,17 @@ def measure(
 ) -> Result:
     """Test schemes in hard cases and find what breaks.
 
-    Hard cases are, for example, motions near singularities, extreme parameters and extreme step sizes. The command
-    topcli list cases lists them. --set sets an option, such as scheme.branch=sign, for every scheme that has it. Exits
-    with status 4 if a scheme fails a case that it does not declare as a limit, or passes a case that it declares as
-    a limit.
+    Hard cases are, for example, motions near singularities, extreme parameters and extreme step sizes. For a list of
+    them, use topcli list cases. Only options of schemes, such as branch=sign, can be set; each is set for every scheme
+    that has it. A scheme may declare cases that it must fail, its limits. The command exits with code 4 if a scheme
+    fails any other case, or passes one of its limits.
 
     Parameters
     ----------
     *schemes : str
         Names of schemes.
     cases : sequence of str, optional
-        Try only this hard case. By default, all cases are tried; ``topcli list cases`` shows them.
+        Try only these hard cases. By default, all cases are tried; ``topcli list cases`` shows them.
     top : str, optional
         Name of a top; only its schemes and cases are tried.
     config : path or str, optional
