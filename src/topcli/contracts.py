@@ -79,8 +79,8 @@ class Invariant:
         ``scale(states)`` returns the sum of the magnitudes of the terms that ``value`` adds, shape (n,). Round-off is
         measured relative to this scale, because a value near zero may be a difference of large terms.
     on : mapping of str to float, optional
-        Values of other invariants, by name, that a motion must have to conserve this one. For example, with
-        ``{"m_gamma": 0.0}``, only motions with m_gamma = 0 conserve it. Empty if every motion conserves the invariant.
+        Conditions under which the invariant is conserved: names of other invariants, and their values. For example,
+        with ``{"m_gamma": 0.0}``, only motions with m_gamma = 0 conserve it. Empty if every motion conserves it.
     """
 
     name: str

@@ -95,7 +95,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
         "roundoff": Entry(
             STUDY,
             ("topcli roundoff hk", "topcli roundoff hybrid --steps 1e8 --copies 16 --plot"),
-            {1: "a run failed", 4: "a stated tolerance is exceeded"},
+            {1: "a run failed", 4: "a limit given by --max-exponent or --max-drift is exceeded"},
         ),
         "stress": Entry(
             STUDY,

@@ -94,7 +94,7 @@ Aggregate = Annotated[
     typer.Option(
         "--aggregate",
         metavar="NAME",
-        help="Combine rows by median, mean, max or order (the observed order in h).",
+        help="One value for all rows of a cell or point: their median, mean, max or order (the observed order in h).",
         show_default="none",
     ),
 ]

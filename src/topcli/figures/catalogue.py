@@ -303,7 +303,7 @@ FIGURES: dict[str, Figure] = {
         ),
         Figure(
             "stress",
-            "Hard cases of each top: which schemes hold, degrade or break",
+            "Results of the schemes in the hard cases of each top: held, degraded or broke",
             "topcli stress",
             deferred("outcomes:load_stress"),
             rank=1,

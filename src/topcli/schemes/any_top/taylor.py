@@ -310,9 +310,9 @@ def build(top: Top, options: Tolerance) -> Block:
     """An adaptive Taylor series with a tolerance that may be as small as round-off; h only sets the recorded times.
 
     Each series is accurate over a certain time, its reach. If h is shorter than the reach, the series is evaluated as a
-    polynomial at every recorded t = n h. If h is longer, several series are used within one h. Times are exact:
-    each series is expanded about h times a fraction that is exact in double precision, and the rounding error of this
-    product is compensated. The order of the series, 12 to 28, follows from the tolerance.
+    polynomial at every recorded t = n h. If h is longer, several series are used within one h. Times do not accumulate
+    round-off: each series is expanded about a time r h, where double precision represents the number r exactly, and the
+    rounding error of the product is compensated. The order of the series, 12 to 28, follows from the tolerance.
 
     Only linear integrals are conserved by construction. At the default tolerance, however, all integrals are conserved
     to round-off, which grows as sqrt(t). The counter `expansions` is the number of series. If the reach of a series is

@@ -209,7 +209,7 @@ class ExactSetup:
     },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """The scheme evaluates the exact motion at any time from Kowalevski's variables s1 and s2, without time stepping.
+    """The scheme evaluates the exact motion of the Kowalevski top at any time, from Kowalevski's variables s1 and s2.
 
     The set-up for an initial state takes about a tenth of a second; its result is stored on disk.
     """

@@ -345,13 +345,13 @@ CASES = [
     *map(_racket, (1e-3, 1e-6, 1e-9, 1e-12)),
     _case(
         "spherical",
-        "A = B = C, so that omega is constant: does the scheme keep its order?",
+        "A = B = C, so that omega is constant: does the scheme keep omega constant, at least to its order?",
         Euler(A=1.5, B=1.5, C=1.5),
         OMEGA,
     ),
     _case(
         "middle-axis",
-        "rotation about the middle axis, an unstable fixed point: does the scheme keep its order?",
+        "rotation about the middle axis, an unstable fixed point: does the scheme stay there, at least to its order?",
         Euler(),
         (0.0, 1.0, 0.0),
     ),

@@ -94,8 +94,8 @@ def measure(
     top : str, optional
         Name of a top; only its schemes and cases are tried.
     config : path or str, optional
-        Config whose top is tried. If topcli has no hard cases for this top, general cases are tried, which start from
-        the initial state of the config.
+        Config of an experiment; the schemes are tested on its top. If topcli has no hard cases for this top, general
+        cases are tried, which start from the initial state of the config.
     options : mapping, optional
         Options of schemes by name, such as ``{"branch": "sign"}``. Each option is set for every scheme that has it.
     watch : Watch, optional
