@@ -12,6 +12,7 @@ from scheme_pictures import STEP, command
 from symbols import symbols_of
 
 from topcli.contracts import Invariant, Scheme, Top
+from topcli.errors import capitalized
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.studies.citations import Publication, works_in
@@ -183,11 +184,6 @@ def search_names(title: str) -> Iterator[str]:
         yield from (authors[1], authors[1].replace("-", " "))
     for name in re.findall(r"\((.+?)\)", title):
         yield from (name, name.replace("'s", ""), name.partition("'s")[0])
-
-
-def capitalized(text: str) -> str:
-    """Text with a capital at its start."""
-    return text[:1].upper() + text[1:]
 
 
 def shown_on(schemes: Sequence[Scheme]) -> Scheme:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from descriptor_pages import Page, grouped, indexed, table
 
+from topcli.errors import capitalized
 from topcli.glossary import QUANTITIES, WORDS, Term
 from topcli.sweeps.measures import MEASURES
 
@@ -29,7 +30,7 @@ def words() -> Page:
     terms = sorted(WORDS.values(), key=lambda term: term.name.lower())
     found = indexed(*(term.name for term in terms if term.name.lower() not in grouped()))
     for term in terms:
-        found += [f"**{term.name}**", f": {term.meaning[0].upper()}{term.meaning[1:]}.", ""]
+        found += [f"**{term.name}**", f": {capitalized(term.meaning)}.", ""]
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
 from pathlib import Path
 
@@ -37,11 +36,6 @@ def command(scheme: Scheme) -> str:
     return f"topcli run {scene_of(scheme.top)} --set scheme={scheme.name} --set h={STEP} --set N={STEPS} --name trial"
 
 
-def component_tex(name: str) -> str:
-    """LaTeX of a component such as gamma1."""
-    return re.sub(r"^(omega|gamma)", r"\\\1", re.sub(r"(\d+)$", r"_{\1}", name))
-
-
 @cache
 def exact_motion(scene: str) -> NDArray[np.float64]:
     """States of the reference solution of a scene at the times of the picture."""
@@ -58,6 +52,7 @@ def draw(scheme: Scheme, path: Path) -> None:
     from matplotlib.figure import Figure
 
     import topcli
+    from topcli.figures.picture import component_symbol
     from topcli.figures.style import looks, styled
 
     scene = scene_of(scheme.top)
@@ -71,7 +66,7 @@ def draw(scheme: Scheme, path: Path) -> None:
         shown = display_name(scheme.name)
         colour = looks([scheme.name])[scheme.name]["color"]
         left.plot(run.t, run.states[:, place], color=colour, linestyle="-", linewidth=1, label=shown)
-        left.set(xlabel="$t$", ylabel=f"${component_tex(run.top.swing)}$")
+        left.set(xlabel="$t$", ylabel=component_symbol(run.top.swing))
         left.legend(loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=2)
         cycle = mpl.rcParams["axes.prop_cycle"]
         for invariant, look in zip(run.top.invariants(), cycle, strict=False):
@@ -82,9 +77,14 @@ def draw(scheme: Scheme, path: Path) -> None:
         figure.savefig(path, dpi=150)
 
 
+@cache
+def newest_source() -> float:
+    """Time of the last change of a source of topcli."""
+    return max(one.stat().st_mtime for one in SOURCES.rglob("*.py"))
+
+
 def draw_if_old(scheme: Scheme, path: Path) -> None:
     """Draw the picture of a scheme unless there is one that is newer than all sources of topcli."""
-    newest = max(one.stat().st_mtime for one in SOURCES.rglob("*.py"))
-    if not path.is_file() or path.stat().st_mtime < newest:
+    if not path.is_file() or path.stat().st_mtime < newest_source():
         path.parent.mkdir(parents=True, exist_ok=True)
         draw(scheme, path)

@@ -29,7 +29,7 @@ _LOADING = ("src", "href", "xlink:href", "srcset", "action", "data", "poster", "
 
 
 def wrong_markup(text: str) -> Iterator[str]:
-    """What in a page runs or loads something, or is not HTML."""
+    """Parts of a page that run or load something, or are not HTML."""
     try:
         elements = read_html(text).all()
     except AssertionError as error:

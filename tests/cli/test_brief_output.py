@@ -1,4 +1,4 @@
-"""What ``run`` and ``compare`` print without ``--verbose``: little, within 80 columns, and with the figures of JSON."""
+"""Output of ``run`` and ``compare`` without ``--verbose``: little, within 80 columns, and with the figures of JSON."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from stored_results import BASE
 from terminal import in_terminal
 from topcli.config.files import scene_files, sweep_files
 from topcli.figures.catalogue import FIGURES
-from topcli.runs.report import INVARIANTS, ensemble_table, report_markdown
+from topcli.runs.report import ENSEMBLE, INVARIANTS, report_markdown
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import all_schemes
 from topcli.studies import find_study, health
@@ -263,7 +263,8 @@ def test_runs_and_ensembles_show_the_report_that_they_stored(tmp_path: Path) -> 
     many = {"ensemble": {"random": {"count": 9, "gamma": "sphere"}}, "N": 50}
     ensemble = topcli.run({**BASE, **many}, tmp_path, scheme="hk", name="many", progress=False)
     invariants = distinct_data(ensemble.result.report["invariants"])
-    (head, *symbols), within, *lines = ensemble_table({"invariants": invariants})
+    quantiles = ENSEMBLE.cells({"invariants": invariants})
+    (head, *symbols), within, *lines = quantiles.header, *quantiles.lines
     assert (head, symbols) == ("invariant", [row["symbol"] for row in invariants])
     assert within[0] == "within round-off"
     for cell, row in zip(within[1:], invariants, strict=True):

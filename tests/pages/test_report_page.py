@@ -34,7 +34,7 @@ from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Picture
 from topcli.pages.page import all_chapters, page_of, rendered, report_page
 from topcli.pages.pictures import before_explosion, deviations
 from topcli.runs.decision import RunOptions
-from topcli.runs.report import INVARIANTS, ensemble_table
+from topcli.runs.report import ENSEMBLE, INVARIANTS
 from topcli.runs.run import run_experiment
 from topcli.store.files import write_study
 from topcli.store.series import read_series
@@ -196,8 +196,8 @@ def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None
     many, sweep, compared, _, stress = parts
     assert [len(one.all("svg")) for one in parts] == [1, 2, 2, 1, 0]
     assert not page.with_class("missing")
-    quantiles = ensemble_table(json.loads((results / "many" / "report.json").read_text()))
-    assert many.all("table")[0].cells() == quantiles
+    quantiles = ENSEMBLE.cells(json.loads((results / "many" / "report.json").read_text()))
+    assert many.all("table")[0].cells() == [list(quantiles.header), *map(list, quantiles.lines)]
     cells = section_of(sweep, "Rows").all("table")[0].cells()
     assert cells[0] == ["row", "h", "scheme", "outcome", "max_deviation.energy", "max_error"]
     captions = ["error of the state over time t", "gamma1 over time t"]

@@ -117,7 +117,7 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
 
 
 def test_table_shows_the_figures_of_each_claim(report) -> None:
-    """What does not hold comes first, and with details the rest."""
+    """Claims that do not hold come first; with details the others follow."""
     summary = (
         "2 claims of the paper: 1 holds, 1 does not hold as stated; 1 finding of our own: 1 holds within its bound"
     )

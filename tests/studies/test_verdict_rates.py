@@ -1,4 +1,4 @@
-"""How often verdicts on invariants are wrong, by runs 100 times longer: what docs/verdicts.md states."""
+"""Rates of wrong verdicts on invariants, judged by runs 100 times longer, as in docs/verdicts.md."""
 
 from __future__ import annotations
 

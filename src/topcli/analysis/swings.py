@@ -13,7 +13,7 @@ QUARTIC = np.array([[1, -4, 6, -4, 1], [-2, 4, 0, -4, 2], [-1, 16, -30, 16, -1],
 LEVELS, MIDDLE = (0.25, 0.5, 0.75), 0.1
 """Levels in the range of a component, and half the part of the range around them that is on neither side."""
 RESTS, NEGLIGIBLE = 0.01, 1e-6
-"""Ranges of a component that are not an oscillation: in units of itself, and of the largest component."""
+"""Largest ranges of a component at rest: relative to its own size, and to the largest component."""
 UNEVEN = 0.1
 """Ratio of the smallest to the largest of four spacings below which the quartic through five points is not used."""
 

@@ -158,7 +158,6 @@ def init(
     write_text(text, path, "")
     if not quiet:
         emit(str(path))
-    if not quiet:
         print_message(f"wrote {path} and {schema_path}")
         print_message(f"next: topcli run {path}")
 

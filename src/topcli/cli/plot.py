@@ -107,8 +107,8 @@ def _sweep_figure(names: list[str], options: dict[str, str | None], where: list[
     x, y = options["x"], options["y"]
     rows = read_rows(stored_place(names[1], results))
     if x is None or y is None:
-        known = f"keys: {', '.join(rows.keys)}; measures: {', '.join(rows.measures)}"
-        raise UsageError("plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE", known)
+        hint = "plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE"
+        raise UsageError(hint, rows.names)
     choice = Choice(x, y, options["by"], options["colour"], options["aggregate"])
     choice.require(rows)
     return sweep_figure(rows.where(where), choice)

@@ -202,8 +202,7 @@ class _ShownSweep:
 
         rows = read_rows(folder)
         if not (row_keys and values):
-            known = f"keys: {', '.join(rows.keys)}; measures: {', '.join(rows.measures)}"
-            raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", known)
+            raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", rows.names)
         self._table = sweep_table(rows.where(where), row_keys, column_key, values, aggregate)
 
     def data(self) -> dict[str, Any]:

@@ -33,7 +33,6 @@ from topcli.cli.output import (
     print_error,
     print_json,
     print_message,
-    print_table,
     print_warnings,
 )
 from topcli.errors import ExitCode, TopcliError, UsageError, counted, quoted
@@ -122,12 +121,11 @@ def _print_result(result: RunResult, own: Collection[str], request: _Request) ->
     if request.verbose:
         _print_all(report, title)
     else:
-        parts: dict[bool, list[Any]] = {True: [], False: []}
-        for row in report["invariants"]:
-            parts[row["name"] in own].append(row)
+        physical = [row for row in report["invariants"] if row["name"] in own]
+        modified = [row for row in report["invariants"] if row["name"] not in own]
         brief = ENSEMBLE_BRIEF if report.get("kind") == "ensemble" else BRIEF
-        print_cells(brief.cells({"invariants": parts[True]}), title)
-        for line in (*open_lines([(row["symbol"], row) for row in parts[True]]), modified_line(parts[False])):
+        print_cells(brief.cells({"invariants": physical}), title)
+        for line in (*open_lines([(row["symbol"], row) for row in physical]), modified_line(modified)):
             if line:
                 emit_prose(line)
     if report.get("quantities"):
@@ -136,14 +134,11 @@ def _print_result(result: RunResult, own: Collection[str], request: _Request) ->
 
 def _print_all(report: dict[str, Any], title: str) -> None:
     """Print all figures on the invariants, and a sentence on each that can be quoted."""
-    from topcli.runs.report import INVARIANTS, ensemble_table
+    from topcli.runs.report import ENSEMBLE, INVARIANTS
 
-    if report.get("kind") == "ensemble":
-        header, *lines = ensemble_table(report)
-        print_table(header, lines, title)
-        return
-    print_cells(INVARIANTS.cells(report), title)
-    for row in report["invariants"]:
+    ensemble = report.get("kind") == "ensemble"
+    print_cells((ENSEMBLE if ensemble else INVARIANTS).cells(report), title)
+    for row in () if ensemble else report["invariants"]:
         emit_prose(f"{row['symbol']}: {row['statement']}")
 
 

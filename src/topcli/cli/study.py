@@ -231,8 +231,8 @@ def _written(study: Study, result: Result, out: Path | None, force: bool, look: 
 
         loaded = imported(study.figure)(result)
         folder = out / "figures" if study.file else out
-        name = f"{study.name}_{study.stem(result.data)}"
-        files += write_figure(name, loaded, folder, **look, force=force) if loaded.panels else ()
+        if loaded.panels:
+            files += write_figure(study.figure_name(result.data), loaded, folder, **look, force=force)
     return [str(file) for file in files]
 
 

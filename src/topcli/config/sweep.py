@@ -142,6 +142,11 @@ class Sweep:
         """Number of rows, without looking which ones are excluded."""
         return math.prod(map(len, self.axes)) * bool(self.axes) + len(self.include)
 
+    @property
+    def count_left(self) -> int:
+        """Number of rows that are not excluded."""
+        return sum(1 for _ in self.assignments()) if self.exclude else self.count
+
     def assignments(self) -> Iterator[Assignment]:
         """Yield the values of the varied keys row by row; the last axis varies fastest, included rows come last."""
         lacking = (MISSING,) * (len(self.keys) - sum(len(axis.keys) for axis in self.axes))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.quaternions import matrices
 from topcli.contracts import Array
-from topcli.errors import RunError, UsageError
+from topcli.errors import RunError, UsageError, capitalized
 from topcli.figures.body import (
     BLUE,
     DOT,
@@ -198,7 +198,7 @@ class Stage:
             name = one.name if len(one.name) <= NAME_LENGTH else f"{one.name[: NAME_LENGTH - 1]}\N{HORIZONTAL ELLIPSIS}"
             self.figure.text(0.62, 0.965, name.replace("$", r"\$"), fontsize=LARGE, va="top")
             title = one.top.title.partition(" (")[0]
-            about = (title[:1].upper() + title[1:], f"{scheme_label(one)}, h = {one.h:g}")
+            about = (capitalized(title), f"{scheme_label(one)}, h = {one.h:g}")
             lines = [line for text in about for line in textwrap.wrap(text, 34)[:1]]
             self.figure.text(0.62, 0.905, "\n".join(lines), fontsize=NORMAL, color="0.35", va="top")
             self.figure.text(0.62, 0.785, "$t =$", fontsize=LARGE, va="top")

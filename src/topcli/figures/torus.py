@@ -191,7 +191,7 @@ def load_torus(request: Request) -> Loaded:
         "size": [ROWS, COLUMNS, list(COUNTS), POINTS, RETURNS],
         "projection": PROJECTION.tolist(),
         "code": fingerprint(
-            Torus.states, Torus.surface, Torus.motion_line, Torus._lines, _closing_count, compiled=False
+            Torus.states, Torus.surface, Torus.motion_line, Torus._lines, Torus.turn, _closing_count, compiled=False
         ),
     }
     return Loaded((TorusPanel(elevation=32.0, azimuth=165.0),), lambda: _data(y, c), source, Grid(figsize=(5.4, 4.8)))
@@ -213,8 +213,7 @@ def _data(y: tuple[float, ...], c: float) -> dict[str, np.ndarray]:
 
 def _closing_count(torus: Torus, axis: int) -> int:
     """Number of lines over one period of the angle ``axis`` of which each ends nearly where another begins."""
-    rates = torus.energy_rates if axis else torus.k_sq_rates
-    turn = rates[1 - axis] / rates[axis] * torus.periods[axis] / torus.periods[1 - axis]
+    turn = torus.turn(torus.energy_rates if axis else torus.k_sq_rates, axis)
     return min(COUNTS, key=lambda count: abs(count * turn - round(count * turn)))
 
 

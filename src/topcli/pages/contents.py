@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.config.text import to_yaml
-from topcli.errors import TopcliError, UsageError, shortened
+from topcli.errors import TopcliError, UsageError, capitalized, shortened
 from topcli.runs.report import seconds_note
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes, find_scheme
@@ -251,7 +251,7 @@ def sources_of(parts: Parts) -> list[str]:
     for form, name in dict.fromkeys(parts):
         if form in TOPS:
             title = TOPS[form].title.partition(" (")[0]
-            sources.append(f"{title[:1].upper()}{title[1:]}: {TOPS[form].citation}")
+            sources.append(f"{capitalized(title)}: {TOPS[form].citation}")
         if not name:
             continue
         try:

@@ -9,6 +9,7 @@ import contextlib
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +41,12 @@ from topcli.pages.contents import (
 from topcli.pages.pictures import quantile_pictures, series_pictures
 from topcli.runs.decision import flattened
 from topcli.runs.report import (
+    ENSEMBLE,
     INVARIANTS,
     QUANTITIES,
     VERDICT_MARKS,
     comparison_lines,
     ensemble_statements,
-    ensemble_table,
     precision_note,
     warning_of,
 )
@@ -152,7 +153,7 @@ def _add_content(
     if chapter.kind != "ensemble" and name:
         chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(h), name))
     if report:
-        chapter.attempt("invariants", _quantiles if many else _invariants, report)
+        chapter.attempt("invariants", _quantiles if many else INVARIANTS.cells, report)
     if report.get("quantities"):
         chapter.attempt("quantities", QUANTITIES.cells, report)
     if report and not many:
@@ -196,10 +197,6 @@ def _setup(config: Mapping[str, Any], report: Mapping[str, Any]) -> Facts:
     return Facts("Setup", [(key, value_text(value)) for key, value in facts.items() if value not in (None, {}, "")])
 
 
-def _invariants(report: dict[str, Any]) -> Cells:
-    return INVARIANTS.cells(report)
-
-
 def _counters(report: Mapping[str, Any]) -> dict[str, int]:
     return {key.replace("_", " "): count for key, count in report["counters"].items()}
 
@@ -228,8 +225,7 @@ def _reasons(report: dict[str, Any]) -> Notes:
 
 
 def _quantiles(report: dict[str, Any]) -> Cells:
-    header, *lines = ensemble_table(report)
-    return Cells("Conservation laws", header, lines, "Quantiles over the trajectories.")
+    return replace(ENSEMBLE.cells(report), caption="Quantiles over the trajectories.")
 
 
 def outcome_notes(report: Mapping[str, Any]) -> Notes:
@@ -327,8 +323,7 @@ def _add_setup(chapter: Chapter, rows: SweepRows, folder: Path) -> None:
     listed = ", ".join(f"{count} {outcome_in_words(outcome)}" for outcome, count in outcomes.items())
     chapter.message = f"{counted(len(rows), 'row')}: {listed}"
     with contextlib.suppress(TopcliError):  # of the sweep file, which the chapter shows by itself
-        sweep = stored_sweep_file(folder)
-        total = sum(1 for _ in sweep.assignments()) if sweep.exclude else sweep.count
+        total = stored_sweep_file(folder).count_left
         if len(rows) < total:
             chapter.missing.append(f"{total - len(rows)} of {counted(total, 'row')}, which have not run yet")
     facts = [("varied keys", ", ".join(rows.keys)), ("measures", ", ".join(rows.measures))]

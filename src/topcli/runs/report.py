@@ -28,7 +28,7 @@ from topcli.contracts import Ending, Method, Outcome, Sampler
 from topcli.engine.run import NO_FAILURE, Endings
 from topcli.errors import counted
 from topcli.glossary import label
-from topcli.table import Column, Table, markdown_table, number, plus_minus, rounded_up, ten_digits, two_digits
+from topcli.table import Column, Table, number, plus_minus, rounded_up, ten_digits, two_digits
 
 if TYPE_CHECKING:
     from topcli.analysis.algebraic_growth import DigitGrowth
@@ -140,8 +140,7 @@ def modified_line(rows: Sequence[Mapping[str, Any]]) -> str:
     """Verdicts on the integrals of the scheme itself in one line; empty if it has none."""
     words: dict[str, list[str]] = {}
     for row in rows:
-        within = "within_round_off" in row
-        word = f"{row['within_round_off']} of {row['judged']} within round-off" if within else row["verdict"]
+        word = f"{_within_round_off(row)} within round-off" if "within_round_off" in row else row["verdict"]
         words.setdefault(word, []).append(row["symbol"])
     groups = "; ".join(f"{word}: {', '.join(symbols)}" for word, symbols in words.items())
     return f"modified integrals: {groups}" if groups else ""
@@ -520,16 +519,15 @@ def ensemble_report(
     )
 
 
-def ensemble_table(report: dict[str, Any]) -> list[list[str]]:
-    """Ensemble report as lines of cells, a column for each invariant; the first line is the header."""
-    cells = ENSEMBLE.cells(report)
-    return [list(cells.header), *map(list, cells.lines)]
+def _within_round_off(row: Mapping[str, Any]) -> str:
+    """Number of trajectories whose invariant stays within round-off, of those judged."""
+    return f"{row['within_round_off']} of {row['judged']}"
 
 
 ENSEMBLE = Table(
     "invariants",
     (
-        Column("within round-off", lambda row: f"{row['within_round_off']} of {row['judged']}"),
+        Column("within round-off", _within_round_off),
         *(Column("", key) for key in ("within_round_off", "judged")),
         *(
             Column(f"{label(measure)}, {name}", f"{measure}.{name}", number)
@@ -558,7 +556,7 @@ ENSEMBLE_BRIEF = Table(
     "invariants",
     (
         Column("invariant", "symbol"),
-        Column("within round-off", lambda row: f"{row['within_round_off']} of {row['judged']}"),
+        Column("within round-off", _within_round_off),
         Column("max deviation, median", "max_deviation.median", number),
         Column("max deviation, max", "max_deviation.max", number),
     ),
@@ -578,7 +576,7 @@ def ensemble_markdown(report: dict[str, Any]) -> str:
         *report_head(
             report, f"{counted(report['trajectories'], 'trajectory')}, ", listed, ", summed over all trajectories"
         ),
-        *markdown_table(ensemble_table(report)),
+        *ENSEMBLE.cells(report).markdown(),
         "",
         "The deviation of a trajectory is the difference from its own first value, over its recorded rows. The table "
         "gives quantiles over the trajectories. A trajectory is *within round-off* if its largest deviation stays "

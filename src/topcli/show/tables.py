@@ -100,5 +100,7 @@ def study_figure(file: Path) -> Figure:
     if not study.figure:
         raise UsageError(f"{file}: a result of topcli {study.name} has no figure of its own")
     result = stored_result(data)
-    name = f"{study.name}_{study.stem(data)}"
-    return Figure(name, study.head(data).title, f"topcli {study.name}", lambda request: imported(study.figure)(result))
+    title = study.head(data).title
+    return Figure(
+        study.figure_name(data), title, f"topcli {study.name}", lambda request: imported(study.figure)(result)
+    )

@@ -145,7 +145,6 @@ CHECK = Study(
     faults=faults,
     parts=lambda data: [(form, name) for form, name in data["schemes"]],
     unit="parts",
-    saved=True,
     stem=lambda data: "check",
     known=lambda data: "rows" in data and "tops" in data,
 )

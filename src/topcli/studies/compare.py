@@ -148,6 +148,18 @@ def _swing_label(data: Data) -> str:
     return label("first_swing_spacing", data["swing"] if _is_ensemble(data) else data["reference"]["swing"])
 
 
+def _shown(name: str) -> Callable[[float | None], str]:
+    """Function that writes values of a measure; times between swings have more digits."""
+    return partial(number, digits=6 if name.endswith("spacing") else 3)
+
+
+def _order_of(data: Data) -> Callable[[Data], str | None]:
+    """Function of an entry that writes the order of its reversal defect."""
+    from topcli.engine.precise_numbers import RATIONAL
+
+    return partial(_order, rational=data["config"].get("precision") == RATIONAL)
+
+
 def _order(scheme: Data, rational: bool) -> str | None:
     """Order of the reversal defect, or its cause where it has none."""
     defect, found = scheme["reversal_defect"], scheme["reversal_order"]
@@ -157,9 +169,7 @@ def _order(scheme: Data, rational: bool) -> str | None:
 
 
 def _single_columns(data: Data) -> list[Column]:
-    from topcli.engine.precise_numbers import RATIONAL
-
-    schemes, rational = data["schemes"], data["config"].get("precision") == RATIONAL
+    schemes = data["schemes"]
     closed = ", of a closed form per state" if any(scheme["closed_form"] for scheme in schemes) else ""
     set_up = "set-up, s" if any(scheme["setup_seconds"] is not None for scheme in schemes) else ""
 
@@ -171,7 +181,7 @@ def _single_columns(data: Data) -> list[Column]:
         *_invariant_columns(schemes),
         *_modified_columns(schemes),
         Column(_reversal_label(data), "reversal_defect", number),
-        Column(label("reversal_order"), partial(_order, rational=rational)),
+        Column(label("reversal_order"), _order_of(data)),
         Column("", "reversal_order"),
         Column(_swing_label(data), "first_swing_spacing", "{:.4f}".format),
         Column(f"ns per step{closed}", "nanoseconds_per_step", "{:.1f}".format),
@@ -228,7 +238,7 @@ def _ensemble_columns(data: Data) -> Iterator[Column]:
         def of(scheme: Data, key: str, name: str = name) -> Any:
             return scheme["measures"][name][key] if name in scheme["measures"] else None
 
-        show = partial(number, digits=6 if name.endswith("spacing") else 3)
+        show = _shown(name)
         for quantile, head in (("median", f"{words}, median"), ("10 %", "  10 %"), ("90 %", "  90 %")):
             yield Column(head, partial(of, key=quantile), show, f"{name}, {quantile}")
         counts = [(of(scheme, "count"), scheme["reached_end"]) for scheme in schemes]
@@ -275,20 +285,16 @@ def _value(scheme: Data, name: str) -> float | None:
 
 def _brief_columns(data: Data) -> list[Column]:
     """Errors, reversal and swings, and the outcomes unless all runs completed."""
-    from topcli.engine.precise_numbers import RATIONAL
-
     labels = {name: label(name) for name in ("max_error", "final_error", "reversal_defect")}
     labels["first_swing_spacing"] = _swing_label(data)
     columns = [Column(" ", _label)]
     if not all(map(_completed, data["schemes"])):
         columns.append(Column("reached the end", "reached_end") if _is_ensemble(data) else Column("outcome", "outcome"))
     for name, head in labels.items():
-        show = partial(number, digits=6 if name.endswith("spacing") else 3)
         if any(_value(scheme, name) is not None for scheme in data["schemes"]):
-            columns.append(Column(head, partial(_value, name=name), show))
+            columns.append(Column(head, partial(_value, name=name), _shown(name)))
         if name == "reversal_defect" and not _is_ensemble(data):
-            order = partial(_order, rational=data["config"].get("precision") == RATIONAL)
-            columns.append(Column("its order in h", order))
+            columns.append(Column("its order in h", _order_of(data)))
     return columns
 
 
@@ -416,7 +422,6 @@ COMPARE = Study(
     captions=lambda data: ("error of the state over time t", f"{data['reference']['swing']} over time t"),
     stem=lambda data: str(data["config"]["name"]),
     parts=cited_parts,
-    saved=True,
     extras={
         "figures": lambda result: result.data,
         "arrays": lambda result: result.arrays,

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 from topcli.contracts import Block, Scheme, Stepper
 from topcli.engine.precise import Rebuilder, obstacle
 from topcli.engine.precise_numbers import FUNCTIONS
-from topcli.errors import UsageError
+from topcli.errors import UsageError, capitalized
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS, forms
 
@@ -135,8 +135,8 @@ def _row(schemes: Sequence[Scheme]) -> str:
     """Row of the table of schemes, for the schemes of one name."""
     traits = [dict(_traits(scheme)) for scheme in schemes]
     tops = ", ".join(f"`{one.top}`" for one in schemes) if len(schemes) <= MANY else f"{len(schemes)} tops"
-    cells = [f"`{schemes[0].name}`", schemes[0].title[:1].upper() + schemes[0].title[1:], tops]
-    for name in ("order", "kind", "conserves to round-off"):
+    cells = [f"`{schemes[0].name}`", capitalized(schemes[0].title), tops]
+    for name in ("order", "kind", CONSERVES):
         values = {one[name] for one in traits}
         cells.append(values.pop() if len(values) == 1 else "depends on the top")
     return f"| {' | '.join(cells)} |"

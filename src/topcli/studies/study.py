@@ -212,8 +212,6 @@ class Study:
         What the progress counts.
     file : Path, optional
         File in the folder of results that holds the result of the default options.
-    saved : bool
-        True if the command has an option for a file of the result.
     hint : str
         End of the message about that file.
     known : callable
@@ -240,13 +238,16 @@ class Study:
     unit: str = "steps"
     file: Path | None = None
     hint: str = ""
-    saved: bool = False
     known: Callable[[Data], bool] = lambda data: False
     extras: Mapping[str, Callable[[Result], Any]] = field(default_factory=dict)
 
     def tables_of(self, data: Data) -> Sequence[Table]:
         """Tables of a result."""
         return self.tables(data) if callable(self.tables) else self.tables
+
+    def figure_name(self, data: Data) -> str:
+        """Name of the figure of a result, without the ending of its file."""
+        return f"{self.name}_{self.stem(data)}"
 
     def printed_of(self, result: Result, verbose: bool, **flags: Any) -> Iterable[Table | str]:
         """Tables and texts on a terminal; all details if ``verbose``."""

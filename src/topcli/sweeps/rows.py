@@ -63,6 +63,11 @@ class SweepRows:
         """True for the rows whose run was completed, shape (m,)."""
         return np.array(self.columns["outcome"] == Outcome.COMPLETED.value, dtype=bool)
 
+    @property
+    def names(self) -> str:
+        """The keys and measures that a table or a figure may show, as a hint."""
+        return f"keys: {', '.join(self.keys)}; measures: {', '.join(self.measures)}"
+
     def require_key(self, name: str, option: str) -> str:
         """Return the key ``name``. Raises UnknownNameError, naming the ``option`` and the nearest keys."""
         if name in self.measures and name not in self.keys:

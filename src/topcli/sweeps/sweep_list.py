@@ -45,8 +45,7 @@ def missing_result(place: str, results: Path) -> UsageError:
 
 def _item(folder: Path) -> dict[str, Any]:
     try:
-        sweep = stored_sweep_file(folder)
-        rows = sum(1 for _ in sweep.assignments()) if sweep.exclude else sweep.count
+        rows = stored_sweep_file(folder).count_left
     except TopcliError:
         rows = None
     finished = stored_sweep(folder)

@@ -12,7 +12,16 @@ from dataclasses import asdict
 from topcli.errors import counted
 from topcli.glossary import definition
 from topcli.sweeps.table import ORDER, SPREADS, Cell, Summary, SweepTable
-from topcli.table import escaped, is_number, latex_number, latex_table, markdown_table, number, significant
+from topcli.table import (
+    error_places,
+    escaped,
+    is_number,
+    latex_number,
+    latex_table,
+    markdown_table,
+    number,
+    significant,
+)
 
 FORMATS = ("text", "csv", "markdown", "latex")
 NO_ROW = "–"
@@ -47,8 +56,7 @@ def with_error(value: float, error: float) -> tuple[str, str]:
     if error == 0.0:
         return number(value), "0"
     shown = float(f"{error:.1e}")
-    place = _exponent(shown) - 1
-    scale = max(_exponent(float(f"{value:.3e}")) if value else place, place + 1)
+    place, scale = error_places(value, error)
     if -3 <= scale < 5:
         step = 10.0**place
         decimals = max(0, -place)

@@ -173,12 +173,16 @@ class Torus:
         """States (count, points, 6) on lines of the flow of k², each over one period of the first angle."""
         return self._lines(self.k_sq_rates, 0, count, points)
 
+    def turn(self, rates: tuple[float, float], axis: int) -> float:
+        """Periods of the other angle over one period of the angle ``axis`` of a flow with these rates."""
+        return rates[1 - axis] / rates[axis] * self.periods[axis] / self.periods[1 - axis]
+
     def _lines(self, rates: tuple[float, float], axis: int, count: int, points: int, middle: float = 0.0) -> Array:
         """Equidistant lines, each of which continues another; for this their direction is not quite that of the flow.
 
         Over one period a line leaves the flow by at most half the distance of two lines, by far less for a good count.
         """
-        turn = rates[1 - axis] / rates[axis] * self.periods[axis] / self.periods[1 - axis]
+        turn = self.turn(rates, axis)
         along = np.linspace(-0.5, 0.5, points)[None, :]
         closing = round(count * turn) / count
         across = np.arange(count)[:, None] / count + along * closing + middle * (turn - closing)

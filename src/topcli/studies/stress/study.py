@@ -138,6 +138,11 @@ def _failed(trial: Data) -> bool:
     return trial["outcome"] in ("degraded", "broke") or trial["verdict"] != "ok"
 
 
+def _contradictions(data: Data) -> list[Data]:
+    """Trials that contradict a declaration."""
+    return [trial for trial in data["trials"] if trial["verdict"] in UNEXPLAINED]
+
+
 def _what(trial: Data) -> str:
     """Outcome of a trial, the step at which it failed, and the verdict."""
     outcome = trial["outcome"] if trial["step"] is None else f"{trial['outcome']} at step {trial['step']}"
@@ -158,7 +163,7 @@ TRIALS = Table(
     numbers=False,
 )
 UNEXPLAINED_TRIALS = Table(
-    lambda data: [trial for trial in data["trials"] if trial["verdict"] in UNEXPLAINED],
+    _contradictions,
     TRIALS.columns,
     name="unexplained",
 )
@@ -253,10 +258,9 @@ def printed(result: Result, verbose: bool) -> Iterator[Table | str]:
 
 def answer(data: Data) -> str:
     """Numbers of trials by outcome, and of those that contradict a declaration."""
-    trials = data["trials"]
-    wrong = sum(trial["verdict"] in UNEXPLAINED for trial in trials)
-    limits = sum(trial["verdict"] == "limit" for trial in trials)
-    found = f"{counted(len(trials), 'trial')}: {_counts(data)}"
+    wrong, limits = len(_contradictions(data)), sum(trial["verdict"] == "limit" for trial in data["trials"])
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in data["outcomes"].items())
+    found = f"{counted(len(data['trials']), 'trial')}: {outcomes}"
     found += f"; {limits} at declared limits" if limits else ""
     return f"{found}; {wrong or 'none'} contradict{'' if wrong > 1 else 's'} what the schemes declare"
 
@@ -285,13 +289,9 @@ def known_top(data: Data, top: str | None) -> str:
 
 def head(data: Data) -> Head:
     """Head of the chapter."""
-    wrong = sum(trial["verdict"] in UNEXPLAINED for trial in data["trials"])
+    wrong = len(_contradictions(data))
     state = f"{wrong} not as declared" if wrong else "as declared"
     return Head("Stress", "schemes in the hard cases of their tops", state, not wrong)
-
-
-def _counts(data: Data) -> str:
-    return ", ".join(f"{count} {outcome}" for outcome, count in data["outcomes"].items())
 
 
 def faults(data: Data) -> Faults:
@@ -301,8 +301,7 @@ def faults(data: Data) -> Faults:
     lines = dict.fromkeys(f"{trial['scheme']} ({trial['top']}): {trial['why']}" for trial in failed)
     wrong = [
         f"{trial['scheme']} ({trial['top']}), case {trial['case']}: {UNEXPLAINED[trial['verdict']]}: {trial['why']}"
-        for trial in trials
-        if trial["verdict"] in UNEXPLAINED
+        for trial in _contradictions(data)
     ]
     if failed:
         code = ExitCode.PARTLY_FAILED if len(failed) < len(trials) else ExitCode.WRONG_USAGE
