@@ -39,8 +39,13 @@ def kahan(made: KahanStep) -> Kahan:
     """The functions of a generated step."""
     graph, divisors = made.graph, made.divisors()
     of = partial(function_of, graph)
-    near_singular = any_small(of("divisors", divisors), len(divisors) // 2)
+    near_singular = any_small(of("divisors", divisors), len(divisors) // 2) if divisors else never
     return Kahan(of("step", made.outputs), of("change", made.changes()), near_singular)
+
+
+def never(old: Floats, new: Floats, h: float, p: Floats) -> bool:
+    """Event of a step without a division, such as that of a constant field."""
+    return False
 
 
 def any_small(divisors: StepFunction, count: int) -> Event:
