@@ -17,13 +17,15 @@ from topcli.contracts import Method, Stepper
 from topcli.engine.duals import IN_PLACE, RULES, dual, slope_of, value_of
 from topcli.engine.loop import interpreted
 from topcli.engine.native import native
-from topcli.engine.tangent import TangentRun, tangent_code
+from topcli.engine.tangent import TangentRun, obstacle, tangent_code
 from topcli.errors import UsageError
 from topcli.field.expression import in_arithmetic
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import NotPolynomialError, decimal, field_of
 from topcli.field.straight_line import function_of
-from topcli.schemes.registry import find_scheme
+from topcli.schemes.compose import compose
+from topcli.schemes.compose import obstacle as not_composable
+from topcli.schemes.registry import find_scheme, schemes_of
 from topcli.tops import TOPS
 
 H = 0.1
@@ -255,3 +257,33 @@ def test_dual_numbers_in_branches_loops_and_powers() -> None:
 def test_schemes_without_a_tangent_map_are_refused_by_name(name: str, form: str, words: str) -> None:
     with pytest.raises(UsageError, match=rf"scheme '{name}' {words}.*; use a scheme"):
         code_of(name, form)
+
+
+def every_step() -> list[tuple[str, str]]:
+    """Top and scheme, composed if it can be: for every top one in turn, one of each kind of each module."""
+    found, covered = [("euler", "midpoint+yoshida4")], set()
+    for k, form in enumerate(TOPS):
+        top, names = TOPS[form].new(), []
+        for scheme in schemes_of(form):
+            composed = scheme if not_composable(scheme) else compose(scheme, "yoshida4")
+            method = composed.build(top, composed.options())
+            if not obstacle(method):
+                names.append(composed.name)
+                kind = scheme.build.__module__, getattr(method, "iterative", False)
+                found += [] if kind in covered else [(form, composed.name)]
+                covered.add(kind)
+        found.append((form, names[k % len(names)]))
+    return sorted(set(found))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("form", "name"), every_step())
+def test_the_tangent_map_of_every_step_is_that_of_central_differences(form: str, name: str) -> None:
+    """A composition contains its base scheme. Differences of the interpreted steps are off by 1e-9 at worst."""
+    top, nudge = TOPS[form].new(), 1e-5
+    method, p = built(name, top), np.array(top.constants())
+    y, v = 0.5 * states_of(form, 1), states_of(form, 1, seed=6)
+    states, vectors = image(code_of(name, form), y, v, H, 2)
+    reached, up, down = (moved(method, p, y[0] + s * nudge * v[0], H, 2) for s in (0, 1, -1))
+    assert np.abs((up - down) / (2 * nudge) - vectors[0]).max() < 1e-7 * np.abs(vectors).max()
+    assert np.abs(states[0] - reached).max() < 1e-14

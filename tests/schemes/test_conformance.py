@@ -88,7 +88,7 @@ def test_declared_order_is_observed(subject: Subject) -> None:
         (Kowalevski(), EULER, 1.0, DOUBLED),
         (Kowalevski(), RK2, 2.0, DOUBLED),
         (Euler(), rk2(Euler()), 2.0, DOUBLED),
-        (Kowalevski(), Stepper(composed_step(RK2.step, WEIGHTS["kahan-li8"]), 6), 3.0, [160, 226, 320]),
+        (Kowalevski(), Stepper(composed_step(RK2.step, WEIGHTS["kahan-li8"], 6), 6), 3.0, [160, 226, 320]),
     ],
     ids=["Euler's rule", "midpoint", "midpoint of three", "composed without self-adjointness"],
 )
@@ -122,8 +122,8 @@ def test_declared_self_adjointness(subject: Subject) -> None:
     [
         (Kowalevski(), RK2, 12, 1.04e-3),
         (Euler(), rk2(Euler()), 12, 2.02e-3),
-        (Kowalevski(), Stepper(composed_step(RK2.step, WEIGHTS["suzuki4"]), 6), 8, 6.4e-4),
-        (Kowalevski(), Stepper(composed_step(hk_kowalevski, tuple(sorted(WEIGHTS["suzuki4"]))), 6), 8, 6.0e-5),
+        (Kowalevski(), Stepper(composed_step(RK2.step, WEIGHTS["suzuki4"], 6), 6), 8, 6.4e-4),
+        (Kowalevski(), Stepper(composed_step(hk_kowalevski, tuple(sorted(WEIGHTS["suzuki4"])), 6), 6), 8, 6.0e-5),
     ],
     ids=["midpoint", "midpoint of three", "composed midpoint", "weights that are no palindrome"],
 )

@@ -108,27 +108,42 @@ def find_composition(name: str) -> Composition:
     return composition
 
 
-def composed_step(step: StepFunction, weights: tuple[float, ...]) -> StepFunction:
-    """Return the step that applies ``step`` with h times each of ``weights`` in turn.
+_STAGES = """
+def make(step, count, lengths):
+    def composed(s, h, p):
+        {slots} = s
+        for i in range(count):
+            {slots} = step(({slots}), float(lengths[i]) * h, p)
+            if {broken} != 0.0:  # true for nan
+                break
+        return ({slots})
+
+    return composed
+"""
+
+
+@cache
+def _stages(width: int) -> Callable[..., StepFunction]:
+    """Maker of the loop over the stages for a state of ``width`` slots.
+
+    The slots are variables of their own: a step for dual numbers returns floats in some of them, such as its status,
+    and the compiler neither iterates over such a tuple nor assigns it to one of dual numbers.
+    """
+    slots = "".join(f"s{i}, " for i in range(width))
+    broken = " + ".join(f"(s{i} - s{i})" for i in range(width))
+    scope: dict[str, Any] = {"__name__": __name__}
+    exec(compile(_STAGES.format(slots=slots, broken=broken), f"<stages {width}>", "exec"), scope)
+    return scope["make"]
+
+
+def composed_step(step: StepFunction, weights: tuple[float, ...], width: int) -> StepFunction:
+    """Return the step that applies ``step``, of a state of ``width`` slots, with h times each of ``weights`` in turn.
 
     The composition stops after the first stage whose state is not finite, as a run of the base scheme would. Later
     stages could hide an infinity, or the nan of an iteration that did not converge.
     """
-
     # an array, because numba checks the index of a tuple, and code that may raise cannot be loaded without numba
-    count, lengths = len(weights), np.array(weights)
-
-    def composed(s: Floats, h: float, p: Floats) -> Floats:
-        for i in range(count):
-            s = step(s, float(lengths[i]) * h, p)
-            broken = 0.0
-            for x in s:
-                broken += x - x
-            if broken != 0.0:  # true for nan
-                break
-        return s
-
-    return composed
+    return _stages(width)(step, len(weights), np.array(weights))
 
 
 def compose(base: Scheme, name: str) -> Scheme:
@@ -153,8 +168,9 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         if reason or not isinstance(method, Stepper):
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
         weights = composition.weights
+        step = composed_step(method.step, weights, method.width)
         tangent = method.tangent and partial(_composed_tangent, method.tangent, weights)
-        return replace(method, step=composed_step(method.step, weights), stages=(method.step, weights), tangent=tangent)
+        return replace(method, step=step, stages=(method.step, weights), tangent=tangent)
 
     alone, largest = base.longest_step, max(map(abs, composition.weights))
 
@@ -179,7 +195,7 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
 def _composed_tangent(tangent: Callable[[], Stepper], weights: tuple[float, ...]) -> Stepper:
     """The tangent map of a composition: the composition of that of its base scheme."""
     base = tangent()
-    return replace(base, step=composed_step(base.step, weights))
+    return replace(base, step=composed_step(base.step, weights, base.width))
 
 
 CONSERVED = (

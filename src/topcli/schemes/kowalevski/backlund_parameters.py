@@ -135,7 +135,7 @@ def admits(h: float, low: float, high: float, weight: float, moment: float) -> b
 
 def longest_step(low: float, high: float, weight: float, moment: float) -> float:
     """Length of the longest admissible step, by bisection; 0 if omega is too large for a double."""
-    scale = max(abs(low), abs(high), weight)
+    scale = max(max(abs(low), abs(high)), weight)
     if scale == 0.0:
         return FOREVER
     if not math.isfinite(scale):
