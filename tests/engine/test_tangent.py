@@ -19,7 +19,7 @@ from topcli.engine.loop import interpreted
 from topcli.engine.native import native
 from topcli.engine.tangent import TangentRun, obstacle, tangent_code
 from topcli.errors import UsageError
-from topcli.field.expression import in_arithmetic
+from topcli.field.expression import FUNCTIONS, in_arithmetic
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import NotPolynomialError, decimal, field_of
 from topcli.field.straight_line import function_of
@@ -222,6 +222,10 @@ def test_rules_of_dual_numbers(function) -> None:
     assert out[1] == pytest.approx(slope(da, db), rel=1e-14)
     if count == 2:
         assert out[2:] == pytest.approx([slope(0.0, db), slope(da, 0.0)], rel=1e-14)
+
+
+def test_every_function_of_a_formula_is_differentiated() -> None:
+    assert {abs if name == "abs" else getattr(math, name) for name in FUNCTIONS} <= RULES.keys()
 
 
 def test_dual_numbers_in_branches_loops_and_powers() -> None:

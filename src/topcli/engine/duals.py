@@ -130,6 +130,27 @@ def _cos(o: Builder, a: Any, da: Any) -> tuple[Any, Any]:
     return o.call(math.cos, a), o.times(o.ir.fneg(o.call(math.sin, a)), da)
 
 
+def _tan(o: Builder, a: Any, da: Any) -> tuple[Any, Any]:
+    found = o.call(math.tan, a)
+    return found, o.times(o.ir.fma(found, found, o.constant(1.0)), da)
+
+
+def _tanh(o: Builder, a: Any, da: Any) -> tuple[Any, Any]:
+    inverse = o.ir.fdiv(o.constant(1.0), o.call(math.cosh, a))
+    return o.call(math.tanh, a), o.times(o.ir.fmul(inverse, inverse), da)
+
+
+def _inverse(function: Callable[[float], float], sign: float) -> Rule:
+    """Rule of asin or acos, whose slopes are 1/sqrt(1 - a^2) with this ``sign``."""
+
+    def rule(o: Builder, a: Any, da: Any) -> tuple[Any, Any]:
+        one = o.constant(1.0)
+        root = o.call(math.sqrt, o.ir.fmul(o.ir.fsub(one, a), o.ir.fadd(one, a)))
+        return o.call(function, a), o.times(o.ir.fdiv(o.constant(sign), root), da)
+
+    return rule
+
+
 def _chosen(sign: str) -> Rule:
     """Rule of ``min`` or ``max``, which return their first argument unless the second is beyond it."""
 
@@ -155,6 +176,12 @@ RULES: dict[Callable[..., Any], tuple[int, Rule]] = {
     math.sqrt: (1, _sqrt),
     math.sin: (1, lambda o, a, da: (o.call(math.sin, a), o.times(o.call(math.cos, a), da))),
     math.cos: (1, _cos),
+    math.tan: (1, _tan),
+    math.asin: (1, _inverse(math.asin, 1.0)),
+    math.acos: (1, _inverse(math.acos, -1.0)),
+    math.sinh: (1, lambda o, a, da: (o.call(math.sinh, a), o.times(o.call(math.cosh, a), da))),
+    math.cosh: (1, lambda o, a, da: (o.call(math.cosh, a), o.times(o.call(math.sinh, a), da))),
+    math.tanh: (1, _tanh),
     math.exp: (1, _exp),
     math.log: (1, lambda o, a, da: (o.call(math.log, a), o.times(o.ir.fdiv(o.constant(1.0), a), da))),
     math.atan2: (2, _atan2),
