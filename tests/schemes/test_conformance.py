@@ -34,6 +34,7 @@ from topcli.schemes.kowalevski.hk import hk_kowalevski
 from topcli.schemes.layout import polynomial_invariants
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
+from topcli.tops.custom import custom_class
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -262,3 +263,10 @@ def test_which_invariants_are_quadratic() -> None:
         assert polynomial_invariants(top, 2) == polynomial_invariants(top, 3) == ("gamma_sq", "two_l", "energy")
         assert polynomial_invariants(top, 4) == ("gamma_sq", "two_l", "energy", "k_sq")
     assert polynomial_invariants(Heavy(), 2) == ("gamma_sq", "m_gamma", "energy")
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_formula_without_a_value_is_no_polynomial() -> None:
+    invariants = {"log": "log(-1 - x**2)", "line": "2*x"}
+    top = custom_class({"components": ["x"], "field": {"x": "0"}, "invariants": invariants}).new()
+    assert polynomial_invariants(top, 2) == ("line",)

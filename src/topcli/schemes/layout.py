@@ -150,7 +150,8 @@ def _is_polynomial(invariant: Invariant, d: int, degree: int) -> bool:
     """True if an invariant of ``d`` components is a polynomial of at most ``degree``, determined numerically.
 
     Along a line, the finite difference of order ``degree + 1`` of such a polynomial vanishes. Three lines in general
-    position are used, with a tolerance for round-off.
+    position are used, with a tolerance for round-off. A formula without a value on them, such as a logarithm of a
+    negative number, is no polynomial.
     """
     orders = np.arange(degree + 2.0)
     weights = np.array([(-1.0) ** k * comb(degree + 1, k) for k in range(degree + 2)])
@@ -158,8 +159,9 @@ def _is_polynomial(invariant: Invariant, d: int, degree: int) -> bool:
     for line in range(LINES):
         start, along = np.cos(np.arange(2.0 * d) + 2.0 * d * line + 1.0).reshape(2, d)
         states = start + orders[:, None] * along
-        scale = float(invariant.scale(states).max()) or 1.0
-        excess = max(excess, abs(float(weights @ invariant.value(states))) / scale)
+        with np.errstate(all="ignore"):
+            scale = float(invariant.scale(states).max()) or 1.0
+            excess = float(np.maximum(excess, abs(weights @ invariant.value(states)) / scale))  # nan stays
     return excess < 1e-13 * 2.0 ** (degree + 1)
 
 
