@@ -1,4 +1,7 @@
-"""Implicit midpoint rule for any polynomial field, solved by a generated Newton step (``field.implicit``).
+"""Implicit midpoint rule for any field, solved by Newton's method.
+
+The step of Newton's method is generated from a polynomial field (``field.implicit``). For any other field its Jacobian
+consists of difference quotients, so that the last digits cost one iteration more; the solution is the same.
 
 The unknowns are *changes* of the state: their rounding errors are proportional to the change, and the one addition
 state + change rounds without bias. A step takes two iterations at h = 0.001, three at 0.01 and 0.1; one fewer would
@@ -8,15 +11,15 @@ leave errors of one sign above round-off.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
 from topcli.arithmetic.fused import follow_precision
-from topcli.contracts import StepFunction, Stepper, Top
+from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.field.implicit import Generated, MidpointTangent, NewtonStep, generated
-from topcli.field.polynomial import Field, required_field, strongly_connected
+from topcli.field.polynomial import Field, NotPolynomialError, field_of, strongly_connected
 from topcli.field.straight_line import function_of
 from topcli.schemes.layout import (
     LONG_NEWTON,
@@ -28,7 +31,6 @@ from topcli.schemes.layout import (
 )
 from topcli.schemes.registry import scheme
 
-NEEDED_BY = "scheme 'midpoint'"
 NEWTON_LIMIT = 25
 """Maximum number of Newton iterations; three or four are typical."""
 PER_LENGTH, PARTS = 4, 64
@@ -36,7 +38,9 @@ PER_LENGTH, PARTS = 4, 64
 SETTLED = 2.0**-33
 """Tolerance of the last correction, relative; by quadratic convergence the error is far below the last bit.
 """
-follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=0.5)
+NEAR, NEAREST = 2.0**-20, 2.0**-30
+"""Distance of the arguments of a difference quotient: these parts of half of the change, and of the component."""
+follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=0.5, NEAR=0.5, NEAREST=0.5)
 
 _CHANGE = """
 def change(s, h, p):
@@ -64,14 +68,63 @@ def change(s, h, p):
 
 @lru_cache(maxsize=256)  # tops with one pattern share their machine code
 def _generated_change(newton: NewtonStep) -> Change:
-    """Change in a step of the midpoint rule by Newton's method, with its status and the number of iterations.
+    """Change in a step of the rule for a polynomial field.
 
-    Components that occur in each other's products are of one kind, such as omega and gamma; the iteration ends if the
-    corrections of every kind are small against its size. The change is twice the last half change: evaluated from the
-    field once more, at a mean that is rounded, it would make all quadratic integrals decrease by 1e-19 a step.
+    Components that occur in each other's products are of one kind, such as omega and gamma.
     """
     d = len(newton.field)
     kinds = strongly_connected([rate.nonlinear() for rate in newton.field], range(d))
+    return _change(function_of(newton.graph, "newton", newton.outputs), d, kinds)
+
+
+@lru_cache(maxsize=256)
+def _differenced_change(field: Callable[[Floats, Floats], Floats], d: int) -> Change:
+    """Change in a step of the rule for any field of ``d`` components, by difference quotients.
+
+    The step of Newton's method has the inputs and outputs of ``NewtonStep``. The second argument of a quotient lies in
+    the direction of the motion, where a root or a logarithm has a value. The system is solved without a choice of
+    pivots: a poor solution costs iterations, not digits.
+    """
+    every = range(d)
+    mean = "".join(f"m{i}, " for i in every)
+    lines = ["k = 0.5 * h", *(f"m{i} = s[{i}] + s[{d + i}]" for i in every), f"f = field(({mean}), p)"]
+    for j in every:
+        lines += [
+            f"e, w = NEAR * (k * f[{j}]), NEAREST * abs(m{j})",
+            "e = e + w if e >= 0.0 else e - w",
+            "x = NEAR if e == 0.0 else e",
+            f"x = m{j} + x",
+            f"g = field(({mean.replace(f'm{j}, ', 'x, ')}), p)",
+            f"w = k / (x - m{j})",
+            *(f"a{i}_{j} = w * (g[{i}] - f[{i}])" for i in every),
+        ]
+    for i in every:
+        lines += [
+            f"z{i} = abs(k * f[{i}]) + " + " + ".join(f"abs(a{i}_{j} * m{j})" for j in every),
+            f"b{i} = k * f[{i}] - s[{d + i}]",
+            *(f"a{i}_{j} = {'1.0 ' if i == j else ''}-a{i}_{j}" for j in every),
+        ]
+    for j in every:
+        for i in range(j + 1, d):
+            lines += [f"w = a{i}_{j} / a{j}_{j}", *(f"a{i}_{k} = a{i}_{k} - w * a{j}_{k}" for k in range(j + 1, d))]
+            lines += [f"b{i} = b{i} - w * b{j}"]
+    for i in reversed(every):
+        lines += [f"b{i} = (b{i}{''.join(f' - a{i}_{j} * b{j}' for j in range(i + 1, d))}) / a{i}_{i}"]
+    outputs = "".join([*(f"s[{d + i}] + b{i}, " for i in every), *(f"z{i}, " for i in every)])
+    text = "def newton(s, h, p):\n    " + "\n    ".join([*lines, f"return ({outputs})"])
+    scope: dict[str, Any] = {"field": field, "NEAR": NEAR, "NEAREST": NEAREST, "__name__": __name__}
+    exec(compile(text, f"<difference quotients {d}>", "exec"), scope)
+    # at rest one iteration solves the equation, but its derivative has the error of the quotients until the next one
+    return _change(scope["newton"], d, [(i,) for i in every], "iterations > 1.0")
+
+
+def _change(newton: StepFunction, d: int, kinds: Sequence[Sequence[int]], *conditions: str) -> Change:
+    """Change in a step of the midpoint rule by Newton's method, with its status and the number of iterations.
+
+    The iteration ends if the corrections of every kind of components are small against its size, and the ``conditions``
+    hold. The change is twice the last half change: evaluated from the field once more, at a mean that is rounded, it
+    would make all quadratic integrals decrease by 1e-19 a step.
+    """
 
     def total(text: str, kind: Iterable[int]) -> str:
         return " + ".join(text.format(i=i, size=d + i) for i in kind)
@@ -87,12 +140,12 @@ def _generated_change(newton: NewtonStep) -> Change:
         zeros=listed("0.0"),
         state=listed("s[{i}]"),
         half=listed("u[{i}]"),
-        settled=" and ".join(tests),
+        settled=" and ".join((*tests, *conditions)),
         new=listed("v[{i}]"),
         changes=listed("2.0 * u[{i}]"),
     )
     scope: dict[str, Any] = {
-        "newton": function_of(newton.graph, "newton", newton.outputs),
+        "newton": newton,
         "nan": math.nan,
         "NEWTON_LIMIT": NEWTON_LIMIT,
         "SETTLED": SETTLED,
@@ -160,7 +213,7 @@ def _midpoint_tangent(field: Field, top: Top, newton: Generated[NewtonStep]) -> 
 @scheme(
     "midpoint",
     top=("heavy", "kowalevski", "lagrange", "lagrange/inertial"),
-    later=partial(required_field, needed_by=NEEDED_BY),
+    later=lambda top: True,
     title="Implicit midpoint rule",
     order=2,
     explicit=False,
@@ -177,15 +230,19 @@ def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
 
     The step is self-adjoint. For any top the midpoint rule conserves every quadratic integral exactly, such as gamma²,
     m·gamma and the energy of a heavy top. Kowalevski's integral k² has degree four and is conserved only approximately.
-    The code of the step is generated from the equations of motion. If a step does not converge, the run ends as
-    `no_convergence`.
+    If the equations of motion are polynomials, the code of the step is generated from them; otherwise Newton's method
+    uses difference quotients. If a step does not converge, the run ends as `no_convergence`.
     """
-    field = required_field(top, NEEDED_BY)
+    d = len(top.components)
+    lost = range(d * is_compensated(options))
+    of_change = partial(stepper, moved=d, lost=lost, counters=("iterations",), iterative=True)
+    try:
+        field = field_of(top)
+    except NotPolynomialError:
+        return of_change(_differenced_change(top.field, d))
     newton = generated(NewtonStep, field, len(top.constants()))
-    lost = range(len(field) * is_compensated(options))
-    found = stepper(_generated_change(newton.code), len(field), lost=lost, counters=("iterations",), iterative=True)
     return replace(
-        found,
+        of_change(_generated_change(newton.code)),
         constants=newton.constants,
         source=partial(newton.source, "newton"),
         tangent=partial(_midpoint_tangent, field, top, newton),
