@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.algebraic_growth import DigitGrowth, digit_growth
 from topcli.analysis.columns import columns
+from topcli.analysis.quantities import Quantity
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
@@ -61,7 +62,7 @@ class PreciseTally:
     def values(self, states: NDArray[Any]) -> dict[str, list[Any]]:
         """Values of the invariants at ``states`` (m, d) in this precision; None where one does not exist."""
         with self._run.arithmetic.active():
-            values = {invariant.name: _values(invariant, states) for invariant in self._invariants}
+            values = {each.name: _values(each.value, states) for each in self._invariants}
         return self.exact(values)
 
     def exact(self, values: dict[str, list[Any]]) -> dict[str, list[Any]]:
@@ -126,11 +127,14 @@ def _double(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-def _values(invariant: Invariant, states: NDArray[Any]) -> list[Any]:
+def _values(value: Callable[..., Any], *rows: NDArray[Any]) -> list[Any]:
+    """Values of a function of arrays, row by row if one of them does not exist; that is None."""
     try:
-        return list(invariant.value(states))
+        return list(value(*rows))
     except ZeroDivisionError:
-        return [None] if len(states) == 1 else [x for row in states for x in _values(invariant, row[None, :])]
+        count = len(rows[0])
+        each = (tuple(array[i : i + 1] for array in rows) for i in range(count))
+        return [None] if count == 1 else [x for row in each for x in _values(value, *row)]
 
 
 class PreciseRecorder(Recorder):
@@ -165,7 +169,7 @@ class PreciseRecorder(Recorder):
         """Add rows to the tally; return their columns."""
         values = self.precise.add(n, states)
         with self._run.arithmetic.active():
-            observed = {q.name: list(q.values(self._run.top, n, self._run.h, states)) for q in self._quantities}
+            observed = {quantity.name: self._observed(quantity, n, states) for quantity in self._quantities}
         values = {**values, **self.precise.exact(observed)}
         doubles = {name: np.array([_double(x) for x in at_rows]) for name, at_rows in values.items()}
         top, h = self._experiment.top, self._experiment.h
@@ -178,10 +182,19 @@ class PreciseRecorder(Recorder):
             made |= {name + DECIMAL: self._texts(at[name]) for name in self._names if name != "n"}
         return made
 
+    def _observed(self, quantity: Quantity, n: NDArray[np.int64], states: NDArray[Any]) -> list[Any]:
+        return _values(lambda n, y: quantity.values(self._run.top, n, self._run.h, y), n, states)
+
     def _texts(self, values: Sequence[Any]) -> NDArray[Any]:
         assert self._digits is not None
-        fraction, digits = self._run.arithmetic.fraction, self._digits
-        return np.array(["nan" if x is None else decimal_text(fraction(x), digits) for x in values], dtype=np.object_)
+        arithmetic, digits = self._run.arithmetic, self._digits
+
+        def text(x: Any) -> str:
+            if x is None or not arithmetic.finite(x):
+                return str(_double(x))
+            return decimal_text(arithmetic.fraction(x), digits)
+
+        return np.array(list(map(text, values)), dtype=np.object_)
 
     def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
         """All that a checkpoint holds of the rows so far, numbers as texts."""
