@@ -154,6 +154,22 @@ def test_quantities_in_another_precision(tmp_path: Path) -> None:
         run_experiment(load(given | {"precision": "rational", "name": "r"}), tmp_path, RunOptions())
 
 
+def test_a_quantity_without_a_value_is_no_number_in_any_precision(tmp_path: Path) -> None:
+    """A logarithm, a quotient, an arc: at the start only, in all rows, or nowhere."""
+    quantities = {"root": "log(-w1**2)", "pole": "1/t", "arc": "acos(2 + w1**2)", "turn": "atan2(w2, w1)/pi"}
+    given = config(output={"quantities": quantities}, N=20)
+    double = topcli.simulate(given)
+    run = run_experiment(load({**given, "precision": 40, "output": {**given["output"], "digits": 30}}), tmp_path)
+    series = read_series(run.stored.series)
+    for name in quantities:
+        finite = np.isfinite(double[name])
+        assert finite.sum() == {"pole": 20, "turn": 21}.get(name, 0)
+        assert series[name][finite] == pytest.approx(double[name][finite], rel=1e-14)
+        assert np.array_equal(np.isfinite(series[name]), finite)
+        texts = np.array([float(text) for text in series[f"{name}_decimal"]])
+        assert texts == pytest.approx(series[name], rel=1e-15, nan_ok=True)
+
+
 @pytest.mark.usefixtures("small_chunks")
 def test_a_resumed_run_has_the_same_figures(tmp_path: Path) -> None:
     experiment = load(with_quantities())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import struct
+from contextlib import suppress
 from fractions import Fraction
 
 import mpmath
@@ -15,7 +16,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from topcli.arithmetic.sized import Sized
-from topcli.engine.precise_numbers import arithmetic_of
+from topcli.engine.precise_numbers import StrayDoubleError, arithmetic_of
 from topcli.field.expression import FUNCTIONS, HIGHEST, LONGEST, ExpressionError, function_of, parse, value_of
 from topcli.field.polynomial import NotPolynomialError, Polynomial, polynomial_field
 
@@ -28,7 +29,7 @@ def value(text: str, y, p):
 
 
 numbers = st.sampled_from(["0", "1", "2", "3.", ".5", "0.1", "1e-3", "2.5E+1", "17", "1.7320508075688772"])
-operands = numbers | st.sampled_from((*Y, *P))
+operands = numbers | st.sampled_from((*Y, *P, "pi"))
 formulas = st.recursive(
     operands,
     lambda inner: (
@@ -36,7 +37,8 @@ formulas = st.recursive(
         | st.tuples(inner, st.sampled_from(["+", " - ", "*", " / "]), operands).map("{0[0]}{0[1]}{0[2]}".format)
         | inner.map("-{}".format)
         | st.tuples(inner, st.sampled_from(["2", "3", "-1", "0", "(1+1)"])).map("({0[0]})**{0[1]}".format)
-        | st.tuples(st.sampled_from(["sin", "exp", "tanh", "abs"]), inner).map("{0[0]}({0[1]})".format)
+        | st.tuples(st.sampled_from(["sin", "exp", "tanh", "abs", "acos"]), inner).map("{0[0]}({0[1]})".format)
+        | st.tuples(inner, operands).map("atan2({0[0]}, 1.0 + ({0[1]})**2)".format)  # no sign of a zero decides
     ),
     max_leaves=10,
 )
@@ -67,7 +69,7 @@ def bits(x: float) -> bytes:
 @given(formulas, st.tuples(*[st.floats(-3.0, 3.0)] * 2))
 def test_a_formula_has_the_value_that_python_gives_it(text: str, y) -> None:
     p = (1.3, -0.7)
-    scope = {name: getattr(math, name) for name in FUNCTIONS if name != "abs"} | {"abs": abs}
+    scope = {name: getattr(math, name) for name in FUNCTIONS if name != "abs"} | {"abs": abs, "pi": math.pi}
     expected = eval_with(text, scope | dict(zip((*Y, *P), (*y, *p), strict=True)))
     formula = parsed(text)
     assume(formula is not None)  # a divisor that is zero is seen exactly
@@ -84,7 +86,7 @@ def test_a_formula_has_the_value_that_python_gives_it(text: str, y) -> None:
 @settings(max_examples=200, deadline=None)
 @given(formulas)
 def test_a_formula_is_exact_in_fractions(text: str) -> None:
-    assume(not any(name in text for name in ("sin", "exp", "tanh")))
+    assume(not any(name in text for name in ("sin", "exp", "tanh", "acos", "atan2", "pi")))
     y, p = (Fraction(3, 7), Fraction(-2, 9)), (Fraction(13, 10), Fraction(-7, 10))
     exact = re.sub(r"(?<![\w.])(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", r"F('\g<0>')", text)
     expected = eval_with(exact, {"F": Fraction, "abs": abs} | dict(zip((*Y, *P), (*y, *p), strict=True)))
@@ -119,6 +121,10 @@ def test_a_formula_is_exact_in_fractions(text: str) -> None:
         ("w1 + k(w2)", "column 6: k is not a function; a product is written k*(...)"),
         ("(w1 + w2)(A)", "column 1: a product is written (...)*(...)"),
         ("exp()", "column 1: exp takes one argument"),
+        ("atan2(w1)", "column 1: atan2 takes two arguments, y and x"),
+        ("w2 + atan2", "column 6: atan2 is a function; write atan2(y, x)"),
+        ("asin(w1, w2)", "column 8: unexpected ','; a decimal has a point"),
+        ("w1**pi", "column 5: an exponent is a number, whole or half"),
         ("w1//2", "column 1: '//' is not allowed; a quotient is written x/y"),
         ("w1**A", "column 5: an exponent is a number, whole or half, of size 24 at most"),
         ("w1**0.3", "column 5: an exponent is a number, whole or half"),
@@ -249,6 +255,37 @@ def test_functions_of_other_numbers() -> None:
         assert abs(mpmath.mpf(found.numerator) / found.denominator - expected) < mpmath.mpf(10) ** -39
 
 
+@pytest.mark.parametrize(
+    "text", ["sqrt(2)*w1", "2*pi*w2/3", "atan2(w1 - 1, w2)", "atan2(-1, 3)*w1", "asin(w1) + acos(-w2/7)", "log(3)*pi"]
+)
+def test_functions_and_constants_have_the_digits_of_the_numbers(text: str) -> None:
+    y = Fraction(2, 7), Fraction(1, 3)
+
+    def at(precision: int | str) -> Fraction | float:
+        arithmetic = arithmetic_of(precision)
+        with arithmetic.active():
+            found = value(text, [np.array([arithmetic.number(x)], dtype=object) for x in y], (1, 1))
+            found = found[0] if isinstance(found, np.ndarray) else found
+            return found if isinstance(found, float) else arithmetic.fraction(found)
+
+    found = at(40)
+    with mpmath.workdps(60):
+        scope = {name: getattr(mpmath, name) for name in (*FUNCTIONS, "pi") if name != "abs"}
+        expected = eval_with(
+            text, scope | {n: mpmath.mpf(x.numerator) / x.denominator for n, x in zip(Y, y, strict=True)}
+        )
+        assert abs(mpmath.mpf(found.numerator) / found.denominator - expected) < mpmath.mpf(10) ** -39
+    with suppress(StrayDoubleError):  # rational numbers have no such values: a float is refused, here or later
+        assert isinstance(at("rational"), float)
+
+
+def test_a_name_of_a_formula_may_be_pi() -> None:
+    formula = parse("pi*w1", ("w1", "pi"))
+    assert formula.names == {"w1", "pi"}
+    assert value_of(formula, ("w1",), ("pi",))((2.0,), (3.0,)) == 6.0
+    assert parse("pi*w1", ("w1",)).names == {"w1"}
+
+
 def test_functions_of_polynomials_are_refused_in_columns_too() -> None:
     column = np.array([Polynomial.variable(0)], dtype=object)
     with pytest.raises(NotPolynomialError):
@@ -266,3 +303,12 @@ def test_functions_of_parameters_are_exact_to_many_digits() -> None:
             assert abs(mpmath.mpf(c.numerator) / c.denominator - expected) < mpmath.mpf(10) ** -155
     with pytest.raises(NotPolynomialError, match="takes sqrt of -2"):
         polynomial_field(field, 2, [-2.0, 0.3])
+
+
+def test_pi_in_a_field_is_exact_to_many_digits() -> None:
+    field = function_of("field", [parse(t, (*Y, *P)) for t in ("pi*w1", "atan2(k, -A)*w2")], Y, P)
+    first, second = polynomial_field(field, 2, [2.0, 1.0])
+    with mpmath.workdps(160):
+        for c, expected in ((first.terms[0,], +mpmath.pi), (second.terms[1,], mpmath.atan2(1, -2))):
+            assert abs(mpmath.mpf(c.numerator) / c.denominator - expected) < mpmath.mpf(10) ** -155
+            assert type(c.numerator) is int  # with gmpy2 installed too

@@ -1,7 +1,8 @@
 """Formulas as text, such as ``((B - C)*w2*w3 + k*w2)/A``, parsed and checked before they are evaluated.
 
-A formula has numbers, the names it is given, ``+ - * / **``, parentheses and the functions of ``FUNCTIONS``. Exponents
-are numbers, whole or half. Nothing of the text is run: the function of a formula is written from its checked tree.
+A formula has numbers, the names it is given, pi, ``+ - * / **``, parentheses and the functions of ``FUNCTIONS``.
+Exponents are numbers, whole or half. Nothing of the text is run: the function of a formula is written from its checked
+tree.
 
 The function is plain arithmetic on flat tuples, which the engine compiles with the bits of the same formula in Python.
 Its numbers lie in one constant, a tuple, so that Python does not compute with them in advance: ``1/3`` is one third in
@@ -26,7 +27,13 @@ import numpy as np
 
 from topcli.errors import nearest, quoted
 
-FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sinh", "cosh", "tanh")
+FUNCTIONS = ("sin", "cos", "tan", "asin", "acos", "atan2", "exp", "log", "sqrt", "abs", "sinh", "cosh", "tanh")
+ARITY = dict.fromkeys(FUNCTIONS, 1) | {"atan2": 2}
+"""Number of arguments of each function."""
+PI = "pi"
+"""Name of the number, unless a formula is given this name."""
+DIGITS = 170
+"""Decimal digits of a function of exact numbers: more than any precision of a run."""
 LONGEST = 2000
 """Characters of a formula."""
 DEEPEST = 100
@@ -102,7 +109,7 @@ class _Reader:
             raise ExpressionError(f"has {len(text)} characters; a formula has at most {LONGEST}")
         if not text.strip():
             raise ExpressionError("is empty; expected a formula")
-        allowed = _ALLOWED.match(text)
+        allowed = _ALLOWED.match(text.replace(",", " ") if "atan2" in text else text)
         assert allowed is not None
         if (at := allowed.end()) < len(text):
             raise self.fault(at, f"unexpected {text[at]!r}{_HINTS.get(text[at], '')}")
@@ -130,6 +137,8 @@ class _Reader:
         match node:
             case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
                 return node, self.number(node)
+            case ast.Name(id=name) if name == PI and PI not in self.names:
+                return ast.Attribute(ast.Name("math"), PI), 0
             case ast.Name(id=name):
                 return node, self.degree(node, self.name(node, name))
             case ast.UnaryOp(op=ast.UAdd() | ast.USub() as op, operand=operand):
@@ -148,10 +157,10 @@ class _Reader:
                     return made, _OPERATORS[type(op)](a, b)
                 a, b = (0 if isinstance(x, Fraction) else x for x in (a, b))
                 return made, self.degree(node, a + b if isinstance(op, ast.Mult | ast.Div) else max(a, b))
-            case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
-                argument, value = self.checked(argument, depth + 1)
-                call = ast.Call(_function(name), [argument], [])
-                return call, 0 if isinstance(value, Fraction) else value
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if ARITY.get(name) == len(arguments):
+                pairs = [self.checked(argument, depth + 1) for argument in arguments]
+                call = ast.Call(_function(name), [argument for argument, _ in pairs], [])
+                return call, max(0 if isinstance(value, Fraction) else value for _, value in pairs)
         raise self.fault(self.place(node), self.reason(node))
 
     def number(self, node: ast.Constant) -> Fraction:
@@ -173,7 +182,8 @@ class _Reader:
             self.used.add(name)
             return 1
         if name in FUNCTIONS:
-            raise self.fault(self.place(node), f"{name} is a function; write {name}(x)")
+            arguments = "y, x" if ARITY[name] == 2 else "x"
+            raise self.fault(self.place(node), f"{name} is a function; write {name}({arguments})")
         hint = nearest(name, (*self.names, *FUNCTIONS))
         if hint.startswith("known"):
             hint = f"known: {', '.join(self.names)}; functions: {', '.join(FUNCTIONS)}"
@@ -205,7 +215,7 @@ class _Reader:
         """Message about a node that is not a part of a formula."""
         match node:
             case ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
-                return f"{name} takes one argument"
+                return f"{name} takes {'two arguments, y and x' if ARITY[name] == 2 else 'one argument'}"
             case ast.Call(func=ast.Name(id=name)) if name in self.names:
                 return f"{name} is not a function; a product is written {name}*(...)"
             case ast.Call(func=ast.Name(id=name)):
@@ -237,8 +247,10 @@ def _written(node: ast.expr, places: Mapping[str, str], numbers: dict[float, int
             return ast.UnaryOp(op, inner(operand))
         case ast.BinOp(left=left, op=op, right=right):
             return ast.BinOp(inner(left), op, right if isinstance(op, ast.Pow) else inner(right))
-        case ast.Call(func=function, args=[argument]):
-            return ast.Call(function, [inner(argument)], [])
+        case ast.Call(func=function, args=arguments):
+            return ast.Call(function, [inner(argument) for argument in arguments], [])
+        case ast.Attribute():
+            return node
     raise TypeError(f"{type(node).__name__} is not a part of a formula")
 
 
@@ -297,28 +309,82 @@ def value_of(
     """
     plain = function_of("formula", [expression], components, parameters)
     of_columns = in_arithmetic(plain, float, np)
-    of_objects = in_arithmetic(plain, lambda value: Fraction(repr(value)), _Elementwise())
+    of_objects, of_fractions = (
+        in_arithmetic(plain, lambda value: Fraction(repr(value)), _Elementwise(rational)) for rational in (False, True)
+    )
 
     def value(y: Sequence[Any], p: Sequence[Any]) -> Any:
-        exact = any(isinstance(x, np.ndarray) and x.dtype.hasobject for x in (*y, *p))
-        return (of_objects if exact else of_columns)(y, p)[0]
+        objects = [x for x in (*y, *p) if isinstance(x, np.ndarray) and x.dtype.hasobject]
+        if not objects:
+            return of_columns(y, p)[0]
+        rational = not any(x.size and _functions(x.flat[0]) is not math for x in objects)
+        return (of_fractions if rational else of_objects)(y, p)[0]
 
     return value
 
 
 class _Elementwise:
-    """Functions of columns of objects, each in the arithmetic of its numbers."""
+    """Functions of columns of objects, each in the arithmetic of its numbers.
 
-    def __getattr__(self, name: str) -> Callable[[Any], Any]:
-        return _elementwise(name)
+    Constants have ``DIGITS`` digits. ``rational`` numbers have no functions: the values are floats, which are refused.
+    """
+
+    def __init__(self, rational: bool) -> None:
+        self.rational = rational
+
+    def __getattr__(self, name: str) -> Any:
+        if name == PI:
+            return math.pi if self.rational else exact_function(PI)()
+        return _elementwise(name, self.rational)
+
+
+def _functions(x: Any) -> Any:
+    """Module, or context, with the functions of a number; ``math`` for fractions and floats."""
+    return import_module("gmpy2") if type(x).__module__.partition(".")[0] == "gmpy2" else getattr(x, "context", math)
 
 
 @cache
-def _elementwise(name: str) -> Callable[[Any], Any]:
-    def of_one(x: Any) -> Any:
-        library = type(x).__module__.partition(".")[0]
-        functions: Any = import_module("gmpy2") if library == "gmpy2" else getattr(x, "context", math)
-        return getattr(functions, name)(x)
+def _elementwise(name: str, rational: bool) -> Callable[..., Any]:
+    def of_one(*x: Any) -> Any:
+        if not rational and all(isinstance(a, Fraction) for a in x):
+            try:
+                return exact_function(name)(*x)
+            except ValueError:
+                return math.nan
+        functions = next((f for f in map(_functions, x) if f is not math), math)
+        found = getattr(functions, name)(*x)
+        return found if found.imag == 0 else functions.nan  # mpmath's roots of negative numbers are complex
 
-    columns = np.frompyfunc(of_one, 1, 1)
-    return lambda x: columns(x) if isinstance(x, np.ndarray) else of_one(x)
+    def of_columns(*x: Any) -> Any:
+        if any(isinstance(a, np.ndarray) for a in x):
+            return np.frompyfunc(of_one, len(x), 1)(*x)
+        return of_one(*x)
+
+    return of_columns
+
+
+@cache
+def exact_function(name: str) -> Callable[..., Fraction]:
+    """Function of fractions, or a constant, as a function without arguments.
+
+    The root of a square is exact, other values are accurate to ``DIGITS`` digits. The function raises ValueError where
+    it has no value.
+    """
+    from mpmath.ctx_mp import MPContext
+    from mpmath.libmp import to_rational
+
+    context: Any = MPContext()
+    context.dps = DIGITS
+
+    def value(*x: Fraction) -> Fraction:
+        if name == "sqrt" and x[0] >= 0:
+            root = Fraction(math.isqrt(x[0].numerator), math.isqrt(x[0].denominator))
+            if root * root == x[0]:
+                return root
+        function = getattr(context, name)
+        found = function(*(context.mpf(a.numerator) / a.denominator for a in x)) if x else +function
+        if not isinstance(found, context.mpf) or not context.isfinite(found):
+            raise ValueError(f"takes {name} of {', '.join(f'{float(a):g}' for a in x)}, which is not a number")
+        return Fraction(*map(int, to_rational(found._mpf_)))  # with gmpy2 installed, they are its integers
+
+    return value

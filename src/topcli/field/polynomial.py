@@ -18,7 +18,7 @@ from typing import Any
 
 from topcli.contracts import Top
 from topcli.errors import UsageError
-from topcli.field.expression import FUNCTIONS, in_arithmetic, uses_math
+from topcli.field.expression import FUNCTIONS, exact_function, in_arithmetic, uses_math
 
 Monomial = tuple[int, ...]
 """Indices of the factors of a product of variables, in order: (0, 0, 2) is the square of variable 0 times variable 2;
@@ -229,35 +229,25 @@ def decimal(value: Any) -> Fraction:
     return Fraction(repr(float(value))) if isinstance(value, float) else Fraction(value)
 
 
-DIGITS = 170
-"""Decimal digits of a function of parameters in an exact field: more than any precision of a run."""
-
-
 class ExactMath:
-    """Functions of ``math`` for constants: square roots of squares are exact, others accurate to ``DIGITS`` digits."""
+    """Functions of ``math`` for constants, and its constants, by ``exact_function``."""
 
     def __getattr__(self, name: str) -> Any:
+        if name in ("pi", "e"):
+            return _function(name)()
         return _function(name) if name in FUNCTIONS else getattr(math, name)
 
 
 @cache
-def _function(name: str) -> Callable[[object], Polynomial]:
-    from mpmath.ctx_mp import MPContext
-    from mpmath.libmp import to_rational
+def _function(name: str) -> Callable[..., Polynomial]:
+    exact = exact_function(name)
 
-    context: Any = MPContext()
-    context.dps = DIGITS
-
-    def value(x: object) -> Polynomial:
-        exact = Polynomial.of(x).constant()
-        if name == "sqrt" and exact >= 0:
-            root = Fraction(math.isqrt(exact.numerator), math.isqrt(exact.denominator))
-            if root * root == exact:
-                return Polynomial.of(root)
-        found = getattr(context, name)(context.mpf(exact.numerator) / exact.denominator)
-        if not isinstance(found, context.mpf) or not context.isfinite(found):
-            raise NotPolynomialError(f"takes {name} of {float(exact):g}, which is not a number")
-        return Polynomial.of(Fraction(*to_rational(found._mpf_)))
+    def value(*x: object) -> Polynomial:
+        constants = [Polynomial.of(a).constant() for a in x]
+        try:
+            return Polynomial.of(exact(*constants))
+        except ValueError as error:
+            raise NotPolynomialError(str(error)) from None
 
     return value
 
