@@ -69,15 +69,33 @@ def config(field: dict[str, str], y: Any, h: float = 0.1, **changes: Any) -> dic
     return {"top": top, "initial": initial, "scheme": "midpoint", "h": h, "N": 1, **changes}
 
 
-@pytest.mark.parametrize("y", [(1.0, 0.5), (1000.0, 3.0), (0.0, 0.0), (3.14159, -1e-9)])
-def test_the_compiled_step_and_its_tangent_map_are_those_of_a_pendulum(y: tuple[float, float]) -> None:
+LOTKA_VOLTERRA = {"x": "1 - exp(y)", "y": "exp(x) - 1"}
+JACOBIANS: dict[str, Any] = {
+    "pendulum": (PENDULUM, lambda y: [[0.0, 1.0], [-np.cos(y[0]), 0.0]]),
+    "Lotka-Volterra": (LOTKA_VOLTERRA, lambda y: [[0.0, -np.exp(y[1])], [np.exp(y[0]), 0.0]]),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "y"),
+    [
+        ("pendulum", (1.0, 0.5)),
+        ("pendulum", (1000.0, 3.0)),
+        ("pendulum", (0.0, 0.0)),
+        ("Lotka-Volterra", (0.0, 0.0)),
+        ("Lotka-Volterra", (0.4, -0.9)),
+    ],
+)
+def test_the_compiled_step_and_its_tangent_map_are_exact(name: str, y: tuple[float, float]) -> None:
     """The image solves (1 - h f'/2) w = (1 + h f'/2) v at the mean, also at rest and after many revolutions."""
     h, v = 0.1, (0.3, -0.7)
-    step = topcli.step(config(PENDULUM, y, h))
+    field, jacobian = JACOBIANS[name]
+    step = topcli.step(config(field, y, h))
     new, image = step.tangent(np.array(y), np.array(v))
     assert np.array_equal(new, step(np.array(y)))
-    assert residual(top_of(PENDULUM), y, new, h) < 10.0
-    slope = np.array([[0.0, 1.0], [-np.cos(0.5 * (y[0] + new[0])), 0.0]]) * (0.5 * h)
+    assert residual(top_of(field), y, new, h) < 10.0
+    slope = np.array(jacobian(0.5 * (new + y))) * (0.5 * h)
     assert image == pytest.approx(np.linalg.solve(np.eye(2) - slope, (np.eye(2) + slope) @ v), abs=1e-12)
 
 
