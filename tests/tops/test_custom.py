@@ -444,3 +444,30 @@ def test_the_reference_agrees_with_an_independent_integration() -> None:
         )
     taylor = topcli.simulate(config(scheme="taylor", h=0.1, N=20))
     assert taylor.states[-1] == pytest.approx(found, abs=2e-15)
+
+
+def damped(law: str, **sections: object) -> dict[str, object]:
+    """A rotation at the rate a, whose radius falls unless k is zero; ``sections`` are those of a config or a base."""
+    rates = {"x": "a*y", "y": f"-a*x - {law}*y"}
+    top = {"kind": "custom", "components": ["x", "y"], "parameters": {"a": 1.0, "k": 0.0}, "field": rates}
+    top["invariants"] = {"radius": "x**2 + y**2"}
+    return {"top": top, "initial": {"x": 1.0, "y": 0.0}, "scheme": "rk4", "h": 0.1, "N": 10, **sections}
+
+
+@pytest.mark.parametrize("law", ["k", "abs(k)", "sqrt(k)", "(k + abs(k))", "sin(k)"])
+def test_integrals_are_checked_for_every_set_of_parameters(law: str) -> None:
+    """Of grids and draws too, however many sets came before that conserve them."""
+    fault = r"'radius' is not an integral of the field"
+    grid = {"top.a": [1.0 + 0.01 * i for i in range(70)], "top.k": [0.0]}
+    measure = ["max_deviation.radius"]
+    load({"name": "x", **damped(law, ensemble={"grid": grid})})
+    assert len(list(RowReader(load_sweep({"base": damped(law), "grid": grid, "measure": measure})).rows())) == 70
+    with pytest.raises(ConfigError, match=rf"ensemble\.grid: at k = 0\.1: .*{fault}"):
+        load({"name": "x", **damped(law, ensemble={"grid": {"top.k": [0.0, 0.1]}})})
+    late = load_sweep({"base": damped(law), "grid": {**grid, "top.k": [0.0, 0.1]}, "measure": measure})
+    with pytest.raises(ConfigError, match=fault):
+        list(RowReader(late).rows())
+    draws = {"seed": 1, "count": 5, "top.k": {"from": 0.1, "to": 0.2}}
+    drawn = load_sweep({"base": damped(law), "random": draws, "measure": measure})
+    with pytest.raises(ConfigError, match=fault):
+        list(RowReader(drawn).rows())

@@ -16,7 +16,7 @@ from topcli.config.document import STRICT, Document, Problems, number_of, valida
 from topcli.config.draws import ABSOLUTE, MAX_TRAJECTORIES, Drawn, Random, draw_examples, drawable, random_model
 from topcli.config.models import Experiment, digest_of
 from topcli.config.ranges import Numbers, Range
-from topcli.config.sections import initial_model, read_initial, vectors_of
+from topcli.config.sections import initial_model, read_initial, top_with, vectors_of
 from topcli.config.text import to_yaml
 from topcli.contracts import Array, Top
 
@@ -164,7 +164,7 @@ def _gridded(
     for changes in _combinations({key: values for key, values in axes.items() if key not in cls.components}):
         chosen = {key.removeprefix("top."): value for key, value in changes.items()}
         own = Problems(Document({}))
-        tops.append(validate(cls, {**parameters, **chosen}, ("top",), own, beside=("kind",)))
+        tops.append(top_with(cls, {**parameters, **chosen}, own))
         for message in own.messages:
             problems.add(path, f"{_at(chosen)}{message}")
     return [Group(made, states) for made in tops if made and states]

@@ -26,7 +26,7 @@ from topcli.config.draws import ABSOLUTE, first_drawn, random_model
 from topcli.config.files import BARE
 from topcli.config.models import Count, Output, StepSize, canonical
 from topcli.config.ranges import duration_fault, steps_of
-from topcli.config.sections import read_initial, read_scheme, read_top, vectors_of
+from topcli.config.sections import read_initial, read_scheme, read_top, top_with, vectors_of
 from topcli.config.sweep import MISSING, Assignment, Sweep
 from topcli.contracts import Top
 from topcli.tops import TOPS
@@ -425,7 +425,7 @@ class RowReader:
         }
         made: _Part | None = top
         if chosen:
-            new = validate(cls, {**top.value.model_dump(mode="json"), **chosen}, ("top",), problems)
+            new = top_with(cls, {**top.value.model_dump(mode="json"), **chosen}, problems)
             made = None if new is None else _top_part(new)
         if made is None or not (draws := section.draws(cls)):
             return made, centre

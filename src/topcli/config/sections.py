@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
@@ -41,8 +41,19 @@ def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top
         return read_custom(parameters, problems)
     with problems.at(*where):
         cls = top_class(kind, [key for key in initial if key != "normalize"] if isinstance(initial, dict) else ())
-        return cls, validate(cls, parameters, ("top",), problems, beside=("kind",))
+        return cls, top_with(cls, parameters, problems)
     return None, None
+
+
+def top_with(cls: type[Top], parameters: Mapping[str, Any], problems: Problems) -> Top | None:
+    """Return the top of class ``cls`` with these parameters; None, and a problem, if they cannot be used."""
+    before = len(problems.messages)
+    top = validate(cls, parameters, ("top",), problems, beside=("kind",))
+    if top is not None and cls.kind == CUSTOM:
+        from topcli.config.formulas import check_numbers
+
+        check_numbers(top, problems)
+    return top if len(problems.messages) == before else None
 
 
 def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme, BaseModel] | None:
