@@ -74,11 +74,6 @@ def section_figure(folders: Sequence[Path], x: str | None, y: str | None, colour
     runs = [_run_with_section(folder) for folder in folders]
     experiments = [load(dict(run.manifest["config"])) for run in runs]
     first = _single(experiments[0])
-    for run, other in zip(runs, map(_single, experiments), strict=True):
-        if (other.top.kind, other.section) != (first.top.kind, first.section):
-            raise UsageError(
-                f"{run.folder}: its top or section differs from that of {runs[0].folder}; draw it in its own figure"
-            )
     columns = [name for name in first.recorded if name not in ("n", "t")]
     free = [name for name in columns if first.section and name != first.section.component]
     for option, name in (("--x", x), ("--y", y)):
@@ -86,6 +81,17 @@ def section_figure(folders: Sequence[Path], x: str | None, y: str | None, colour
             raise UsageError(f"{option} {quoted(name)}: no such column; {nearest(name, columns)}")
     chosen = x or next(name for name in [*free, *columns] if name != y)
     other_axis = y or next(name for name in [*free, *columns] if name != chosen)
+    common = _drawn_together(first, chosen, other_axis)
+    for run, other in zip(runs, map(_single, experiments), strict=True):
+        differing = [
+            name for name, value in _drawn_together(other, chosen, other_axis).items() if value != common[name]
+        ]
+        if differing:
+            verb = "differs" if len(differing) == 1 else "differ"
+            raise UsageError(
+                f"{run.folder}: its {' and '.join(differing)} {verb} from that of {runs[0].folder}; "
+                "draw it in its own figure"
+            )
     parts = "-".join(dict.fromkeys(run.folder.name for run in runs))[:NAME_LENGTH]
     name = f"section-{parts}-{chosen}-{other_axis}" + (f"-{colour}" if colour else "")
     loader = partial(_load_section, tuple(runs), tuple(experiments), chosen, other_axis, colour is not None)
@@ -94,6 +100,14 @@ def section_figure(folders: Sequence[Path], x: str | None, y: str | None, colour
 
 def _single(experiment: Experiment | EnsembleExperiment) -> Experiment:
     return experiment if isinstance(experiment, Experiment) else experiment.first
+
+
+def _drawn_together(experiment: Experiment, *columns: str) -> dict[str, Any]:
+    """What the runs of one figure have in common, by its name: what the title and the axes state."""
+    config = experiment.resolved()
+    formulas = experiment.output.quantities or {}
+    meanings = {f"column {name}": (name in experiment.recorded, formulas.get(name)) for name in columns}
+    return {name: config[name] for name in ("top", "scheme", "h", "section")} | meanings
 
 
 def _run_with_section(folder: Path) -> StoredRun:
