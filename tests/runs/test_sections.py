@@ -171,8 +171,22 @@ def test_roots_are_located_to_the_last_bit() -> None:
 RUN = {"name": "crossings", **KOWALEVSKI, "h": 0.1, "N": 300_000, **section(direction="both")}
 
 
+def figures(values: NDArray[Any]) -> dict[str, float]:
+    """Figures of the column of a quantity; nan without rows."""
+    if not len(values):
+        return dict.fromkeys(("first", "last", "min", "max", "mean"), math.nan)
+    return {
+        "first": values[0],
+        "last": values[-1],
+        "min": values.min(),
+        "max": values.max(),
+        "mean": math.fsum(values) / len(values),
+    }
+
+
 def test_a_run_records_crossings_alone_and_resumes_to_the_same(tmp_path: Path) -> None:
-    whole = run_experiment(load(RUN), tmp_path / "whole")
+    observed = {**RUN, "output": {"quantities": {"q": "t*omega1", "g": "gamma2"}}}
+    whole = run_experiment(load(observed), tmp_path / "whole")
     rows = pd.read_parquet(whole.stored.series)
     assert list(rows)[:3] == ["n", "t", "omega1"]
     assert abs(rows["gamma2"]).max() < 1e-15
@@ -182,8 +196,12 @@ def test_a_run_records_crossings_alone_and_resumes_to_the_same(tmp_path: Path) -
     assert np.array_equal(rows[list(memory.top.components)], memory.states)
     assert whole.report["section"] == {"crossings": len(rows), "never_crossed": 0}
     assert whole.report["message"].endswith(f"; {len(rows)} crossings of the section gamma2 = 0")
-    killed(tmp_path / "killed", load_experiment(RUN, crossings=True), 3)
-    resumed = run_experiment(load(RUN), tmp_path / "killed", RunOptions(resume=True))
+    for row in whole.report["quantities"]:
+        assert {name: row[name] for name in ("first", "last", "min", "max", "mean")} == pytest.approx(
+            figures(rows[row["name"]].to_numpy()), rel=1e-12, abs=1e-25
+        )
+    killed(tmp_path / "killed", load_experiment(observed, crossings=True), 3)
+    resumed = run_experiment(load(observed), tmp_path / "killed", RunOptions(resume=True))
     assert resumed.status == "resumed"
     assert pd.read_parquet(resumed.stored.series).equals(rows)
     times = ("seconds", "digest")
@@ -194,7 +212,12 @@ def test_a_run_records_crossings_alone_and_resumes_to_the_same(tmp_path: Path) -
 
 def test_an_ensemble_records_the_crossings_of_each_trajectory(tmp_path: Path) -> None:
     ensemble = {"random": {"count": 70, "seed": 3, "gamma": "sphere"}}
-    both = {**RUN, "N": 2000, "section": {"component": "gamma3", "value": 0.99}}
+    both = {
+        **RUN,
+        "N": 2000,
+        "section": {"component": "gamma3", "value": 0.99},
+        "output": {"quantities": {"q": "t*omega1"}},
+    }
     result = run_experiment(load({**both, "ensemble": ensemble}), tmp_path)
     rows = pd.read_parquet(result.stored.series)
     starts = pd.read_parquet(result.stored.folder / "trajectories.parquet")
@@ -206,7 +229,14 @@ def test_an_ensemble_records_the_crossings_of_each_trajectory(tmp_path: Path) ->
         assert np.array_equal(own["t"], single.t)
         assert np.array_equal(own[list(single.top.components)], single.states)
         never += not len(own)
+        for name, value in figures(single["q"]).items():
+            assert starts.loc[i, f"{name}.q"] == pytest.approx(value, rel=1e-12, nan_ok=True)
     assert 0 < never < 70
+    crossed = starts[starts["n"].notna() & starts["first.q"].notna()]
+    together = result.report["quantities"][0]
+    assert (together["min"], together["max"]) == (rows["q"].min(), rows["q"].max())
+    for name in ("first", "last", "mean"):
+        assert together[name] == pytest.approx(crossed[f"{name}.q"].mean(), rel=1e-12)
     assert result.report["section"] == {"crossings": len(rows), "never_crossed": never}
     assert result.report["message"].endswith(f"; {never} of 70 trajectories never crossed it")
 
@@ -225,10 +255,11 @@ def test_each_group_of_an_ensemble_has_the_columns_of_its_top(tmp_path: Path) ->
 
 
 def test_a_section_that_is_never_crossed_is_reported(tmp_path: Path) -> None:
-    never = {**RUN, "N": 100, "section": {"component": "gamma2", "value": 3.0}}
+    never = {**RUN, "N": 100, "section": {"component": "gamma2", "value": 3.0}, "output": {"quantities": {"q": "t"}}}
     result = run_experiment(load(never), tmp_path)
     assert result.report["message"] == "completed 100 steps (t = 10); never crossed the section gamma2 = 3 (up)"
     assert len(pd.read_parquet(result.stored.series)) == 0
+    assert result.report["quantities"] == [{"name": "q", "formula": "t", **dict.fromkeys(figures(np.empty(0)))}]
     assert len(topcli.simulate(never)) == 0
     assert len(topcli.simulate(never).invariants()) == 0
 

@@ -168,7 +168,7 @@ class PoincareSection(BaseModel):
 
 
 SECTION_TALLY = 16
-"""Steps from one state to the next at which a run that records crossings looks at the invariants and quantities."""
+"""Steps from one state to the next at which a run that records crossings looks at the invariants."""
 
 
 class Config(BaseModel):
@@ -279,7 +279,7 @@ class Experiment(BaseModel):
 
     @property
     def tallied(self) -> int:
-        """Number of steps from one state to the next in the report on invariants and quantities."""
+        """Number of steps from one state to the next in the report on invariants."""
         return SECTION_TALLY if self.section else self.output.every
 
     @property

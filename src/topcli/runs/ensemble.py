@@ -66,7 +66,7 @@ class GroupRun(Generic[Kept]):
             flat = seen.states.reshape(-1, seen.states.shape[-1])
             values = invariant_values(self.invariants, flat)
             self.tally.add(seen.n, seen.states, values, seen.first, seen.kept)
-            if first.quantities and len(seen.n):
+            if first.quantities and len(seen.n) and self.search is None:
                 n = np.tile(seen.n, len(seen.kept))
                 values |= {one.name: one.values(group.top, n, first.h, flat) for one in first.quantities}
                 self.quantities.add(values, seen.first, seen.kept)
@@ -121,9 +121,15 @@ class GroupRun(Generic[Kept]):
         return {"trajectory": (which + self.offset).astype(np.int64, copy=False), **table}
 
     def crossing_rows(self, found: Crossings) -> Columns:
-        """Columns of crossings."""
+        """Columns of crossings, whose quantities are added to those of the trajectories."""
         one = self.experiment.first.model_copy(update={"top": self.group.top})
         table = crossing_columns(one, found, self.names)
+        first, counts = int(found.which[0]), np.bincount(found.which - found.which[0])  # ordered by trajectories
+        crossed = np.arange(counts.max()) < counts[:, None]
+        values = {quantity.name: np.zeros(crossed.shape) for quantity in self.quantities.quantities}
+        for name, of_rows in values.items():
+            of_rows[crossed] = table[name]
+        self.quantities.add(values, first, counts)
         return {"trajectory": found.which + self.offset, **table}
 
     def last_rows(self) -> Columns:
@@ -146,7 +152,7 @@ class GroupRun(Generic[Kept]):
 
 
 def _thinned(piece: Piece) -> Piece:
-    """The rows of a piece that the report of a section's run is about."""
+    """The rows of a piece that the invariant report of a section's run is about."""
     at = tallied_rows(piece.n) if len(piece.n) else slice(None)
     kept = np.searchsorted(np.arange(len(piece.n))[at], piece.kept)
     return Piece(piece.first, piece.n[at], np.ascontiguousarray(piece.states[:, at]), kept)

@@ -161,11 +161,13 @@ class Recorder:
             n, states = n[at := tallied_rows(n)], np.ascontiguousarray(states[at])
         values = invariant_values(self._invariants, states)
         self.tally.add(n, states, values)
+        if found is not None:
+            rows = crossing_columns(self._experiment, found, self._names)
+            self.quantities.add(rows)
+            return rows
         observed = {quantity.name: quantity.values(top, n, h, states) for quantity in self._quantities}
         if len(n):
             self.quantities.add(observed)
-        if found is not None:
-            return crossing_columns(self._experiment, found, self._names)
         return columns(top, n, h, states, self._names, self._modified, values | observed | attitude)
 
     def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
@@ -189,7 +191,7 @@ class Recorder:
 
 
 def tallied_rows(n: NDArray[np.int64]) -> slice:
-    """Rows after ``n`` (m,) steps that the report of a section's run is about."""
+    """Rows after ``n`` (m,) steps that the invariant report of a section's run is about."""
     return slice(-int(n[0]) % SECTION_TALLY, None, SECTION_TALLY)
 
 
