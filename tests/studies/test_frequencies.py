@@ -71,11 +71,30 @@ def test_weighted_average_converges_faster_than_any_power() -> None:
 
 
 def test_digits_count_the_agreement_of_the_halves() -> None:
-    rows = np.ones((3, 2000))
-    rows[1, 1000:] += 1e-5
-    rows[2, 1000:] += 1e-9
-    assert agreement_digits(rows) == pytest.approx([16.0, 5.0, 9.0], abs=0.01)
-    assert agreement_digits(rows[1] * 1e8) == pytest.approx(5.0, abs=0.01)
+    """Relative to the amplitude: neither the unit of a column nor its zero matter."""
+    wave = np.cos(2.0 * np.pi * 0.1 * GOLDEN * np.arange(2000))
+    jump = np.arange(2000) >= 1000
+    rows = np.stack([wave, wave + 1e-5 * jump, wave + 1e-9 * jump, 1.0 * jump])
+    assert agreement_digits(rows)[1:] == pytest.approx([5.0, 9.0, 0.0], abs=0.05)
+    assert agreement_digits(rows)[0] > 12.0
+    for factor, offset in ((1e8, 0.0), (1.0, 10.0), (1.0, -1e4), (1e-3, 5.0)):
+        assert agreement_digits(factor * rows + offset)[1:3] == pytest.approx([5.0, 9.0], abs=0.05)
+    assert math.isnan(agreement_digits(np.append(wave, math.inf)))
+
+
+@pytest.mark.parametrize("cycles", [0.05, 0.3, 0.7, 1.0, 1.4, 1.9, 2.3, 2.6, 3.0, 5.0, 12.0])
+def test_a_frequency_is_right_or_none(cycles: float) -> None:
+    """Of slow waves the spectrum has its peak at 1.2 cycles over the rows or more, whatever their frequency."""
+    m, random = 1000, np.random.default_rng(23)
+    for phase, offset in zip(random.uniform(0.0, 7.0, 20), random.normal(size=20), strict=True):
+        line = strongest_line(offset + np.cos(2.0 * np.pi * cycles * np.arange(m) / m + phase))
+        if cycles < 2.4:
+            assert math.isnan(line.frequency)
+            assert math.isnan(line.amplitude)
+        else:
+            assert line.frequency * m == pytest.approx(cycles, rel=0.01)  # 0.003 at 2.6 cycles
+            assert line.amplitude == pytest.approx(1.0, rel=0.01)
+    assert math.isnan(strongest_line(np.linspace(0.0, 1.0, m)).frequency)
 
 
 def test_rotation_number_has_the_sense_of_the_rotation() -> None:
@@ -160,6 +179,23 @@ def test_command_prints_what_the_function_returns(cli: Callable[..., Said]) -> N
     lines = (line.split() for line in said.out.splitlines())
     printed = {line[0]: line[1] for line in lines if line and line[0] in rows}
     assert printed == {name: f"{row['frequency']:.12g}" if row["frequency"] else "–" for name, row in rows.items()}
+
+
+def test_columns_that_are_too_slow_are_named(cli: Callable[..., Said]) -> None:
+    """Waves of 1, 4 and 40 cycles in the run: no frequency, no change, and both."""
+    waves = ", ".join(
+        f"{name}: sin({2.0 * math.pi * cycles / 100.0!r}*t)" for name, cycles in (("a", 1), ("b", 4), ("c", 40))
+    )
+    options = ("--set", f"output.quantities={{{waves}}}", "--set", "h=0.1", "--set", "N=1000")
+    arguments = ("frequencies", "euler_exact", *options, *(part for name in "abc" for part in ("--component", name)))
+    rows = {row["name"]: row for row in cli(*arguments, "--json").json()["columns"]}
+    assert (rows["a"]["frequency"], rows["a"]["change"], rows["b"]["change"]) == (None, None, None)
+    assert rows["b"]["frequency"] == pytest.approx(0.04, rel=1e-3)
+    assert abs(rows["c"]["change"]) < 1e-8
+    said = cli(*arguments)
+    assert said.code == 0
+    assert "no frequency for a: fewer than 2.5 cycles in the run; take a longer one" in said.err
+    assert "no change for a, b: fewer than 5 cycles in the run; take a longer one" in said.err
 
 
 @pytest.mark.parametrize(

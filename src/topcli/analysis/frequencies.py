@@ -29,6 +29,8 @@ SETTLED = 1e-15
 """Step of Newton's method, in cycles per row times the rows, at which it ends."""
 QUIET = 1e-13
 """Amplitude of the strongest line, relative to the largest value, below which a column is constant."""
+LEAST_CYCLES = 2.5
+"""Fewest cycles over all rows: of slower lines the mean cannot be told, and the spectrum has its peak at 1.2 to 2.5."""
 
 
 @lru_cache(maxsize=8)
@@ -61,8 +63,8 @@ def agreement_digits(values: ArrayLike) -> Array:
     Returns
     -------
     ndarray, shape (...)
-        -log10 of the difference relative to the largest value, at most 16; nan for less than 16 rows, and if a value
-        is not finite.
+        -log10 of the difference relative to half of the range of the values, from 0 to 16; 16 for a constant column,
+        nan for less than 16 rows, and if a value is not finite.
     """
     rows = np.asarray(values, dtype=float)
     half = rows.shape[-1] // 2
@@ -70,9 +72,11 @@ def agreement_digits(values: ArrayLike) -> Array:
         return np.full(rows.shape[:-1], np.nan)
     with np.errstate(all="ignore"):
         apart = np.abs(weighted_mean(rows[..., :half]) - weighted_mean(rows[..., half : 2 * half]))
-        size = np.maximum(rows.max(axis=-1), -rows.min(axis=-1))
-        digits = -np.log10(np.maximum(apart / size, 10.0**-MOST_DIGITS))
-    return np.where(size == 0.0, MOST_DIGITS, np.where(np.isfinite(size), digits, np.nan))
+        high, low = rows.max(axis=-1), rows.min(axis=-1)
+        amplitude, size = 0.5 * high - 0.5 * low, np.maximum(high, -low)
+        digits = -np.log10(np.clip(apart / amplitude, 10.0**-MOST_DIGITS, 1.0))
+    digits = np.where(amplitude <= QUIET * size, MOST_DIGITS, digits)
+    return np.where(np.isfinite(size), digits, np.nan)
 
 
 @dataclass(frozen=True)
@@ -89,8 +93,8 @@ NO_LINE = SpectralLine(math.nan, math.nan)
 def strongest_line(values: ArrayLike) -> SpectralLine:
     """Strongest line in the spectrum of a column ``values`` (m,) about its mean.
 
-    nan for less than 16 rows, and if a value is not finite; the frequency 0 for a constant column. Frequencies above
-    half a cycle per row appear as lower ones.
+    nan for less than 16 rows, if a value is not finite, and for less than ``LEAST_CYCLES`` over all rows; the frequency
+    0 for a constant column. Frequencies above half a cycle per row appear as lower ones.
     """
     rows = np.asarray(values, dtype=float)
     m = len(rows)
@@ -106,6 +110,8 @@ def strongest_line(values: ArrayLike) -> SpectralLine:
         return SpectralLine(0.0, 0.0)
     u = (np.arange(m) - (m - 1) / 2.0) / m
     f = _maximum(windowed, u, peak / 4.0)
+    if not abs(f) >= LEAST_CYCLES:
+        return NO_LINE
     return SpectralLine(abs(f) / m, 2.0 * abs(_fourier(windowed, u, f)[0]))
 
 

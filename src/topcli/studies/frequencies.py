@@ -181,21 +181,31 @@ TABLE = Table(
 
 def answer(data: Data) -> str:
     """Agreement of the halves of the orbit."""
-    known = [row for row in data["columns"] if row["change"] is not None and row["digits"] is not None]
-    if not (data["completed"] and known):
+    finite = [row for row in data["columns"] if row["digits"] is not None]
+    if not (data["completed"] and finite):
         return ""
-    most, least = max(known, key=lambda row: abs(row["change"])), min(row["digits"] for row in known)
+    agree = f"averages over the halves agree to at least {min(row['digits'] for row in finite):.1f} digits"
+    changes = {abs(row["change"]): row["name"] for row in finite if row["change"] is not None}
+    if not changes:
+        return agree
+    most = max(changes)
     return (
         "from the first half of the orbit to the second, no frequency changes by more than "
-        f"{two_digits(abs(most['change']))} ({most['name']}); averages over the halves agree to at least {least:.1f} "
-        "digits"
+        f"{two_digits(most)} ({changes[most]}); {agree}"
     )
 
 
 def notes(data: Data) -> Iterator[str]:
-    """Meaning of the columns, and the limits of the rows."""
+    """Meaning of the columns, the limits of the rows, and columns that are too slow for these."""
     if not data["completed"]:
         return
+    from topcli.analysis.frequencies import LEAST_CYCLES
+
+    finite = [row for row in data["columns"] if row["digits"] is not None]
+    for key, least in (("frequency", LEAST_CYCLES), ("change", 2.0 * LEAST_CYCLES)):
+        slow = [row["name"] for row in finite if row[key] is None]
+        if slow:
+            yield f"no {key} for {', '.join(slow)}: fewer than {least:g} cycles in the run; take a longer one"
     yield (
         "frequency: strongest line of the spectrum, in cycles per unit time; change: frequency of the second half of "
         "the orbit minus that of the first; digits: number of digits to which the averages over the halves agree"

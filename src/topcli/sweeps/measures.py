@@ -423,7 +423,7 @@ _figure_of_column("mean", lambda rows: rows.mean(axis=1))
     noun="column",
 )
 def frequency(batch: Batch, column: str) -> Array:
-    """Frequency, below half a cycle per row; 0 for a constant column."""
+    """Frequency, below half a cycle per row; 0 for a constant column, nan below 2.5 cycles over the run."""
     spacing = abs(batch.experiment.h) * batch.experiment.output.every
     return np.array([strongest_line(rows).frequency for rows in batch.columns[column]]) / spacing
 
