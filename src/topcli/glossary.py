@@ -125,7 +125,7 @@ _QUANTITIES = (
     ),
     _of_invariant(
         "drift_bound",
-        "upper bound of the magnitude of the drift of NAME, with 95 % confidence",
+        "upper bound of the magnitude of the mean rate of change of NAME, with 95 % confidence",
         "95 % bound of the drift{}",
         r"|\dot I|_{95\,\%}",
         PER_TIME,
@@ -214,8 +214,8 @@ _WORDS = (
     Term("attitude", "the rotation from a frame fixed in the body to a frame fixed in space"),
     Term(
         "bound",
-        "a number that the magnitude of a drift does not exceed, with 95 % confidence; the verdict `no drift seen` "
-        "is printed with this number",
+        "a number that the mean rate of change of an invariant over a run does not exceed in magnitude, with 95 % "
+        "confidence; the verdict `no drift seen` is printed with this number",
     ),
     Term("claim", "a statement of the paper that `topcli claims` tests by computation"),
     Term(

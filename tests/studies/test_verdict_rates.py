@@ -33,3 +33,19 @@ def test_verdicts_are_rarely_wrong() -> None:
     assert of_scheme["rk4"]["drifting"] > 40
     assert of_scheme["HK"]["drifting"] == of_scheme["midpoint"]["drifting"] == 0
     assert of_scheme["HK, projected"]["exact"] == of_scheme["HK, projected"].total()
+
+
+@pytest.mark.slow
+def test_bounds_cover_changes_at_the_ends_of_runs() -> None:
+    """Jumps, ramps and cubics added to real deviations, once, three and ten times as large as their range.
+
+    Of the changes as large as the range, 3 to 23 % exceed the bound, and 40 % of the jumps after 99.5 %. With the
+    slope and its error alone, all jumps and ramps do at every size, and 10 to 35 % of the cubics.
+    """
+    counts = verdicts.with_changes(0.1, (100.0,))
+    for change in verdicts.CHANGES:
+        for size in verdicts.SIZES:
+            low, covered = counts[change, size, True], counts[change, size, False]
+            assert low + covered > 20, change
+            allowed = {"line": 0.0, "jump after 99.5 %": 0.5}.get(change, 0.3)
+            assert low <= (allowed if size == 1.0 else 0.05) * (low + covered), (change, size)

@@ -6,6 +6,7 @@ The thresholds are written out here: a constant that changes is a change of what
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -154,6 +155,24 @@ def test_doubt_begins_at_two_and_a_half_standard_errors_and_ends_at_four(errors:
     assert row.verdict == verdict
 
 
+@pytest.mark.parametrize(
+    ("slope", "jump", "verdict"),
+    [(0.5, 0.0, "no drift seen"), (0.5, 9.0, "no drift seen"), (50.0, 0.0, "drifting"), (50.0, 9.0, "undecided")],
+)
+def test_a_change_at_an_end_makes_a_slope_doubtful(slope: float, jump: float, verdict: str) -> None:
+    """A slope of some standard errors, and a jump in the last 3 % of some times the rise of the line."""
+    rows = 640
+    noise = 1.0 + 1e-5 * np.random.default_rng(5).normal(size=rows)
+    plain = report(noise, 2.0)
+    assert plain.drift is not None
+    assert plain.drift_error is not None
+    line = (slope * plain.drift_error - plain.drift) * H * np.arange(rows)
+    row = report(noise + line + jump * max(np.ptp(line), np.ptp(noise)) * (np.arange(rows) > 0.975 * rows), 20.0)
+    assert row.verdict == verdict
+    if verdict == "undecided":
+        assert row.statement == "undecided: changes at an end of the run; run T >= 13"
+
+
 @BELOW_AND_ABOVE
 def test_a_drift_makes_up_a_third_of_the_range_of_the_deviation(factor: float) -> None:
     """A fast wave of the range 2, and a line with the rise 1 or a little more or less: the range is 3."""
@@ -270,6 +289,65 @@ def test_the_error_of_a_slope_allows_for_correlated_noise(phi: float, part: floa
     errors = [fit.within for fit in fits if fit.model == "linear trend"]
     assert len(errors) > 100
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(part * expected, rel=0.02)
+
+
+ROWS = 2000
+passed = np.linspace(0.0, 1.0, ROWS + 1)
+CHANGES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
+    "a jump in the last 3 %": lambda random: passed >= random.uniform(0.97, 1.0),
+    "a jump in the first 3 %": lambda random: passed > random.uniform(0.0, 0.03),
+    "a jump anywhere": lambda random: passed > random.uniform(0.0, 1.0),
+    "a ramp over the last 5 %": lambda random: np.clip(20.0 * passed - 19.0, 0.0, 1.0),
+    "a ramp over the first 5 %": lambda random: np.clip(20.0 * passed, 0.0, 1.0),
+    "a cubic": lambda random: 0.5 * (2.0 * passed - 1.0) ** 3,
+    "a power": lambda random: passed ** random.uniform(1.0, 20.0),
+    "a line": lambda random: passed,
+}
+"""Changes from 0 to 1 (-1/2 to 1/2) over the part of a run that has passed."""
+BACKGROUNDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
+    "white noise": lambda random: random.normal(size=ROWS + 1),
+    "a wave": lambda random: np.sin(2.0 * math.pi * random.uniform(5.0, 100.0) * passed + random.uniform(0.0, 7.0)),
+    "pulses": lambda random: np.exp(9.0 * np.sin(math.pi * random.uniform(9.0, 90.0) * passed) ** 2 - 9.0),
+}
+"""Deviations without a drift."""
+
+
+@pytest.mark.parametrize("background", BACKGROUNDS)
+@pytest.mark.parametrize("change", CHANGES)
+def test_bounds_cover_the_mean_rate_of_change_over_the_run(change: str, background: str) -> None:
+    """At least 95 % of the bounds, for changes from once to a hundred times the range of the deviation without them.
+
+    29 or 30 of 30 are covered. The slope and its error from the fit alone cover no jump or ramp at an end, and 1 to 7
+    of 30 cubics.
+    """
+    random = np.random.default_rng(13)
+    covered = []
+    for _ in range(30):
+        values = BACKGROUNDS[background](random)
+        size = np.ptp(values) * 10.0 ** random.uniform(0.0, 2.0)
+        row = report(values + size * CHANGES[change](random), 1e6)
+        if row.drift_bound is not None:
+            covered.append(row.drift_bound * H * ROWS >= 0.999 * size)
+    assert len(covered) >= 15
+    assert np.mean(covered) >= 0.95
+
+
+@pytest.mark.parametrize("background", BACKGROUNDS)
+def test_bounds_without_a_change_are_those_of_the_slope(background: str) -> None:
+    """The ends of a run enlarge few bounds, and hardly any by more than twice: 4 %, and none of waves."""
+    random, width, ratios = np.random.default_rng(17), 16, []
+    for _ in range(60):
+        values = BACKGROUNDS[background](random)
+        row = report(values, 1e6)
+        blocks = np.array_split(values, np.arange(width, ROWS + 1, width))
+        t = np.array([H * (width * i + 0.5 * (len(block) - 1)) for i, block in enumerate(blocks)])
+        fit = fitted(t, np.array([block.mean() for block in blocks]))
+        assert row.drift == pytest.approx(fit.slope, rel=1e-6)
+        assert row.drift_error is not None
+        ratios.append((abs(fit.slope) + 2.0 * row.drift_error) / (abs(fit.slope) + 2.0 * max(fit.within, fit.between)))
+    assert np.median(ratios) == pytest.approx(1.0, abs=1e-6)
+    assert np.mean(np.array(ratios) > 2.0) < 0.1
+    assert max(ratios) < 6.0
 
 
 @pytest.mark.slow

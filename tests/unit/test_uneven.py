@@ -18,8 +18,8 @@ def motion(t: np.ndarray) -> np.ndarray:
     return np.cos(2.0 * math.pi * 50.0 * (t - t[0]) / (t[-1] - t[0]))[:, None]
 
 
-def series(values: np.ndarray) -> Invariant:
-    return Invariant("x", "x", "x", "a series", lambda y: values, lambda y: np.abs(values) + 1.0)
+def series(values: np.ndarray, terms: float = 1.0) -> Invariant:
+    return Invariant("x", "x", "x", "a series", lambda y: values, lambda y: np.abs(values) + terms)
 
 
 def uneven(t: np.ndarray, values: np.ndarray, steps: int = 100) -> InvariantRow:
@@ -79,6 +79,25 @@ def test_slope_errors_are_honest_at_uneven_times(kind: str, m: int, noise: str) 
     assert 0.15 < np.median(ratios) < 1.1
     walks = np.mean([fit.model == "random walk" for fit in fits])
     assert (walks > 0.9) if noise == "walk" else (walks < 0.14)
+
+
+@pytest.mark.parametrize("kind", TIMES)
+@pytest.mark.parametrize(("begin", "end"), [(0.97, 0.97), (0.03, 0.03), (0.95, 1.0), (0.0, 0.05)])
+def test_the_bound_covers_a_change_at_an_end_of_the_run(kind: str, begin: float, end: float) -> None:
+    """A jump or a ramp, one to a hundred times the range of the noise: 20 of 20, none from the fit alone."""
+    random = np.random.default_rng(19)
+    covered = []
+    for _ in range(20):
+        t = TIMES[kind](random, 600)
+        part = (t - t[0]) / (t[-1] - t[0])
+        noise = random.normal(size=len(t))
+        size = np.ptp(noise) * 10.0 ** random.uniform(0.0, 2.0)
+        row = uneven_report(
+            [series(noise + size * np.clip((part - begin) / (end - begin + 1e-9), 0.0, 1.0), 1e6)], t, motion(t), 600
+        )[0][0]
+        assert row.drift_bound is not None
+        covered.append(row.drift_bound * (t[-1] - t[0]) >= 0.999 * size)
+    assert np.mean(covered) >= 0.95
 
 
 @pytest.mark.parametrize("shape", ["noise", "walk", "wave"])

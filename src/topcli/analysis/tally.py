@@ -17,8 +17,10 @@ The verdicts on a single run:
             (``analysis.trend``) is between ``DOUBTFUL`` and ``SIGNIFICANCE`` standard errors, or makes up less than
             ``PART`` of the range of the deviation.
 *drifting*  the slope is more than ``SIGNIFICANCE`` standard errors, and makes up more of the range.
-*no drift seen*  the slope is not larger than ``DOUBTFUL`` standard errors. With 95 % confidence, the true one is at
-            most the fitted one and two standard errors.
+*no drift seen*  the slope is not larger than ``DOUBTFUL`` standard errors, changes at the ends left out of these. With
+            95 % confidence, the mean rate of change over the run is at most the slope and two standard errors. This
+            does not cover a change in the first or last tenth of the run that is smaller than the range of the
+            oscillation.
 
 *unjudged*  numbers that are not finite, or no step at all; or an invariant of motions on a level (``Invariant.on``)
             where this one does not begin.
@@ -51,7 +53,7 @@ from numpy.typing import NDArray
 from topcli.analysis.columns import invariant_values
 from topcli.analysis.leaving import energy_limits, first_beyond
 from topcli.analysis.swings import oscillations
-from topcli.analysis.trend import Trend, hann_line, trend
+from topcli.analysis.trend import Trend, hann_line, trend, with_ends
 from topcli.contracts import Array, Invariant, Top
 from topcli.table import plus_minus, rounded_up, two_digits
 
@@ -67,8 +69,8 @@ QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
 DEVIATIONS = ("max_deviation", "rms_deviation", "final_deviation")
 
 ULP = float(np.finfo(np.float64).eps)
-_MOTION = ("component_lows", "component_highs")
-_SUMS = ("first", "low", "high", "scale", "squares", "limit", "left", "rows", "steps", "width", "sums", *_MOTION)
+_EXTREMES = ("block_lows", "block_highs")
+_SUMS = ("first", "low", "high", "scale", "squares", "limit", "left", "rows", "steps", "width", "sums", *_EXTREMES)
 """Arrays of a tally that change with its rows."""
 
 
@@ -93,7 +95,7 @@ class InvariantRow:
     drift_error: float | None
     """One standard error of ``drift``."""
     drift_bound: float | None
-    """Bound of the magnitude of the true drift per unit time, with 95 % confidence."""
+    """Bound of the magnitude of the mean rate of change over the run, with 95 % confidence."""
     drift_over_run: float | None
     """``drift`` times the length of the run."""
     model: str | None
@@ -143,7 +145,7 @@ class InvariantTally:
             self.width *= 2
         self.sums = np.zeros((*shape, 2 * BLOCKS if drifts else 0))
         self._observed = drifts and count == 1
-        self.component_lows, self.component_highs = (np.empty((0, 2 * BLOCKS)) for _ in _MOTION)
+        self.block_lows, self.block_highs = (np.empty((0, 2 * BLOCKS)) for _ in _EXTREMES)
 
     def add(
         self,
@@ -170,7 +172,7 @@ class InvariantTally:
         here = slice(first, first + count)
         beyond = None if (kept == m).all() else np.arange(m) >= kept[:, None]
         fresh = (self.rows[here] == 0) & (kept > 0)
-        places = self._places(n, count) if self._drifts else n
+        places, deviations = self._places(n, count) if self._drifts else n, []
         with np.errstate(all="ignore"):  # huge states give figures that are not finite
             for i, invariant in enumerate(self.invariants):
                 of_rows = values[invariant.name].reshape(count, m)
@@ -198,21 +200,25 @@ class InvariantTally:
                     sums[:] = np.bincount(places, weights=weights).reshape(sums.shape)
                 self.scale[i, here] = np.maximum(self.scale[i, here], scale.max(axis=1))
                 self.squares[i, here] += np.einsum("ij,ij->i", deviation, deviation)
+                deviations.append(deviation[0])
         if self._observed and kept[0]:
-            self._observe(n[: kept[0]], flat[: kept[0]])
+            self._observe(n[: kept[0]], np.column_stack([flat[:m], *deviations])[: kept[0]])
         self.rows[here] += kept
         self.steps[here] = np.where(kept > 0, n[np.maximum(kept, 1) - 1], self.steps[here])
 
-    def _observe(self, n: NDArray[np.int64], states: Array) -> None:
-        """Add the states (m, d) of the only trajectory at the steps n to the ranges of the components in the blocks."""
-        if not len(self.component_lows):
-            self.component_lows = np.full((states.shape[1], 2 * BLOCKS), np.inf)
-            self.component_highs = -self.component_lows
+    def _observe(self, n: NDArray[np.int64], columns: Array) -> None:
+        """Add rows of the only trajectory at the steps n to the ranges in the blocks: its components, then deviations.
+
+        ``columns`` are of shape (m, d + invariants).
+        """
+        if not len(self.block_lows):
+            self.block_lows = np.full((columns.shape[1], 2 * BLOCKS), np.inf)
+            self.block_highs = -self.block_lows
         blocks = n // self.width[0]
         starts = np.flatnonzero(np.diff(blocks, prepend=-1))
-        for ends, least in ((self.component_lows, np.minimum), (self.component_highs, np.maximum)):
+        for ends, least in ((self.block_lows, np.minimum), (self.block_highs, np.maximum)):
             at = ends[:, blocks[starts]]
-            ends[:, blocks[starts]] = least(at, least.reduceat(states, starts, axis=0).T)
+            ends[:, blocks[starts]] = least(at, least.reduceat(columns, starts, axis=0).T)
 
     def _places(self, n: NDArray[np.int64], count: int) -> NDArray[np.int64]:
         """Places of the sums of ``count`` trajectories, then those to which their rows at the steps ``n`` belong."""
@@ -220,8 +226,8 @@ class InvariantTally:
         while n[-1] // self.width[0] >= size:
             self.width *= 2
             self.sums = _joined(self.sums, np.add, 0.0)
-            self.component_lows = _joined(self.component_lows, np.minimum, np.inf)
-            self.component_highs = _joined(self.component_highs, np.maximum, -np.inf)
+            self.block_lows = _joined(self.block_lows, np.minimum, np.inf)
+            self.block_highs = _joined(self.block_highs, np.maximum, -np.inf)
         rows = np.arange(count)[:, None] * size + n // self.width[0]
         return np.concatenate([np.arange(count * size), rows.ravel()])
 
@@ -343,9 +349,15 @@ class InvariantTally:
             return []
         with np.errstate(all="ignore"):
             filled, counts, t = self._blocks(rows, last)
-            fits = [trend(t, sums[0, filled] / counts) for sums in self.sums]
+            lows, highs = self.block_lows[:, filled], self.block_highs[:, filled]
+            d = len(lows) - len(self.invariants)
+            means = self.sums[:, 0, filled] / counts
+            fits = [
+                with_ends(trend(t, level), t, level, counts, low, high)
+                for level, low, high in zip(means, lows[d:], highs[d:], strict=True)
+            ]
             taken, span = last if steps is None else steps, last * self._h
-            short = self.shortness(self.component_lows[:, filled], self.component_highs[:, filled], span)
+            short = self.shortness(lows[:d], highs[:d], span)
             return [self.row(i, fit, short, taken, span, eps, origins or {}) for i, fit in enumerate(fits)]
 
     def shortness(self, lows: Array, highs: Array, span: float) -> str:
@@ -370,7 +382,7 @@ class InvariantTally:
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continue from a ``state()``. Raises KeyError or ValueError if it has another form."""
         for name in _SUMS:
-            if name not in _MOTION and state[name].shape != getattr(self, name).shape:
+            if name not in _EXTREMES and state[name].shape != getattr(self, name).shape:
                 raise ValueError("the sums of the invariant report have another form")
             setattr(self, name, np.array(state[name]))
 
@@ -409,8 +421,13 @@ def _verdict(
     reason = f"{beyond}; slope {fit.slope:.1e} ± {fit.error:.1e} ({ratio:.1f} standard errors, {fit.model})"
     if ratio > SIGNIFICANCE and abs(fit.slope * span) > PART * spread:
         return "drifting", f"drifting ({plus_minus(fit.slope, fit.margin)} per unit time, 95 %)", reason
-    if ratio > DOUBTFUL:
-        doubt = f"a slope that may belong to a slow oscillation; run T >= {rounded_up(2.0 * abs(span)):g}"
+    if abs(fit.slope) > DOUBTFUL * fit.scatter:
+        why = (
+            "a slope that may belong to a slow oscillation"
+            if fit.ends <= fit.scatter
+            else "changes at an end of the run"
+        )
+        doubt = f"{why}; run T >= {rounded_up(2.0 * abs(span)):g}"
         return "undecided", f"undecided: {doubt}", f"{reason}, {doubt}"
     return "no drift seen", f"no drift seen (below {two_digits(rounded_up(fit.bound))} per unit time, 95 %)", reason
 
@@ -548,8 +565,12 @@ def uneven_report(
         centres, span = means(t - t[0]), float(t[-1] - t[0])
         order = np.argsort(bins, kind="stable")
         starts = np.searchsorted(bins[order], np.flatnonzero(filled))
-        lows, highs = (least.reduceat(states[order], starts, axis=0).T for least in (np.minimum, np.maximum))
-        short = tally.shortness(lows, highs, span)
-        deviations = (values[invariant.name] - tally.first[i] for i, invariant in enumerate(invariants))
-        fits = [trend(centres, means(deviation), total) for deviation in deviations]
+        deviations = [values[invariant.name] - tally.first[i] for i, invariant in enumerate(invariants)]
+        columns, d = np.column_stack([states, *deviations])[order], states.shape[1]
+        lows, highs = (least.reduceat(columns, starts, axis=0).T for least in (np.minimum, np.maximum))
+        short = tally.shortness(lows[:d], highs[:d], span)
+        fits = [
+            with_ends(trend(centres, level, total), centres, level, total, low, high)
+            for level, low, high in zip(map(means, deviations), lows[d:], highs[d:], strict=True)
+        ]
         return [tally.row(i, fit, short, steps, span, ULP, {}) for i, fit in enumerate(fits)], tally.left_step

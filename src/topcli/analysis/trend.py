@@ -2,7 +2,7 @@
 
 The line is fitted with Hann weights: an oscillation of period P in a run of length T leaks into the slope only as
 (P/T)^3, while into a line of equal weights (``numpy.polyfit``) it leaks as P/T. The standard error of the slope is the
-larger of two:
+largest of three:
 
 *within the run*  how uncertain the residuals make the slope. Two models of them are compared: a *linear trend* with
                   noise or an oscillation that does not grow, whose error allows for correlation (Newey, West 1987),
@@ -11,6 +11,9 @@ larger of two:
 *between parts*   the largest difference between the slope and those of the halves and thirds of the run, scaled to its
                   length. In most cases the residuals are not noise but a slow oscillation of the motion, and each part
                   covers a different phase of it.
+*at the ends*     half of the change of level, over the length of the run, where the deviation at an end is outside its
+                  range in the middle of the run: the Hann weights hardly see the first and the last 5 % of the run.
+                  A change of level there that is smaller than this range cannot be told from an oscillation.
 
 The linear trend is chosen only if it is ``EVIDENCE`` times as likely. The test uses the ``LOW`` slowest components of
 the residuals, then all of them: in white noise all are equally large, in a random walk the slower ones are larger
@@ -20,10 +23,12 @@ the residuals, then all of them: in white noise all are equally large, in a rand
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from topcli.contracts import Array
 
@@ -33,6 +38,12 @@ WALK_LAGS = 2
 LOW = 8
 PARTS = (2, 3)
 """Numbers of parts of a run whose slopes have to agree."""
+END, EDGE = 32, 10
+"""The level at an end is the mean over a 32nd of the blocks; the middle leaves out a tenth at each end."""
+UNSEEN = 1.5
+"""Ratio of a change within the last 5 % of a run to the mean that the last 32nd shows of it, 1.45 for a ramp."""
+SLACK, EXCESS = 0.15, 6.0
+"""A level counts from 15 % of the range beyond the range of the middle on, and then up to six times the excess."""
 EVIDENCE = 5.0
 LINEAR, WALK = "linear trend", "random walk"
 
@@ -41,18 +52,24 @@ LINEAR, WALK = "linear trend", "random walk"
 class Trend:
     """A line through block means: ``slope``, and its standard errors ``within`` the run and ``between`` its parts.
 
-    ``model`` is that of the residuals.
+    ``model`` is that of the residuals. ``ends`` is half of the change at the ends of the run, per unit time.
     """
 
     slope: float
     within: float
     between: float
     model: str
+    ends: float = 0.0
+
+    @property
+    def scatter(self) -> float:
+        """Standard error of the slope without changes at the ends."""
+        return max(self.within, self.between)
 
     @property
     def error(self) -> float:
-        """Standard error of the slope, the larger of the two."""
-        return max(self.within, self.between)
+        """Standard error of the slope, the largest of the three."""
+        return max(self.scatter, self.ends)
 
     @property
     def margin(self) -> float:
@@ -61,7 +78,7 @@ class Trend:
 
     @property
     def bound(self) -> float:
-        """Bound of the magnitude of the true slope, with 95 % confidence."""
+        """Bound of the magnitude of the mean rate of change, with 95 % confidence."""
         return abs(self.slope) + self.margin
 
 
@@ -117,6 +134,43 @@ def trend(t: Array, values: Array, lengths: Array | None = None) -> Trend | None
         variance *= count / (count - 2.0 * (lags + 1))  # residuals of a fit are smaller than the noise
     between = _disagreement(slope, t, values, np.full(m, abs(t[1] - t[0])) if lengths is None else lengths)
     return Trend(slope, math.sqrt(max(variance, 0.0)), between, WALK if walks else LINEAR)
+
+
+def with_ends(
+    fit: Trend | None, t: Array, means: Array, weights: NDArray[Any], lows: Array, highs: Array
+) -> Trend | None:
+    """The trend with the change of level at the ends of the run; None without a trend.
+
+    Parameters
+    ----------
+    fit : Trend or None
+        Line fitted to the block means.
+    t, means, weights, lows, highs : ndarray, shape (m,)
+        Times of the blocks, means over them, numbers of rows (or times) that they represent, and their smallest and
+        largest values.
+    """
+    if fit is None:
+        return None
+    m, line = len(t), fit.slope * (t - t[0])
+    width, edge = max(m // END, 1), max(m // EDGE, 1)
+    full = m - int(weights[-1] < weights[-2])  # a last block that is not full averages less than the others
+    sums, counts = (np.cumsum(np.append(0.0, part[:full])) for part in (weights * (means - line), weights))
+    levels = (sums[width:] - sums[:-width]) / (counts[width:] - counts[:-width])
+    # means average over fast oscillations; single values show a change that comes after most of the last block
+    changes = np.maximum(_changes_of_level(levels, levels, edge), _changes_of_level(lows - line, highs - line, edge))
+    return replace(fit, ends=0.5 * float(changes.sum()) / abs(float(t[-1] - t[0])))
+
+
+def _changes_of_level(lows: Array, highs: Array, edge: int) -> Array:
+    """Changes of level (2,) at the first and last of stretches with these extremes (m,), against the range of others.
+
+    ``edge`` stretches at each end are left out of that range. The change to a value beyond it is at most that from the
+    other end of the range.
+    """
+    ends, middle = [0, -1], slice(edge, -edge)
+    low, high = lows[middle].min(), highs[middle].max()
+    excess = np.maximum(np.maximum(highs[ends] - high, low - lows[ends]) - SLACK * (high - low), 0.0)
+    return np.minimum(EXCESS * excess, UNSEEN * np.maximum(highs[ends] - low, high - lows[ends]))
 
 
 def _disagreement(slope: float, t: Array, values: Array, lengths: Array) -> float:

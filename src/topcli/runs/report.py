@@ -328,13 +328,14 @@ def report_markdown(report: dict[str, Any]) -> str:
         f"large terms, the deviation exceeds {LOST * TERMS:g} of the sum of their magnitudes.",
         f"- *drifting*: the slope exceeds {SIGNIFICANCE:g} standard errors, and the drift over the run is more than "
         f"{PART:.2g} of the range of the deviation.",
-        f"- *no drift seen*: the slope is below {DOUBTFUL:g} standard errors. With 95 % confidence, the true slope is "
-        "below the bound.",
+        f"- *no drift seen*: the slope is below {DOUBTFUL:g} standard errors. With 95 % confidence, the mean rate of "
+        "change over the run is below the bound.",
         "- *undecided*: none of the above, or the run is too short.",
         "- *unjudged*: values are not finite, no step is recorded, or the invariant is not conserved on this motion.",
         "",
-        "The standard error of the slope includes the scatter about the line, as noise or as a random walk, and the "
-        "differences between the slopes of the halves and of the thirds of the run.",
+        "The standard error of the slope includes the scatter about the line, as noise or as a random walk, the "
+        "differences between the slopes of the halves and of the thirds of the run, and changes at its ends that "
+        "exceed the range in its middle.",
         "",
         *_quantities_markdown(report.get("quantities") or []),
         seconds_note(report["seconds"]),
