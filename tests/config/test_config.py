@@ -98,12 +98,31 @@ def test_gamma_is_completed_or_normalised(tmp_path: Path, text: str, gamma: tupl
     assert load_experiment(path).y0[3:] == pytest.approx(gamma, abs=2e-16)
 
 
-def test_gamma_must_be_a_unit_vector_within_tolerance(tmp_path: Path) -> None:
-    within, beyond = math.sqrt(1.0 + 0.9e-12), math.sqrt(1.0 + 1.2e-12)
-    path = write(tmp_path, BASE.replace("[auto, 0, 1e-3]", f"[{within!r}, 0, 0]"))
-    assert load_experiment(path).y0[3] == within
-    message = refusal(write(tmp_path, BASE.replace("[auto, 0, 1e-3]", f"[{beyond!r}, 0, 0]")))
-    assert "is off by 1.2e-12" in message
+@pytest.mark.parametrize(
+    ("excess", "warns"),
+    [(0.9e-12, False), (1.2e-12, True), (-1.2e-12, True), (9e-5, True), (0.99e-2, True), (-0.99e-2, True)],
+)
+def test_a_vector_that_is_nearly_a_unit_vector_is_kept_with_a_warning(
+    tmp_path: Path, excess: float, warns: bool
+) -> None:
+    first = math.sqrt(1.0 + excess)
+    experiment = load_experiment(write(tmp_path, BASE.replace("[auto, 0, 1e-3]", f"[{first!r}, 0, 0]")))
+    assert experiment.y0[3] == first
+    warnings = experiment.state_warnings()
+    assert len(warnings) == warns
+    assert load_experiment(experiment.resolved()).y0 == experiment.y0
+    for line in warnings:
+        assert line.startswith("initial gamma is not a unit vector: gamma² is off by ")
+        assert float(line.split("off by ")[1].split(",")[0]) == pytest.approx(
+            excess, rel=1e-2 if excess > 1e-9 else 1e-3
+        )
+
+
+@pytest.mark.parametrize("excess", [1.01e-2, -1.01e-2])
+def test_a_vector_that_is_far_from_a_unit_vector_is_refused(tmp_path: Path, excess: float) -> None:
+    first = math.sqrt(1.0 + excess)
+    message = refusal(write(tmp_path, BASE.replace("[auto, 0, 1e-3]", f"[{first!r}, 0, 0]")))
+    assert f"is off by {excess:.3g} (allowed: 0.01); write one component as auto" in message
 
 
 def test_numbers_and_case_of_names_are_read_leniently(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, Field, WithJsonSchema, create_model
 
 from topcli.config.document import STRICT, Document, Problems, number_of, validate
 from topcli.config.draws import ABSOLUTE, MAX_TRAJECTORIES, Drawn, Random, draw_examples, drawable, random_model
-from topcli.config.models import Experiment, digest_of
+from topcli.config.models import Experiment, digest_of, unit_warnings
 from topcli.config.ranges import Numbers, Range
 from topcli.config.sections import initial_model, read_initial, top_with, vectors_of
 from topcli.config.text import to_yaml
@@ -333,6 +333,12 @@ class EnsembleExperiment:
     members: Members
     top: Top
     """Top as the config gives it; a grid may vary its parameters."""
+
+    def state_warnings(self) -> list[str]:
+        """Warnings about initial states that are listed or on a grid; drawn ones have unit vectors."""
+        source = self.members.groups[0].source  # grids of parameters have the same states in all groups
+        blocks = () if isinstance(source, Drawn) else source.blocks(1 << 16)
+        return list(dict.fromkeys(line for block in blocks for line in unit_warnings(type(self.top), block)))[:1]
 
     @property
     def name(self) -> str:

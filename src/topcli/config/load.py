@@ -149,6 +149,12 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         data["name"] = "unnamed" if fault else default_name
     if "ensemble" in data:
         data.setdefault("initial", {})
+    if isinstance(initial := data.get("initial"), dict) and "from" in initial:
+        from topcli.config.continued import last_state  # with the store, which other configs spare
+
+        with problems.at("initial"):
+            data["initial"] = last_state(initial, lambda vectors: _top({**data, "initial": vectors}, problems)[1])
+        problems.raise_any()
     config = _config(data, problems)
     cls, top = _top(data, problems)
     scheme = read_scheme(data["scheme"], cls, problems) if cls and "scheme" in data else None

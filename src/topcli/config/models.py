@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -182,7 +182,10 @@ class Config(BaseModel):
         json_schema_extra={"maxLength": MAX_NAME, "pattern": r"^[^./\\\s-][^/\\]*$"},
     )
     top: Any = Field(description="the top: its kind, or a section with its kind and parameters")
-    initial: Any = Field(description="the initial state: the top's vectors, such as omega and gamma")
+    initial: Any = Field(
+        description="the initial state: the top's vectors, such as omega and gamma; or from: RUN, which takes the last "
+        "state of a stored run",
+    )
     ensemble: Any = Field(
         default=None,
         description="compute many trajectories; their initial states are listed, lie on a grid, or are drawn at random",
@@ -244,6 +247,24 @@ canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=Fa
 """JSON with sorted keys and without spaces: equal plain data, equal text."""
 
 
+UNIT_TOLERANCE, UNIT_LIMIT = 1e-12, 1e-2
+"""Deviations of the square of a unit vector from 1: up to the first it counts as 1, up to the second with a warning.
+
+The limit covers a vector that is rounded to two or three digits, and the last state of a scheme that does not conserve
+the length: under HK, the squares in the packaged scenes deviate by up to 0.003.
+"""
+
+
+def unit_warnings(cls: type[Top], states: Array) -> Iterator[str]:
+    """Yield a warning for each unit vector whose square is off 1 in some of the ``states`` (m, d)."""
+    for name in cls.unit_vectors:
+        excess = (states[:, slice(*cls.vectors[name])] ** 2).sum(axis=1) - 1.0
+        worst = float(excess[np.argmax(np.abs(excess))])
+        if abs(worst) > UNIT_TOLERANCE:
+            fault = f"initial {name} is not a unit vector: {name}² is off by {worst:.3g}, which the run keeps"
+            yield f"{fault}; initial.normalize: true makes it one"
+
+
 class Experiment(BaseModel):
     """A numerical experiment, complete and validated.
 
@@ -293,6 +314,10 @@ class Experiment(BaseModel):
     def quantities(self) -> tuple[Quantity, ...]:
         """Observables of the user."""
         return quantities_of(type(self.top), self.output.quantities)
+
+    def state_warnings(self) -> list[str]:
+        """Warnings about the initial state."""
+        return list(unit_warnings(type(self.top), np.array([self.y0])))
 
     def search(self, y0: Array | None = None, method: Method | None = None) -> CrossingSearch | None:
         """Search for crossings of the section by orbits from ``y0`` (m, d) or its own; None without a section."""

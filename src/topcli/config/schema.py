@@ -47,7 +47,7 @@ def config_schema() -> Schema:
             {"type": "object", "required": ["kind"], "properties": {"kind": {"enum": known}}},
         ]
     }
-    properties["initial"] |= {"type": "object"}
+    properties["initial"] |= {"type": "object", "properties": {"from": _FROM_RUN["properties"]["from"]}}
     properties["ensemble"] |= {"anyOf": [{"$ref": f"#/$defs/{_ENSEMBLE}"}, *_ensemble_section(*TOPS.values())["anyOf"]]}
     schema["required"].remove("initial")
     schema["anyOf"] = [{"required": ["initial"]}, {"required": ["ensemble"]}]
@@ -68,6 +68,15 @@ def config_schema() -> Schema:
 
 
 _ENSEMBLE = f"ensemble_{CUSTOM}"
+_FROM_RUN: Schema = {
+    "type": "object",
+    "required": ["from"],
+    "properties": {
+        "from": {"type": "string", "description": "the name or the folder of the stored run whose last state is taken"},
+        "normalize": {"type": "boolean"},
+    },
+    "additionalProperties": False,
+}
 _FORMULA: Schema = {"type": ["string", "number"], "description": "a formula of components and parameters"}
 
 
@@ -112,7 +121,7 @@ def _for_custom() -> Schema:
         "then": {
             "properties": {
                 "top": section,
-                "initial": {"type": "object", "additionalProperties": {"type": "number"}},
+                "initial": {"anyOf": [{"type": "object", "additionalProperties": {"type": "number"}}, _FROM_RUN]},
                 "ensemble": {"anyOf": [{"$ref": f"#/$defs/{_ENSEMBLE}"}, {"type": "null"}]},
                 "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
             }
@@ -140,7 +149,8 @@ def _for_top(cls: type[Top]) -> Schema:
     items: Schema = {"anyOf": [{"enum": list(dict.fromkeys(columns))}, {"pattern": "^modified_"}]}
     initial = _schema(initial_model(cls))
     vectors = initial.pop("required")
-    complete: Schema = {"anyOf": [{"required": ["ensemble"]}, {"properties": {"initial": {"required": vectors}}}]}
+    given = [{"required": vectors}, {"required": ["from"]}]
+    complete: Schema = {"anyOf": [{"required": ["ensemble"]}, {"properties": {"initial": {"anyOf": given}}}]}
     condition = _is_top(kind)
     others = {name for form in forms(cls.kind) for name in form.vectors} - set(vectors)
     if len(forms(cls.kind)) > 1:
@@ -156,7 +166,7 @@ def _for_top(cls: type[Top]) -> Schema:
         "then": {
             "properties": {
                 "top": {"anyOf": [kind, _section(cls, "kind", kind | {"description": cls.title})]},
-                "initial": initial,
+                "initial": {"anyOf": [initial, _FROM_RUN]},
                 "ensemble": _ensemble_section(cls),
                 "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
                 "output": {

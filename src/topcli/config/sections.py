@@ -13,15 +13,13 @@ from pydantic import BaseModel, Field, PlainValidator, create_model
 
 from topcli.analysis.columns import ATTITUDES, spellings
 from topcli.config.document import STRICT, KeyPath, Problems, describe, number_of, validate
-from topcli.config.models import Output
+from topcli.config.models import UNIT_LIMIT, UNIT_TOLERANCE, Output
 from topcli.contracts import Invariant, Scheme, Top
 from topcli.errors import nearest, quoted
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import composed, find_scheme, names_for
 from topcli.tops import CUSTOM, top_class, top_names
 
-UNIT_TOLERANCE = 1e-12
-"""Deviation of the square of a unit vector from 1 that is accepted."""
 AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
 """Texts for a component that completes a unit vector, with the component's sign."""
 
@@ -170,10 +168,10 @@ class Vector:
             length = math.hypot(*scaled)
             return [value / length for value in scaled]
         square = sum(value * value for value in vector)
-        if abs(square - 1.0) > UNIT_TOLERANCE:
+        if abs(square - 1.0) > UNIT_LIMIT:
             raise ValueError(
                 f"must be a unit vector: {self.name}² = {square:.15g} is off by {square - 1.0:.3g} (allowed: "
-                f"{UNIT_TOLERANCE:g}); write one component as auto, or set initial.normalize: true"
+                f"{UNIT_LIMIT:g}); write one component as auto, or set initial.normalize: true"
             )
         return vector
 

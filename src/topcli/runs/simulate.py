@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from topcli.analysis.trajectory import Ensemble, Trajectory
 from topcli.config.document import Document, Problems
 from topcli.config.ensemble import SOURCES, EnsembleExperiment, Group, Listed, Members
 from topcli.config.load import load, load_experiment, read_config
-from topcli.config.models import Experiment
-from topcli.config.sections import UNIT_TOLERANCE, read_top
+from topcli.config.models import UNIT_LIMIT, Experiment
+from topcli.config.sections import read_top
 from topcli.contracts import Array, Top
 from topcli.engine.ensemble import Piece
 from topcli.engine.run import Endings
@@ -89,7 +90,15 @@ def simulate(
     """
     if config is None or isinstance(config, Mapping):
         config = {"name": "simulation", **(config or {})}
-    return trajectory_of(load_experiment(config, overrides, changes, any_precision=True, crossings=True))
+    experiment = load_experiment(config, overrides, changes, any_precision=True, crossings=True)
+    _warn(experiment)
+    return trajectory_of(experiment)
+
+
+def _warn(experiment: Experiment | EnsembleExperiment) -> None:
+    """Issue the warnings about initial states, to the caller of the calling function."""
+    for line in experiment.state_warnings():
+        warnings.warn(line, stacklevel=3)
 
 
 MAX_NUMBERS = 5 * 10**8
@@ -204,7 +213,9 @@ def simulate_ensemble(
     """
     if threads is not None and threads < 1:
         raise UsageError(f"threads must be at least 1, not {threads}")
-    return ensemble_of(_experiment(config, states, overrides, changes), threads)
+    experiment = _experiment(config, states, overrides, changes)
+    _warn(experiment)
+    return ensemble_of(experiment, threads)
 
 
 def _experiment(
@@ -264,8 +275,8 @@ def _check_units(top: type[Top], states: Array) -> None:
     for name in top.unit_vectors:
         excess = (states[:, slice(*top.vectors[name])] ** 2).sum(axis=1) - 1.0
         worst = int(np.argmax(np.abs(excess)))
-        if abs(excess[worst]) > UNIT_TOLERANCE:
+        if abs(excess[worst]) > UNIT_LIMIT:
             raise UsageError(
                 f"simulate_ensemble: states[{worst}]: {name} must be a unit vector; {name}² is off by "
-                f"{excess[worst]:.3g} (allowed: {UNIT_TOLERANCE:g})"
+                f"{excess[worst]:.3g} (allowed: {UNIT_LIMIT:g})"
             )

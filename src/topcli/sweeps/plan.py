@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.config.document import Problems
+from topcli.config.models import unit_warnings
 from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep
 from topcli.errors import TopcliError, UnknownNameError
@@ -36,6 +37,8 @@ REASONS = {
 """Reasons why a row has to run."""
 WARNED_TOPS = 64
 """Tops of a sweep whose parameters are looked at for warnings."""
+WARNED_STATES = 1000
+"""Initial states of a sweep that are looked at for warnings."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,7 @@ def survey(sweep: Sweep) -> Survey:
     names: dict[str, int] = {}
     types: dict[str, set[type]] = {key: set() for key in sweep.keys}
     tops: dict[str, tuple[str, ...]] = {}
+    states: dict[tuple[float, ...], tuple[str, ...]] = {}
     problems = Problems(sweep.document)
     lacking: dict[str, list[NoCounterError | None]] = {}
     for row in RowReader(sweep).rows():
@@ -110,6 +114,8 @@ def survey(sweep: Sweep) -> Survey:
             known[pair] = names.setdefault(_code_of(row), len(names))
         if row.top not in tops and len(tops) < WARNED_TOPS:
             tops[row.top] = shared_experiment(Shared.of(row)).top.warnings()
+        if row.initial not in states and len(states) < WARNED_STATES:
+            states[row.initial] = tuple(unit_warnings(TOPS[row.form], np.array([row.initial])))
         digests += short_digest(row.digest)
         codes.append(known[pair])
         for kinds, value in zip(types.values(), row.keys, strict=True):
@@ -119,7 +125,7 @@ def survey(sweep: Sweep) -> Survey:
             problems.add(("measure",), str(errors[0]), unknown_name=True)
     problems.raise_any()
     columns = {key: _column_type(kinds) for key, kinds in types.items()}
-    warnings = tuple(dict.fromkeys(line for lines in tops.values() for line in lines))
+    warnings = tuple(dict.fromkeys(line for lines in (*tops.values(), *states.values()) for line in lines))
     arrays = np.frombuffer(digests, dtype=DIGEST), np.frombuffer(codes, dtype=np.int16)
     return Survey(sweep, *arrays, list(names), columns, warnings)
 

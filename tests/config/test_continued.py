@@ -1,0 +1,178 @@
+"""Runs that go on, or back, from the last state of another run, and states that nearly have unit vectors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import topcli
+from conftest import Said
+from custom_tops import SECTION
+from json_schema import fits
+from resuming import after
+from topcli.config.load import load, load_experiment
+from topcli.config.schema import config_schema
+from topcli.config.sweep import load_sweep
+from topcli.errors import ConfigError
+from topcli.runs.decision import RunOptions
+from topcli.runs.run import run_experiment
+from topcli.sweeps.run import SweepOptions, run_sweep
+
+BODY: dict[str, Any] = {
+    "name": "one",
+    "top": "kowalevski",
+    "initial": {"omega": [0.3, 0.2, 1.1], "gamma": [0.6, 0.0, 0.8]},
+    "scheme": "hk",
+    "h": 0.05,
+    "N": 300,
+}
+CUSTOM = {**BODY, "top": SECTION, "initial": {"w1": 0.9, "w2": -0.4, "w3": 1.2}}
+INERTIAL = {**BODY, "top": "lagrange", "initial": {"m": [0.3, 0.2, 1.1], "a": [0.6, 0.0, 0.8]}, "scheme": "midpoint"}
+
+
+def rows_of(config: dict[str, Any], out: Path) -> np.ndarray:
+    """States (m, d) of a run into a folder of results."""
+    stored = run_experiment(load(config), out).stored
+    table = pd.read_parquet(stored.series) if stored.series.suffix == ".parquet" else pd.read_csv(stored.series)
+    return table[list(load_experiment(config).top.components)].to_numpy()
+
+
+@pytest.mark.parametrize("file_format", ["parquet", "csv"])
+@pytest.mark.parametrize("config", [BODY, CUSTOM, INERTIAL, {**BODY, "scheme": "rk4"}])
+def test_a_run_goes_on_and_back(in_tmp: Path, config: dict[str, Any], file_format: str) -> None:
+    """On, with the bits of the run of both lengths; back, to the first state within round-off or the order's error."""
+    config = {**config, "output": {"format": file_format}}
+    results = in_tmp / "results"
+    first = rows_of(config, results)
+    on = rows_of({**config, "name": "on", "initial": {"from": "one"}}, results)
+    whole = rows_of({**config, "name": "whole", "N": 600}, results)
+    assert np.array_equal(np.vstack([first, on[1:]]), whole)
+    back = rows_of({**config, "name": "back", "initial": {"from": "results/on"}, "h": -0.05, "N": 600}, results)
+    assert np.abs(back[-1] - first[0]).max() < (1e-4 if config["scheme"] == "rk4" else 1e-9)
+
+
+def test_the_config_of_a_continued_run_is_complete(in_tmp: Path) -> None:
+    """It holds the state, not the name: the run stays the same if the other one is gone or has changed."""
+    first = rows_of(BODY, in_tmp / "results")
+    experiment = load({**BODY, "name": "on", "initial": {"from": "one"}})
+    assert experiment.resolved()["initial"] == {"omega": first[-1, :3].tolist(), "gamma": first[-1, 3:].tolist()}
+    scaled = load_experiment({**BODY, "initial": {"from": "one", "normalize": True}})
+    assert math.fsum(value * value for value in scaled.y0[3:]) == pytest.approx(1.0, abs=1e-15)
+    precise = load_experiment({**BODY, "initial": {"from": "one"}, "precision": 30}, any_precision=True)
+    assert precise.y0 == tuple(first[-1])
+    many = load({**BODY, "initial": {"from": "one"}, "ensemble": {"states": [{}, {"omega": [1, 0, 0]}]}})
+    assert many.members.groups[0].states[:, 3:].tolist() == [first[-1, 3:].tolist()] * 2
+
+
+def test_an_interrupted_run_goes_on_from_where_it_stopped(in_tmp: Path) -> None:
+    stored = run_experiment(load({**BODY, "N": 10**6}), in_tmp / "results", RunOptions(stop=after(3))).stored
+    last = pd.read_parquet(stored.series).iloc[-1]
+    assert 0 < stored.manifest["step"] == last["n"]
+    assert load_experiment({**BODY, "initial": {"from": "one"}}).y0[0] == last["omega1"]
+
+
+@pytest.mark.parametrize(
+    ("run", "changes", "message"),
+    [
+        ({}, {"initial": {"from": "two"}}, "no finished run 'two'; give its name in results, or its folder"),
+        ({}, {"initial": {"from": 3}}, "from must be the name or the folder of a stored run"),
+        ({}, {"initial": {"from": "one", "omega": [1, 0, 0]}}, "from gives the whole state; leave out omega"),
+        ({}, {"top": {"kind": "kowalevski", "c0": -0.5}}, "the top of the run .*one differs from this one"),
+        ({}, {"top": "lagrange"}, "the top of the run .*one differs from this one"),
+        ({"output": {"every": 7}}, {}, "did not record its last state; output.every must divide its 300 steps"),
+        ({"output": {"columns": ["t", "omega1", "gamma1"]}}, {}, "did not record omega2, omega3, gamma2, gamma3"),
+        ({"section": {"component": "gamma2"}}, {}, "recorded crossings"),
+        ({"ensemble": {"states": [{}]}}, {}, "is an ensemble"),
+        ({"precision": 30, "N": 10}, {}, "is in another precision"),
+        ({"scheme": "rk2", "h": 3.0}, {}, "failed: it (blew up|left)"),
+        ({"h": 0.3}, {}, r"gamma² = .* is off by .* \(allowed: 0.01\)"),
+    ],
+)
+def test_what_cannot_be_continued_is_refused(
+    in_tmp: Path, run: dict[str, Any], changes: dict[str, Any], message: str
+) -> None:
+    first = {**BODY, **run, "output": {"every": 1, **run.get("output", {})}}
+    run_experiment(load(first), in_tmp / "results")
+    with pytest.raises(ConfigError, match=message):
+        load({**BODY, "name": "on", "initial": {"from": "one"}, **changes})
+
+
+def test_a_damaged_run_is_not_continued(in_tmp: Path) -> None:
+    stored = run_experiment(load(BODY), in_tmp / "results").stored
+    data = bytearray(stored.series.read_bytes())
+    data[len(data) // 2] ^= 1
+    stored.series.write_bytes(data)
+    with pytest.raises(ConfigError, match=r"the run results/one is damaged: series\.parquet"):
+        load({**BODY, "initial": {"from": "one"}})
+
+
+def test_the_schema_of_configs_knows_continued_runs() -> None:
+    schema = config_schema()
+    for top in ("kowalevski", "lagrange", "euler", SECTION):
+        plain = {**BODY, "top": top}
+        assert fits(schema, {**plain, "initial": {"from": "one"}})
+        assert fits(schema, {**plain, "initial": {"from": "one", "normalize": True}})
+        assert not fits(schema, {**plain, "initial": {"from": 3}})
+
+
+OFF = [0.6, 0.0, 0.8 + 5e-5]
+"""gamma² is off by 8e-5."""
+WARNING = "initial gamma is not a unit vector: gamma² is off by 8e-05, which the run keeps"
+
+
+def test_commands_and_functions_warn_of_states_off_the_unit_sphere(cli: Callable[..., Said]) -> None:
+    sets = ("--set", f"initial.gamma={OFF}", "--set", "N=100")
+    for arguments in (("run", "kowalevski_hk", *sets), ("lyapunov", "kowalevski_hk", *sets[:2], "--set", "N=1000")):
+        said = cli(*arguments)
+        assert f"{WARNING}; initial.normalize: true makes it one" in said.err, arguments
+        assert said.err.count("unit vector") == 1
+    assert "unit vector" not in cli("run", "kowalevski_hk", "--set", "N=100").err
+    state = [0.3, 0.2, 1.1, *OFF]
+    changes: dict[str, Any] = {"initial": {"omega": state[:3], "gamma": OFF}}
+    with pytest.warns(UserWarning, match=WARNING) as caught:
+        assert topcli.simulate({**BODY, **changes}).states[0].tolist() == state
+    assert caught[0].filename == __file__
+    with pytest.warns(UserWarning, match=WARNING):
+        topcli.simulate_ensemble(BODY, states=[[0.3, 0.2, 1.1, 0.6, 0.0, 0.8], state])
+    for ensemble in (
+        {"states": [{}, changes["initial"]]},
+        {"grid": {"gamma3": [0.8, OFF[2]], "omega1": [0.1, 0.2]}},
+    ):
+        with pytest.warns(UserWarning, match=WARNING):
+            topcli.simulate_ensemble({**BODY, "ensemble": ensemble})
+
+
+def test_sweeps_warn_of_states_off_the_unit_sphere(in_tmp: Path) -> None:
+    base = {key: value for key, value in BODY.items() if key != "name"}
+    sweep = load_sweep(
+        {"name": "s", "base": base, "grid": {"initial.gamma3": [0.8, OFF[2]]}, "measure": ["max.energy"]}
+    )
+    lines: list[str] = []
+    run_sweep(sweep, in_tmp, SweepOptions(on_message=lines.append))
+    assert sum(WARNING in line for line in lines) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("top", "initial"),
+    [
+        ("kowalevski", {"omega": [0.3, 0.2, 1.1], "gamma": [0.6, 0.0, 0.804]}),
+        ("lagrange", {"omega": [0.3, 0.2, 1.1], "gamma": [0.6, 0.0, 0.804]}),
+        ("lagrange", {"m": [0.3, 0.2, 1.1], "a": [0.6, 0.0, 0.804]}),
+        ({"kind": "euler", "A": 3, "B": 2, "C": 1}, {"omega": [0.3, 0.2, 1.1], "gamma": [0.6, 0.0, 0.804]}),
+    ],
+)
+def test_closed_forms_hold_off_the_unit_sphere(top: object, initial: dict[str, Any]) -> None:
+    """A vector of another length is another strength of gravity, for which the closed forms hold as well."""
+    with pytest.warns(UserWarning, match="not a unit vector"):
+        exact, taylor = (
+            topcli.simulate({**BODY, "top": top, "initial": initial, "scheme": scheme})
+            for scheme in ("exact", "taylor")
+        )
+    assert np.abs(exact.states - taylor.states).max() < 1e-12
