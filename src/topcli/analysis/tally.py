@@ -202,23 +202,27 @@ class InvariantTally:
                 self.squares[i, here] += np.einsum("ij,ij->i", deviation, deviation)
                 deviations.append(deviation[0])
         if self._observed and kept[0]:
-            self._observe(n[: kept[0]], np.column_stack([flat[:m], *deviations])[: kept[0]])
+            self._observe(n[: kept[0]], flat[: kept[0]], [deviation[: kept[0]] for deviation in deviations])
         self.rows[here] += kept
         self.steps[here] = np.where(kept > 0, n[np.maximum(kept, 1) - 1], self.steps[here])
 
-    def _observe(self, n: NDArray[np.int64], columns: Array) -> None:
-        """Add rows of the only trajectory at the steps n to the ranges in the blocks: its components, then deviations.
+    def _observe(self, n: NDArray[np.int64], states: Array, deviations: Sequence[Array]) -> None:
+        """Add rows of the only trajectory at the steps n to the ranges of its components and deviations in the blocks.
 
-        ``columns`` are of shape (m, d + invariants).
+        ``states`` are of shape (m, d), each of the ``deviations`` of shape (m,).
         """
+        d = states.shape[1]
         if not len(self.block_lows):
-            self.block_lows = np.full((columns.shape[1], 2 * BLOCKS), np.inf)
+            self.block_lows = np.full((d + len(deviations), 2 * BLOCKS), np.inf)
             self.block_highs = -self.block_lows
         blocks = n // self.width[0]
         starts = np.flatnonzero(np.diff(blocks, prepend=-1))
         for ends, least in ((self.block_lows, np.minimum), (self.block_highs, np.maximum)):
             at = ends[:, blocks[starts]]
-            ends[:, blocks[starts]] = least(at, least.reduceat(columns, starts, axis=0).T)
+            at[:d] = least(at[:d], least.reduceat(states, starts, axis=0).T)
+            for i, deviation in enumerate(deviations, start=d):
+                at[i] = least(at[i], least.reduceat(deviation, starts))
+            ends[:, blocks[starts]] = at
 
     def _places(self, n: NDArray[np.int64], count: int) -> NDArray[np.int64]:
         """Places of the sums of ``count`` trajectories, then those to which their rows at the steps ``n`` belong."""
