@@ -35,7 +35,8 @@ class NaturalUnits:
         """The field with time in units of 2^-k and component i in units of 2^units[i], exactly; ``k``; and ``units``.
 
         The components of the state ``y``, and their rates of change while they are of this size, are at most about one.
-        Terms with a component that stays zero are left out.
+        A component that stays zero has the unit 2^NOTHING, which is zero, and the terms with it are left out; ``k`` and
+        ``units`` thus determine the field.
         """
         sizes = tuple(max(_exponent(float(y[j])) for j in group) for group in self.groups)
         if sizes not in self._known:
@@ -58,7 +59,7 @@ class NaturalUnits:
             )
 
         field = tuple(scaled(i, rate) for i, rate in enumerate(self.field))
-        return field, k, [unit * (i in moving) for i, unit in enumerate(units)]
+        return field, k, units
 
     def _units(self, start: list[int], k: int) -> list[int] | None:
         """Units of the components for a unit of time, at least ``start``; None if rates are above one for any."""

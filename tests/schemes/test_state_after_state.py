@@ -1,0 +1,78 @@
+"""What a scheme computes from a state does not depend on the states that it was given before."""
+
+from __future__ import annotations
+
+import functools
+import sys
+
+import numpy as np
+import pytest
+
+from steppers import built
+from topcli.contracts import Scheme
+from topcli.engine.loop import loop_of
+from topcli.engine.run import Run
+from topcli.errors import TopcliError
+from topcli.schemes.registry import all_schemes
+from topcli.tops import TOPS
+
+H, N = 0.1, 3
+STATES = 8
+
+
+def forget() -> None:
+    """Empty the caches of the schemes for single tops, such as those of closed forms, as in a new process."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith(("topcli.schemes.euler", "topcli.schemes.kowalevski", "topcli.schemes.lagrange")):
+            for value in vars(module).values():
+                if isinstance(value, functools._lru_cache_wrapper):
+                    value.cache_clear()
+
+
+def states_with_zeros(d: int, seed: int) -> np.ndarray:
+    """The origin, and states of which every other component is zero on average."""
+    random = np.random.default_rng(seed)
+    y = random.normal(size=(STATES, d)) * (random.random((STATES, d)) < 0.5)
+    y[0] = 0.0
+    return y
+
+
+def image(scheme: Scheme, loop, y: np.ndarray) -> bytes:
+    """Recorded states and outcome of a run from ``y``, or the reason why there is none."""
+    try:
+        _, states, ending = Run(TOPS[scheme.top].new(), loop, y, H, N).collect()
+    except TopcliError as error:
+        return str(error).encode()
+    return states.tobytes() + ending.outcome.encode()
+
+
+def check_states_in_turn(scheme: Scheme, seed: int) -> None:
+    top = TOPS[scheme.top].new()
+    d, constants = len(top.components), len(top.constants())
+
+    def loop():
+        return loop_of(built(scheme.name, top), d, constants)
+
+    y = states_with_zeros(d, seed)
+    forget()
+    with np.errstate(all="ignore"):
+        shared = loop()
+        in_turn = [image(scheme, shared, state) for state in y]
+        for state, earlier in zip(y[::-1], in_turn[::-1], strict=True):
+            forget()
+            assert image(scheme, loop(), state) == earlier, state
+
+
+def schemes(*names: str) -> list[Scheme]:
+    return [scheme for scheme in all_schemes() if (scheme.name in names) == bool(names)]
+
+
+@pytest.mark.parametrize("scheme", schemes("taylor"), ids=lambda s: s.top)
+def test_a_series_does_not_depend_on_earlier_states(scheme: Scheme) -> None:
+    check_states_in_turn(scheme, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", all_schemes(), ids=lambda s: f"{s.name}/{s.top}")
+def test_a_step_does_not_depend_on_earlier_states(scheme: Scheme) -> None:
+    check_states_in_turn(scheme, seed=2)
