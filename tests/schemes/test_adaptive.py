@@ -7,22 +7,29 @@ import math
 import numpy as np
 import pytest
 
+import topcli
 from conftest import GEN, random_states
 from declared import BODIES, SCHEMES
 from fields import random_field, random_state, top_of
 from plain_vectors import advance
-from topcli.analysis.order import observed_order
+from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
+from topcli.config.load import load_experiment
 from topcli.contracts import Block, Outcome, Scheme, Stepper, Top
 from topcli.engine import native
 from topcli.engine.loop import Loop, loop_of
+from topcli.engine.part_steps import part_steps_of
 from topcli.engine.run import Run
+from topcli.engine.tangent import tangent_code
 from topcli.errors import UsageError
 from topcli.field.polynomial import field_of
 from topcli.schemes.any_top import taylor as loop_text
 from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, extended_precision, order_for
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of
 from topcli.schemes.registry import find_scheme
+from topcli.sweeps import batch_run
+from topcli.sweeps.batch_run import BatchRun
+from topcli.sweeps.measures import resolve_measures
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -211,6 +218,60 @@ def test_a_long_step_is_left_and_taken_up(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(returned) > 5
     assert (part == whole[:6]).all()
     assert np.array_equal(states(Run(top, taylor(top), GEN, h, 2))[1:].ravel(), whole)
+
+
+def tangent_images() -> np.ndarray:
+    f = topcli.step("kowalevski_generic_hk", ["scheme=taylor", "h=20"])
+    return np.array(f.tangent(f.initial, np.eye(6), 2))
+
+
+def grown() -> np.ndarray:
+    top = Kowalevski()
+    run = tangent_code(find_scheme("taylor", top.form), top, taylor(top), 8).run(20.0, np.array([GEN]), np.ones((1, 6)))
+    run.advance(2, 2)
+    return run.growth
+
+
+def parts() -> np.ndarray:
+    y = random_states(3, seed=4)
+    return part_steps_of(taylor(Kowalevski()), Kowalevski(), 30.0)(
+        y, np.zeros(3, np.int64), y, np.array([0.2, 0.7, 1.0])
+    )
+
+
+def one_step() -> np.ndarray:
+    experiment = load_experiment("kowalevski_generic_hk", ["scheme=taylor", "N=10"])
+    return BatchRun(experiment, resolve_measures(["reversal_defect"], experiment.top, experiment.scheme)).one_step(
+        random_states(3, seed=4), 20.0
+    )
+
+
+LONG_STEPS = {
+    "single step": lambda: np.array(one_step_back_and_forth(Kowalevski(), taylor(Kowalevski()), GEN, 20.0)),
+    "map": lambda: topcli.step("kowalevski_generic_hk", ["scheme=taylor", "h=20"])(GEN, 2),
+    "tangent map": tangent_images,
+    "growth of a vector": grown,
+    "parts of steps": parts,
+    "steps of a sweep": one_step,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LONG_STEPS)
+def test_no_caller_takes_an_unfinished_step_for_done(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever drives a block goes on until its step is done: no result depends on the number of series per call."""
+    whole = LONG_STEPS[name]()
+    monkeypatch.setattr(loop_text, "MAX_EXPANSIONS", 5)
+    monkeypatch.setattr(batch_run, "_codes", {})
+    assert np.isfinite(whole).all()
+    assert np.array_equal(LONG_STEPS[name](), whole)
+
+
+@pytest.mark.slow
+def test_a_step_of_more_series_than_a_call_has_the_right_tangent_map() -> None:
+    """Against the composition of shorter steps; a free body at h = 30,000 takes 64,000 series a step."""
+    long, short = (topcli.step("euler_hk", ["scheme=taylor", f"h={h}"]) for h in (30000.0, 7500.0))
+    assert long.jacobian(long.initial) == pytest.approx(short.jacobian(short.initial, 4), rel=1e-7)
 
 
 @pytest.mark.parametrize("scale", [1e-90, 1e-8, 1e8, 1e90])

@@ -267,6 +267,14 @@ def test_a_run_of_the_bench_is_a_run_of_the_engine(short: Problem) -> None:
     assert (states == run.collect().states).all()
 
 
+def test_a_block_that_returns_early_is_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its later states are not there; before, memory of an earlier array was taken for them."""
+    monkeypatch.setattr("topcli.schemes.any_top.taylor.MAX_EXPANSIONS", 3)
+    (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=1", "N=50"), 2)
+    with pytest.raises(NoResultError, match=r"returns after step \d+ of \d+"):
+        SchemeCompetitor(find_scheme("taylor", "kowalevski"), problem).run(Rung(problem.interval, 1))
+
+
 def test_an_adaptive_scheme_gets_nearer_with_its_tolerance() -> None:
     (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=0.01", "N=2000"), 2)
     reference = reference_states(problem.top, problem.experiment.y0, problem.times)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Method, Sampler, Top
-from topcli.engine.loop import Loop, interpreted, single_step
+from topcli.engine.loop import Loop, interpreted, state_after
 
 if TYPE_CHECKING:
     from topcli.engine.precise import PreciseRun
@@ -238,7 +238,7 @@ def is_consistent(top: Top, method: Method, y0: Array) -> bool:
     loop = interpreted(method, len(y0), len(p))
     errors = []
     for h, expected in zip(sizes, reference_states(top, tuple(y0.tolist()), sizes), strict=True):
-        end = single_step(loop, y0, p, float(h))
+        end = state_after(loop, y0, p, float(h))
         if end is None:
             return True
         errors.append(float(np.abs(end - expected).max()))
@@ -283,8 +283,8 @@ def precise_back_and_forth(run: PreciseRun, y: Array, factor: float) -> float:
 
 def _back_and_forth(loop: Loop, p: Array | None, start: NDArray[Any], h: Any) -> float:
     """Largest component of the difference after one step with h and one with -h; infinite if one of them fails."""
-    there = single_step(loop, start, p, h)
-    back = None if there is None else single_step(loop, there, p, -h)
+    there = state_after(loop, start, p, h)
+    back = None if there is None else state_after(loop, there, p, -h)
     return math.inf if back is None else float(np.abs(back - start).max())
 
 

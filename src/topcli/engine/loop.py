@@ -6,6 +6,7 @@ and the constants.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from topcli.arithmetic.fused import unlikely
-from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, same_state
+from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, check_stop, same_state
 from topcli.engine.native import CompileError, native, native_text
 from topcli.engine.setups import SetupTime, prepare
 from topcli.engine.source import place_of
@@ -246,12 +247,18 @@ def interpreted(method: Method, d: int, constants: int) -> Loop:
     return loop_of(method, d, constants)
 
 
-def single_step(loop: Loop, y: Array, p: Array | None, h: Any) -> Array | None:
-    """State after one step of ``h`` from ``y`` (d,), in the numbers of ``y``; None if the step fails."""
-    work, end = np.zeros(loop.width, dtype=y.dtype), np.empty_like(y)
+def state_after(loop: Loop, y: Array, p: Array | None, h: Any, steps: int = 1) -> Array | None:
+    """State after some steps of ``h`` from ``y`` (d,), in the numbers of ``y``; None if a step fails."""
+    work, end, left = np.zeros(loop.width, dtype=y.dtype), np.full_like(y, math.nan), steps
     try:
         with np.errstate(all="ignore"):
             loop.enter(y, work, p, h)
-            return end if loop.drive(work, end, p, h, 1, 1, 1) >= 0 else None
+            while left > 0:
+                check_stop()
+                taken = loop.drive(work, end, p, h, left, left, left)  # a block may return before all are done
+                if taken < 0:
+                    return None
+                left -= taken
+        return end
     except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
         return None

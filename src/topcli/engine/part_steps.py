@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array, Floats, Method, Sampler, Stepper, Top, same_state
-from topcli.engine.loop import Loop, loop_of, single_step
+from topcli.engine.loop import Loop, loop_of, state_after
 from topcli.engine.native import CompileError, Native, native
 
 SIGNATURE = "ppppdq"
@@ -62,7 +62,7 @@ def part_steps_of(method: Method, top: Top, h: float) -> PartSteps:
 
 def _by_closed_form(sampler: Sampler, p: Floats, h: float) -> PartSteps:
     def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
-        out = np.empty_like(before)
+        out = np.full_like(before, np.nan)
         for start in np.unique(y0, axis=0):
             here = (y0 == start).all(axis=1)
             out[here] = sampler.states(start, h, (n + theta)[here], p)
@@ -94,7 +94,7 @@ def _one_by_one(loop: Loop, params: Array, h: float) -> PartSteps:
         out = before.copy()
         for k, part in enumerate(theta.tolist()):
             if part:
-                found = single_step(loop, before[k], params, part * h)
+                found = state_after(loop, before[k], params, part * h)
                 out[k] = np.nan if found is None else found
         return out
 

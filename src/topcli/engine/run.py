@@ -375,7 +375,9 @@ def nanoseconds_per_step(
                 count = min(steps, SAMPLED_STATES)
                 taken = loop.drive(work, sampled[: count * len(y0)], p, h, count, 1, 1)
             else:
-                taken = loop.drive(work, work, p, h, count, count + 1, count + 1)
+                taken = 0
+                while not taken:  # a block may return before its first step is done
+                    taken = loop.drive(work, work, p, h, count, count + 1, count + 1)
             elapsed = clock() - start
             if not repetition:
                 interpreted[i] = min(PLAIN_STEPS, 1 + int(PLAIN_NANOSECONDS / max(elapsed, 1)))

@@ -18,7 +18,7 @@ import numpy as np
 
 from topcli.contracts import Array, Block, Method, Sampler, Scheme, Stepper, Top, same_state
 from topcli.engine.duals import dual, slope_of, value_of
-from topcli.engine.loop import Loop, loop_of
+from topcli.engine.loop import Loop, loop_of, state_after
 from topcli.engine.native import CompileError, Native, native
 from topcli.engine.source import place_of
 from topcli.errors import UsageError
@@ -249,13 +249,11 @@ class BlockRun:
     def advance(self, blocks: int, every: int, renormalise: bool = True) -> None:
         """As ``TangentRun.advance``."""
         loop, params, d = self.code.loop, self.code.params, self.code.d
-        work, end = np.zeros(loop.width), np.empty(2 * d)
         with np.errstate(all="ignore"):
             for i in range(len(self.states)):
                 for _ in range(blocks):
-                    loop.enter(np.concatenate([self.states[i], self.vectors[i]]), work, params, self.h)
-                    if loop.drive(work, end, params, self.h, every, every, every) < 0:
-                        end[:] = np.nan
+                    end = state_after(loop, np.concatenate([self.states[i], self.vectors[i]]), params, self.h, every)
+                    end = np.full(2 * d, np.nan) if end is None else end
                     self.states[i], self.vectors[i] = end[:d], end[d:]
                     if renormalise:
                         size = np.linalg.norm(end[d:])

@@ -14,6 +14,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, StopAsked, check_stop
 from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
 from topcli.engine.fingerprint import same_method
+from topcli.engine.loop import state_after
 from topcli.engine.tile import Piece
 from topcli.errors import RunError
 from topcli.sweeps.batch import Batch, BatchRecorder, bytes_per_run
@@ -199,10 +200,9 @@ class BatchRun:
         loop = None if self.side_by_side else code.single_loop()
         if loop and loop.compiled and not loop.prepare:  # a run for each state would cost as much as hundreds of steps
             for i in usable:
-                work = np.zeros(loop.width)
-                loop.enter(states[i], work, code.p, h)
-                if loop.drive(work, after[i], code.p, h, 1, 1, 1) != 1:
-                    after[i] = np.nan
+                end = state_after(loop, states[i], code.p, h)
+                if end is not None:
+                    after[i] = end
             check_stop()
             return after
         if h not in self._stepping:

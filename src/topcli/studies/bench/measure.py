@@ -134,8 +134,10 @@ class SchemeCompetitor:
         started = time.process_time()
         taken = self._drive(rung)
         seconds = time.process_time() - started
-        if taken < 0:
-            raise NoResultError(f"fails at step {-taken} of {rung.steps * self._problem.intervals}")
+        steps = rung.steps * self._problem.intervals
+        if taken != steps:
+            reason = f"fails at step {-taken}" if taken < 0 else f"returns after step {taken}"
+            raise NoResultError(f"{reason} of {steps}")
         states = np.vstack([self._y0, self._out.reshape(self._problem.intervals, len(self._y0))])
         return FirstCall(states, seconds, 0.0 if known else loop.seconds, setup_seconds)
 
