@@ -13,10 +13,12 @@ import pytest
 from split_motions import bracket_matrix
 from steppers import built
 from topcli.arithmetic.fused import fma
-from topcli.contracts import Method, Stepper
+from topcli.contracts import Method, Stepper, Top
 from topcli.engine.duals import IN_PLACE, RULES, dual, slope_of, value_of
-from topcli.engine.loop import interpreted
+from topcli.engine.loop import interpreted, loop_of, state_after
 from topcli.engine.native import native
+from topcli.engine.part_steps import part_steps_of
+from topcli.engine.run import Run
 from topcli.engine.tangent import TangentRun, obstacle, tangent_code
 from topcli.errors import UsageError
 from topcli.field.expression import FUNCTIONS, in_arithmetic
@@ -159,6 +161,82 @@ def test_growth_is_that_of_the_vector() -> None:
     run.advance(1, 16)
     _, longer = image(code, y, v, H, 176)
     assert run.growth[0] == pytest.approx(math.log(2.0 * np.linalg.norm(longer)), rel=1e-12)
+
+
+def failing_orbits(name: str, form: str, method: Method, seed: int) -> list[tuple[np.ndarray, float, list[int]]]:
+    """States of eight orbits, a step so long that many fail, and of each the first of 30 steps that does; 0 if none."""
+    top, random = TOPS[form].new(), np.random.default_rng(seed)
+    p, orbits = np.array(top.constants()), []
+    loop = loop_of(method, len(top.components), len(p))
+    for _ in range(6):
+        y, h = random.normal(size=(8, len(top.components))), 10.0 ** random.uniform(0.3, 1.3)
+        failed = []
+        for state in y:
+            work, end = np.zeros(loop.width), np.zeros(len(state))
+            loop.enter(state, work, p, h)
+            failed.append(max(0, -loop.drive(work, end, p, h, 30, 30, 30)))
+        orbits.append((y, h, failed))
+    return orbits
+
+
+@pytest.mark.parametrize(
+    ("name", "form", "lanes"),
+    [
+        ("dmv", "kowalevski", 1),
+        ("dmv", "kowalevski", 8),
+        ("dmv", "euler", 8),
+        ("midpoint", "heavy", 8),
+        ("hybrid-sym", "kowalevski", 8),
+    ],
+)
+def test_an_orbit_breaks_off_at_its_first_failed_step(name: str, form: str, lanes: int) -> None:
+    """State, vector and growth are nan where a run does not converge, also if later steps do."""
+    code, early = code_of(name, form, lanes), 0
+    for y, h, failed in failing_orbits(name, form, built(name, TOPS[form].new()), seed=8):
+        for i in range(0, len(y), lanes):
+            run = code.run(h, y[i : i + lanes], np.ones((lanes, y.shape[1])))
+            run.advance(6, 5)
+            fails = [step > 0 for step in failed[i : i + lanes]]
+            for values in (run.states, run.vectors, run.growth):
+                assert np.isnan(values.reshape(lanes, -1)).all(axis=1).tolist() == fails
+                assert np.isnan(values.reshape(lanes, -1)).any(axis=1).tolist() == fails
+            run.restart(np.ones_like(y[i : i + lanes]))
+            run.advance(1, 1)
+            assert np.isnan(run.growth)[fails].all()
+        early += sum(0 < step < 30 for step in failed)
+    assert early >= 5  # seen: 5 of the midpoint rule, 47 and 48 of 48 of the others
+
+
+@pytest.mark.parametrize("lanes", [1, 8])
+def test_a_step_that_hides_an_infinity_has_failed(lanes: int) -> None:
+    """From (0, 2): (2, inf), (inf, 1/2), (1/2, 0), which is finite; the run ends at the first step."""
+
+    class Pair(Top):
+        """Two numbers."""
+
+        kind = "pair"
+        components = ("x", "y")
+        field = staticmethod(lambda y, p: y)
+
+    method = Stepper(lambda s, h, p: (s[1], 1.0 / s[0]), 2)
+    y, top = np.array([[0.0, 2.0], [3.0, 2.0]])[:lanes], Pair()
+    states, vectors = image(tangent_code(find_scheme("rk4", "euler"), top, method, lanes), y, np.ones_like(y), H, 3)
+    assert np.isnan([*states[0], *vectors[0]]).all()
+    assert lanes == 1 or states[1].tolist() == [0.5, 3.0]
+    assert Run(top, method, y[0], H, 3).collect().ending.step == 1
+
+
+def test_a_part_of_a_step_that_does_not_converge_is_nan() -> None:
+    top = TOPS["kowalevski"].new()
+    method, h, count = built("dmv", top), 6.0, 200
+    y, theta = states_of("kowalevski", count), np.linspace(0.0, 1.0, count)
+    found = part_steps_of(method, top, h)(y, np.zeros(count, dtype=np.int64), y, theta)
+    loop, p = interpreted(method, 6, 1), np.array(top.constants())
+    ends = [state_after(loop, y[i], p, theta[i] * h) for i in range(count)]
+    failed = [end is None for end in ends]
+    assert 10 < sum(failed) < 190
+    assert np.isnan(found).any(axis=1).tolist() == np.isnan(found).all(axis=1).tolist() == failed
+    assert all(np.array_equal(end, row) for end, row in zip(ends, found, strict=True) if end is not None)
 
 
 @pytest.mark.parametrize(("name", "bound"), [("splitting", 1e-13), ("backlund", 1e-12), ("hk", None), ("rk4", None)])

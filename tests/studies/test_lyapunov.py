@@ -111,3 +111,11 @@ def test_a_measure_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     sweep = {"base": {"config": "kowalevski_exact"}, "grid": {"h": [0.1]}, "measure": ["lyapunov"]}
     with pytest.raises(TopcliError):
         topcli.sweep(sweep, tmp_path)
+
+
+@pytest.mark.parametrize("settings", [["scheme=dmv", "h=0.6"], ["scheme=hybrid-sym", "h=2"]])
+def test_an_orbit_with_a_step_that_does_not_converge_breaks_off(settings: list[str]) -> None:
+    """Of these runs a step in the middle of a block fails, and later ones do not."""
+    result = measure(REGULAR[0], overrides=[*settings, "N=2000"])
+    assert result.data["verdict"] == "broke off"
+    assert result.data["exponents"] == [None]

@@ -6,6 +6,7 @@ of length theta h, 0 <= theta <= 1, lead from y to the state after the next step
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -29,23 +30,26 @@ def make(step, enter, leave):
         p = ({constants})
         for k in range(count):
             part = theta[k] * h
-            y = leave(step(enter(({entered}), part, p), part, p), part, p)
+            s = step(enter(({entered}), part, p), part, p)
+            y = leave(s, part, p)
+            good = {finite} == 0.0
             {stored}
-        return 0
+        return 1
 
     return part_steps
 """
 
 
 @cache
-def _template(d: int, constants: int) -> Callable[..., Callable[..., int]]:
+def _template(d: int, constants: int, checked: int) -> Callable[..., Callable[..., int]]:
     text = _TEMPLATE.format(
         constants="".join(f"params[{i}], " for i in range(constants)),
         entered="".join(f"before[{d} * k + {i}], " for i in range(d)),
-        stored=("\n" + " " * 12).join(f"out[{d} * k + {i}] = y[{i}]" for i in range(d)),
+        finite=" + ".join(f"(s[{i}] - s[{i}])" for i in range(checked)),
+        stored=("\n" + " " * 12).join(f"out[{d} * k + {i}] = y[{i}] if good else nan" for i in range(d)),
     )
-    scope: dict[str, Any] = {}
-    exec(compile(text, f"<parts of steps {d}/{constants}>", "exec"), scope)
+    scope: dict[str, Any] = {"nan": math.nan}
+    exec(compile(text, f"<parts of steps {d}/{constants}/{checked}>", "exec"), scope)
     return scope["make"]
 
 
@@ -73,7 +77,7 @@ def _by_closed_form(sampler: Sampler, p: Floats, h: float) -> PartSteps:
 
 def _compiled(method: Stepper, top: Top) -> Native | None:
     """Machine code of ``part_steps``; None if the way to or from the working state cannot be compiled."""
-    make = _template(len(top.components), len(method.parameters(top)))
+    make = _template(len(top.components), len(method.parameters(top)), method.checked or method.width)
     try:
         return native(make(method.step, method.enter or same_state, method.leave or same_state), SIGNATURE)
     except CompileError:

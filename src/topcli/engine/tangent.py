@@ -48,23 +48,26 @@ _BLOCKS = """for b in range(blocks):
                 {lane_loop}
                     y = leave(s, h, p)
                     size = math.sqrt({norm})
-                    out[{log} + j] += math.log(size) + 0.0 * ({all})
+                    out[{log} + j] += math.log(size)
                     factor = 1.0 / size
                     {scale}"""
 _ALONE = """j = 0
         s = ({load})
+        failed = 0.0
         {blocks}
-        {store}"""
+        {store}
+        {failed} += failed"""
 
 
 @cache
 def _template(
-    width: int, d: int, constants: int, given: bool, counted: int, lanes: int
+    width: int, d: int, constants: int, given: bool, checked: int, lanes: int
 ) -> Callable[..., Callable[..., int]]:
-    """Maker of the loop for a working state of ``width`` slots, ``counted`` of which at the end are counters.
+    """Maker of the loop for a working state of ``width`` slots, of which the first ``checked`` are tested.
 
-    The slots are dual numbers unless the tangent map is ``given``: then they are the state and the tangent vector, of
-    ``d`` components each, and whatever follows.
+    Each step is tested, since the next one may hide that it failed; the row after those of the working state has nan
+    for an orbit of which one did. The slots are dual numbers unless the tangent map is ``given``: then they are the
+    state and the tangent vector, of ``d`` components each, and whatever follows.
     """
 
     def slot(array: str, i: int) -> str:
@@ -93,20 +96,23 @@ def _template(
         norm = " + ".join(f"slope_of(y[{i}]) * slope_of(y[{i}])" for i in range(d))
         scaled = "".join(f"dual(value_of(s[{i}]), slope_of(s[{i}]) * factor), " for i in range(width))
         values = [f"value_of(s[{i}])" for i in range(width)]
+    halves = [" + ".join(part) for part in (values[: checked // 2], values[checked // 2 : checked]) if part]
+    failed, test = slot("work", width if given else 2 * width), f"0.0 * (({') + ('.join(halves)}))"
     steps = "for i in range(every):\n                "
     if lanes == 1:
-        steps += "s = step(s, h, p)"
+        steps += f"s = step(s, h, p)\n                failed += {test}"
         lane_loop, scale = "if True:", f"s = ({scaled})"
     else:
         indent = "\n" + " " * 20
-        steps += f"for j in range({lanes}):{indent}s = step(({load}), h, p){indent}{stored(20)}"
+        steps += (
+            f"for j in range({lanes}):{indent}s = step(({load}), h, p){indent}{stored(20)}{indent}{failed} += {test}"
+        )
         lane_loop, scale = f"for j in range({lanes}):{indent}s = ({load})", f"s = ({scaled}){indent}{stored(20)}"
     blocks = _BLOCKS.format(
         steps=steps,
         lane_loop=lane_loop,
         norm=norm,
         log=2 * d * lanes,
-        all=" + ".join(values[: width - counted]),
         scale=scale,
     )
     text = _TEMPLATE.format(
@@ -114,7 +120,7 @@ def _template(
         lanes=lanes,
         entered=entered,
         store=stored(16),
-        advance=_ALONE.format(load=load, blocks=blocks, store=stored(8)) if lanes == 1 else blocks,
+        advance=_ALONE.format(load=load, blocks=blocks, store=stored(8), failed=failed) if lanes == 1 else blocks,
         load=load,
         leave=("\n" + " " * 12).join(left),
     )
@@ -179,7 +185,8 @@ def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> Tangen
     given = method.tangent() if method.tangent else None
     stepper = given or method
     params = np.array(stepper.parameters(top))
-    make = _template(stepper.width, d, len(params), given is not None, len(stepper.counters), lanes)
+    checked = stepper.checked or stepper.width - len(stepper.counters)
+    make = _template(stepper.width, d, len(params), given is not None, checked, lanes)
     try:
         code = native(
             make(stepper.step, stepper.enter or same_state, stepper.leave or same_state),
@@ -193,12 +200,15 @@ def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> Tangen
 
 
 class TangentRun:
-    """Orbits of a tile with a tangent vector each, from the states ``y`` (m, d) and ``vectors`` (m, d), m <= lanes."""
+    """Orbits of a tile with a tangent vector each, from the states ``y`` (m, d) and ``vectors`` (m, d), m <= lanes.
+
+    An orbit of which a step failed, in whichever block, has nan as state, vector and growth from then on.
+    """
 
     def __init__(self, code: TangentCode, h: float, y: Array, vectors: Array) -> None:
         self.code, self.h, self.count = code, h, len(y)
         slots = code.stepper.width * (1 if code.given else 2)
-        self._work = np.zeros((slots, code.lanes))
+        self._work = np.zeros((slots + 1, code.lanes))  # the last row is nan after a failed step, otherwise zero
         self._out = np.zeros((2 * code.d + 1, code.lanes))
         self._begin = True
         self._place(y, vectors)
@@ -225,17 +235,21 @@ class TangentRun:
     @property
     def states(self) -> Array:
         """Physical states (m, d)."""
-        return self._out[: self.code.d, : self.count].T.copy()
+        return self._reached(self._out[: self.code.d])
 
     @property
     def vectors(self) -> Array:
         """Tangent vectors (m, d)."""
-        return self._out[self.code.d : 2 * self.code.d, : self.count].T.copy()
+        return self._reached(self._out[self.code.d : 2 * self.code.d])
 
     @property
     def growth(self) -> Array:
-        """Sum of the logarithms by which the vectors have grown (m,); nan for an orbit that broke off."""
-        return self._out[-1, : self.count].copy()
+        """Sum of the logarithms by which the vectors have grown (m,)."""
+        return self._reached(self._out[-1])
+
+    def _reached(self, rows: Array) -> Array:
+        """Values of the orbits (m, ...) from ``rows`` of the tile; nan after a failed step."""
+        return np.where(np.isnan(self._work[-1]), np.nan, rows).T[: self.count]
 
 
 class BlockRun:
