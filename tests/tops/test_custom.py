@@ -21,6 +21,7 @@ from matplotlib.mathtext import MathTextParser
 import topcli
 from custom_tops import SECTION, VOLTERRA, Y0, Volterra, config, section
 from json_schema import fits
+from topcli.analysis.conformance import working_states
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load, load_experiment
 from topcli.config.rows import RowReader
@@ -119,6 +120,50 @@ def test_without_energy_no_motion_is_left() -> None:
     assert trajectory.invariant_rows() == []
     judged = {**grows, "parameters": {"e": 1e-3}, "field": {"x": "e*x"}}
     assert topcli.simulate(config(top=judged, initial={"x": 1.0})).outcome is Outcome.COMPLETED
+
+
+CENTRAL = {
+    "top": {
+        "kind": "custom",
+        "components": ["x", "y", "u", "v"],
+        "field": {"x": "u", "y": "v", "u": "-x*(x**2 + y**2)**-2", "v": "-y*(x**2 + y**2)**-2 + 0.1*x**0*y**3"},
+    },
+    "initial": {"x": 1, "y": 0, "u": 0, "v": 0.7},
+    "scheme": "rk4",
+    "h": 0.01,
+    "N": 20,
+}
+"""Motion around a centre of force, where the field is not finite."""
+
+
+@pytest.mark.parametrize("lanes", [4, 40])
+def test_a_trajectory_from_a_singular_state_fails_alone(lanes: int) -> None:
+    """The others have the bits of their own runs, in an ensemble, in maps of arrays and in tangent maps."""
+    x = np.linspace(-2.0, -1.0, lanes)
+    x[1] = 0.0
+    y0 = np.array([[value, 0.0, 0.0, 0.7] for value in x])
+    f = topcli.step(CENTRAL)
+    states, (at, images) = f(y0, 20), f.tangent(y0, np.eye(4)[0], 20)
+    ensemble = topcli.simulate_ensemble(CENTRAL, states=y0)
+    assert ensemble.outcomes == {Outcome.COMPLETED: lanes - 1, Outcome.BLEW_UP: 1}
+    assert np.isnan([*states[1], *at[1], *images[1]]).all()
+    for i in (0, *range(2, lanes)):
+        run = topcli.simulate({**CENTRAL, "initial": dict(zip("xyuv", y0[i], strict=True))})
+        assert np.array_equal(run.states[-1], states[i])
+        assert np.array_equal(run.states[-1], ensemble.last[i])
+        assert np.array_equal(run.states[-1], at[i])
+        assert np.isfinite(images[i]).all()
+
+
+@pytest.mark.parametrize("scheme", ["rk2", "rk4"])
+def test_machine_code_of_powers_has_the_bits_of_python(scheme: str) -> None:
+    """So that ``topcli check`` finds no fault with the scheme."""
+    field = {"x": "v + 0.1*x**5", "v": "x - x**3 + 0.01*(x**2 + 1)**-3"}
+    top = {"kind": "custom", "components": ["x", "v"], "field": field}
+    experiment = load_experiment({"top": top, "initial": {"x": 1, "v": 0}, "scheme": scheme, "h": 0.05, "N": 20})
+    for y0 in np.random.default_rng(3).uniform(-1.0, 1.0, size=(20, 2)).tolist():
+        plain, compiled, _ = working_states(experiment.top, experiment.method(), y0, 0.05, 20)
+        assert plain == compiled
 
 
 def test_a_field_of_other_functions() -> None:

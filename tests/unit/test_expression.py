@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 import struct
+import warnings
 from contextlib import suppress
 from fractions import Fraction
 
@@ -16,6 +18,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from topcli.arithmetic.sized import Sized
+from topcli.engine.native import native
 from topcli.engine.precise_numbers import StrayDoubleError, arithmetic_of
 from topcli.field.expression import FUNCTIONS, HIGHEST, LONGEST, ExpressionError, function_of, parse, value_of
 from topcli.field.polynomial import NotPolynomialError, Polynomial, polynomial_field
@@ -44,6 +47,25 @@ formulas = st.recursive(
 )
 
 
+def power(x: float, n: int) -> float:
+    """Product of those of x, x², x⁴ ... whose exponents add up to |n|, or its inverse: the powers of a formula."""
+    product, square = 1.0, x
+    for digit in reversed(f"{abs(n):b}"):
+        product = product * square if digit == "1" else product
+        square *= square
+    return 1.0 / product if n < 0 else product
+
+
+class Products(ast.NodeTransformer):
+    """Replacement of Python's powers, which have other bits, by calls of ``power``."""
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+        self.generic_visit(node)
+        if not isinstance(node.op, ast.Pow):
+            return node
+        return ast.Call(ast.Name("power", ast.Load()), [node.left, node.right], [])
+
+
 def eval_with(text: str, scope):
     """Python's own value; None where it has none."""
     try:
@@ -68,9 +90,12 @@ def bits(x: float) -> bytes:
 @settings(max_examples=300, deadline=None)
 @given(formulas, st.tuples(*[st.floats(-3.0, 3.0)] * 2))
 def test_a_formula_has_the_value_that_python_gives_it(text: str, y) -> None:
+    """Of its sums, products, quotients and functions; powers are products."""
     p = (1.3, -0.7)
-    scope = {name: getattr(math, name) for name in FUNCTIONS if name != "abs"} | {"abs": abs, "pi": math.pi}
-    expected = eval_with(text, scope | dict(zip((*Y, *P), (*y, *p), strict=True)))
+    scope = {name: getattr(math, name) for name in FUNCTIONS if name != "abs"}
+    scope |= {"abs": abs, "pi": math.pi, "power": power}
+    products = ast.unparse(Products().visit(ast.parse(text, mode="eval")))
+    expected = eval_with(products, scope | dict(zip((*Y, *P), (*y, *p), strict=True)))
     formula = parsed(text)
     assume(formula is not None)  # a divisor that is zero is seen exactly
     function = function_of("f", [formula], Y, P)
@@ -167,7 +192,7 @@ def test_compiled_formulas_have_the_bits_of_the_same_text_in_python() -> None:
     def declared(y, p):
         w1, w2 = y
         A, k = p
-        return ((A - k) * w2 * w1 + 0.3 * w2) / A, 1 / 3 * w1**3 - math.sin(k * w2) * 2
+        return ((A - k) * w2 * w1 + 0.3 * w2) / A, 1 / 3 * (w1 * (w1 * w1)) - math.sin(k * w2) * 2
 
     texts = [EULER, "1/3*w1**3 - sin(k*w2)*2"]
     written = function_of("field", [parse(text, (*Y, *P)) for text in texts], Y, P)
@@ -176,6 +201,40 @@ def test_compiled_formulas_have_the_bits_of_the_same_text_in_python() -> None:
         state, p = tuple(y), (1.7, 0.31)
         assert [*map(bits, ours(state, p))] == [*map(bits, theirs(state, p))]
         assert [*map(bits, written(state, p))] == [*map(bits, declared(state, p))]
+
+
+POWERS = tuple(n for n in range(-HIGHEST, HIGHEST + 1))
+SPECIAL = (0.0, -0.0, 1.0, -1.0, 1e-200, -1e200, math.inf, math.nan)
+
+
+def test_compiled_powers_have_the_bits_of_python_and_never_raise() -> None:
+    """Of random numbers and special ones, to within the rounding of the products; at 0, 0**-n is infinite."""
+    formulas = [parse(f"w1**{n}", Y) for n in POWERS]
+    plain = [function_of("power", [formula], Y, ()) for formula in formulas]
+    all_powers = function_of("powers", formulas, Y, ())
+
+    def drive(work, out):
+        values = all_powers((work[0], 0.0), ())
+        for i in range(len(POWERS)):
+            out[i] = values[i]
+        return 1
+
+    compiled, out = native(drive, "pp"), np.zeros(len(POWERS))
+    for x in (*SPECIAL, *np.random.default_rng(2).normal(size=100).tolist()):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            compiled.checked(np.array([x]), out)
+        for n, found, function in zip(POWERS, out.tolist(), plain, strict=True):
+            if n < 0 and 0.0 in (x, power(x, -n)):
+                with pytest.raises(ZeroDivisionError):
+                    function((x, 0.0), ())
+                assert abs(found) == math.inf
+                continue
+            (expected,) = function((x, 0.0), ())
+            assert bits(found) == bits(expected) or (math.isnan(found) and math.isnan(expected)), (x, n)
+            if 1e-200 < abs(found) < math.inf:  # each product and the quotient round by half an ulp
+                exact = mpmath.mpf(x) ** n
+                assert abs(found - exact) <= (abs(n) + 1) * 2.0**-53 * abs(exact), (x, n)
 
 
 def test_one_formula_may_be_used_for_several_functions() -> None:

@@ -5,6 +5,7 @@ Exponents are numbers, whole or half. Nothing of the text is run: the function o
 tree.
 
 The function is plain arithmetic on flat tuples, which the engine compiles with the bits of the same formula in Python.
+Powers become products, because Python's ``x**3`` has other bits than compiled code, in which ``x**-3`` may also raise.
 Its numbers lie in one constant, a tuple, so that Python does not compute with them in advance: ``1/3`` is one third in
 every arithmetic. ``in_arithmetic`` exchanges them, and ``math``, for those of another arithmetic.
 """
@@ -232,21 +233,48 @@ def _function(name: str) -> ast.expr:
     return ast.Name(name) if name == "abs" else ast.Attribute(ast.Name("math"), name)
 
 
-def _written(node: ast.expr, places: Mapping[str, str], numbers: dict[float, int]) -> ast.expr:
-    """A formula with the place of each name, and of its numbers in the tuple ``c``, to which new ones are added."""
+def _number(value: float, numbers: dict[float, int]) -> ast.expr:
+    """Place of a number in the tuple ``c``, to which a new one is added."""
+    return ast.Name(f"c[{numbers.setdefault(value, len(numbers))}]")
+
+
+def _power(base: ast.expr, exponent: int, numbers: dict[float, int], products: dict[str, str]) -> ast.expr:
+    """A power from repeated squares; its ``products`` are formulas with the name of the variable that holds each."""
+
+    def named(product: ast.expr) -> ast.expr:
+        return ast.Name(products.setdefault(ast.unparse(product), f"x{len(products)}"))
+
+    square, power, left = named(base), None, abs(exponent)
+    while left:
+        if left % 2:
+            power = square if power is None else named(ast.BinOp(power, ast.Mult(), square))
+        left //= 2
+        if left:
+            square = named(ast.BinOp(square, ast.Mult(), square))
+    if power is None:
+        return _number(1.0, numbers)
+    return ast.BinOp(_number(1.0, numbers), ast.Div(), power) if exponent < 0 else power
+
+
+def _written(
+    node: ast.expr, places: Mapping[str, str], numbers: dict[float, int], products: dict[str, str]
+) -> ast.expr:
+    """A formula with the place of each name and number, and a variable for each of the ``products`` in its powers."""
 
     def inner(part: ast.expr) -> ast.expr:
-        return _written(part, places, numbers)
+        return _written(part, places, numbers, products)
 
     match node:
         case ast.Name(id=name):
             return ast.Name(places[name])
         case ast.Constant(value=value):
-            return ast.Name(f"c[{numbers.setdefault(float(str(value)), len(numbers))}]")
+            return _number(float(str(value)), numbers)
         case ast.UnaryOp(op=op, operand=operand):
             return ast.UnaryOp(op, inner(operand))
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int(exponent))):
+            return _power(inner(left), exponent, numbers, products)
         case ast.BinOp(left=left, op=op, right=right):
-            return ast.BinOp(inner(left), op, right if isinstance(op, ast.Pow) else inner(right))
+            return ast.BinOp(inner(left), op, inner(right))
         case ast.Call(func=function, args=arguments):
             return ast.Call(function, [inner(argument) for argument in arguments], [])
         case ast.Attribute():
@@ -264,9 +292,11 @@ def function_of(
     places = {name: f"y[{i}]" for i, name in enumerate(components)}
     places |= {name: f"p[{i}]" for i, name in enumerate(parameters)}
     numbers: dict[float, int] = {}
-    returned = "".join(f"{ast.unparse(_written(each.tree, places, numbers))}, " for each in expressions)
+    products: dict[str, str] = {}
+    returned = "".join(f"{ast.unparse(_written(each.tree, places, numbers, products))}, " for each in expressions)
     constants = "".join(f"{value!r}, " for value in numbers)
-    lines = [f"c = ({constants})"] * bool(constants) + [f"return ({returned})"]
+    lines = [f"c = ({constants})"] * bool(constants) + [f"{name} = {text}" for text, name in products.items()]
+    lines += [f"return ({returned})"]
     scope: dict[str, Any] = {"math": math, "__name__": __name__}
     source = f"def {name}(y, p):\n    " + "\n    ".join(lines)
     exec(compile(source, f"<formulas {hashlib.sha256(source.encode()).hexdigest()[:12]}>", "exec"), scope)
