@@ -15,12 +15,13 @@ from steppers import built
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Method, Stepper, Top
 from topcli.engine.duals import IN_PLACE, RULES, dual, slope_of, value_of
+from topcli.engine.ensemble import EnsembleRun
 from topcli.engine.loop import interpreted, loop_of, state_after
 from topcli.engine.native import native
 from topcli.engine.part_steps import part_steps_of
 from topcli.engine.run import Run
 from topcli.engine.tangent import TangentRun, obstacle, tangent_code
-from topcli.errors import UsageError
+from topcli.errors import SchemeCodeError, UsageError
 from topcli.field.expression import FUNCTIONS, in_arithmetic
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import NotPolynomialError, decimal, field_of
@@ -31,6 +32,14 @@ from topcli.schemes.registry import find_scheme, schemes_of
 from topcli.tops import TOPS
 
 H = 0.1
+
+
+class Pair(Top):
+    """Two numbers."""
+
+    kind = "pair"
+    components = ("x", "y")
+    field = staticmethod(lambda y, p: y)
 
 
 def quadratic_forms() -> list[str]:
@@ -211,13 +220,6 @@ def test_an_orbit_breaks_off_at_its_first_failed_step(name: str, form: str, lane
 def test_a_step_that_hides_an_infinity_has_failed(lanes: int) -> None:
     """From (0, 2): (2, inf), (inf, 1/2), (1/2, 0), which is finite; the run ends at the first step."""
 
-    class Pair(Top):
-        """Two numbers."""
-
-        kind = "pair"
-        components = ("x", "y")
-        field = staticmethod(lambda y, p: y)
-
     method = Stepper(lambda s, h, p: (s[1], 1.0 / s[0]), 2)
     y, top = np.array([[0.0, 2.0], [3.0, 2.0]])[:lanes], Pair()
     states, vectors = image(tangent_code(find_scheme("rk4", "euler"), top, method, lanes), y, np.ones_like(y), H, 3)
@@ -327,6 +329,43 @@ def test_dual_numbers_in_branches_loops_and_powers() -> None:
     value = sum((2 * 1.3 + k) * 1.3**3 / 2.3 for k in range(3)) - 3
     exact = mpmath.diff(lambda x: -sum((2 * x + k) * x**3 / (1 + x) for k in range(3)), 1.3)
     assert out == pytest.approx([-value, float(exact), 0.0], rel=1e-13)
+
+
+@pytest.mark.parametrize("n", [-3, -1, 0, 1, 2, 5])
+def test_powers_of_dual_numbers_never_raise(n: int) -> None:
+    def drive(work, out):
+        s = dual(work[0], 1.0) ** n
+        out[0] = value_of(s)
+        out[1] = slope_of(s)
+        return 1
+
+    code, out = native(drive, "pp", duals=True), np.zeros(2)
+    code.checked(np.array([1.25]), out)
+    assert out == pytest.approx([1.25**n, n * 1.25 ** (n - 1)], rel=1e-15)
+    code.checked(np.array([0.0]), out)
+    assert out.tolist() == [0.0**n, n * 0.0 ** abs(n - 1)] if n >= 0 else [math.inf, -math.inf]
+
+
+RAISING = Stepper(lambda s, h, p: (s[int(10.0 * h)], s[1]), 2)
+"""Takes a component by an index that numba checks."""
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("lanes", [1, 8])
+def test_machine_code_that_raises_is_an_error(lanes: int) -> None:
+    """Never arrays that it has not written: numba prints the exception and returns 0."""
+    y, top, h = np.array([[0.5, 1.0], [0.5, 2.0]]), Pair(), 0.5
+    calls = {
+        "run": lambda: Run(top, RAISING, y[-1], h, 3).collect(),
+        "ensemble": lambda: list(EnsembleRun(top, RAISING, y, h, 3, on_piece=lambda piece: None)),
+        "tangent": lambda: image(
+            tangent_code(find_scheme("rk4", "euler"), top, RAISING, lanes), y[-lanes:], y[-lanes:], h
+        ),
+        "part": lambda: part_steps_of(RAISING, top, h)(y, np.zeros(2, dtype=np.int64), y, np.ones(2)),
+    }
+    for call in calls.values():
+        with pytest.raises(SchemeCodeError, match="the compiled step raised the exception printed above; return nan"):
+            call()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -414,8 +413,8 @@ def test_a_compiled_step_that_raises_ends_the_run(tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert "IndexError: tuple index out of range" in done.stderr
-    last = r"error: the compiled step raised the exception printed above, within \d+ steps of step \d+; return nan from"
-    assert re.match(last, done.stderr.splitlines()[-1])
+    last = "error: the compiled step raised the exception printed above; return nan from a step that fails"
+    assert done.stderr.splitlines()[-1] == last
 
 
 HALF = 0.5

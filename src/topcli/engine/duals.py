@@ -287,10 +287,14 @@ def dual_numbers() -> dict[int, Any]:
         a, da = split(o, signature.args[0], arguments[0])
 
         def of(k: int) -> Any:
-            signature = types.float64(types.float64, types.int64)
-            return context.get_function(operator.pow, signature)(builder, (a, context.get_constant(types.int64, k)))
+            """Power with the bits that the compiler gives it for doubles, but without an exception at 0."""
+            result, square, left = o.constant(1.0), a, abs(k)
+            while left:
+                result = o.ir.fmul(result, square) if left % 2 else result
+                square, left = o.ir.fmul(square, square), left // 2
+            return o.ir.fdiv(o.constant(1.0), result) if k < 0 else result
 
-        return joined(o, of(n), o.times(o.ir.fmul(o.constant(float(n)), of(n - 1)), da))
+        return joined(o, of(n), o.times(o.ir.fmul(o.constant(float(n)), of(n - 1)), da) if n else None)
 
     @type_callable(operator.pow)
     def _typed_power(context: Any) -> Callable[[Any, Any], Any]:

@@ -236,7 +236,7 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     except CompileError as error:
         raise step_refused(method, d, error) from None
     more = more_parameters(method)
-    drive = _Extended(code, np.array(more)) if more else code
+    drive = _Extended(code.checked, np.array(more)) if more else code.checked
     return Loop(enter, drive, seconds=code.seconds, cached=code.cached, **traits)
 
 

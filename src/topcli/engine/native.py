@@ -2,7 +2,8 @@
 
 ``native(function, "ppdq")`` compiles once with numba and stores the object code; every later process loads it
 with llvmlite alone, in milliseconds and without importing numba. The function takes pointers to float64
-(``p``, indexed like a list), float64 (``d``) and int64 (``q``) and returns an int64; it neither allocates nor raises.
+(``p``, indexed like a list), float64 (``d``) and int64 (``q``) and returns an int64; it neither allocates nor raises:
+a function that raises prints the exception and returns 0.
 The key is explained in ``fingerprint``, the rules of storing in ``code_cache``.
 
 It uses public interfaces only: ``numba.cfunc``, its ``inspect_llvm`` and ``native_name``, and llvmlite's binding
@@ -32,7 +33,7 @@ from topcli.engine.code_cache import ObjectCode, store_code, stored_code
 from topcli.engine.duals import dual_numbers, rules_digest
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.source import Copier, plain_function, require_no_raise
-from topcli.errors import RunError, TopcliError
+from topcli.errors import RunError, SchemeCodeError, TopcliError
 
 _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
 
@@ -68,6 +69,15 @@ class Native:
             else:
                 plain.append(value)
         return self.call(*plain)
+
+    def checked(self, *arguments: Any) -> int:
+        """Call code that returns a number other than 0. Raises SchemeCodeError if it returned 0: then it raised."""
+        result = self(*arguments)
+        if not result:
+            raise SchemeCodeError(
+                "the compiled step raised the exception printed above; return nan from a step that fails"
+            )
+        return result
 
 
 @cache

@@ -86,8 +86,8 @@ def _compiled(method: Stepper, top: Top) -> Native | None:
 
 def _by_code(code: Native, params: Array, h: float) -> PartSteps:
     def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
-        out = np.empty_like(before)
-        code(np.ascontiguousarray(before), np.ascontiguousarray(theta), out, params, h, len(theta))
+        out = np.full_like(before, np.nan)
+        code.checked(np.ascontiguousarray(before), np.ascontiguousarray(theta), out, params, h, len(theta))
         return out
 
     return part_steps

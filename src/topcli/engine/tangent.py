@@ -38,7 +38,7 @@ def make(step, enter, leave):
             s = ({load})
             y = leave(s, h, p)
             {leave}
-        return 0
+        return 1
 
     return drive
 """
@@ -224,7 +224,7 @@ class TangentRun:
         with np.errstate(all="ignore"):
             code = self.code
             flags = int(self._begin), int(renormalise)
-            code.code(self._work, self._out, code.params, self.h, blocks, every, *flags)
+            code.code.checked(self._work, self._out, code.params, self.h, blocks, every, *flags)
         self._begin = False
 
     def restart(self, vectors: Array) -> None:

@@ -170,7 +170,7 @@ class Tile:
         context, lanes, d = self.context, self.lanes, self.context.y0.shape[1]
 
         def call(taken: int, rows: int, size: int, until: int) -> int:
-            lanes.code(self.work, out[rows * d :], lanes.params, context.h, size, context.every, until, stride)
+            lanes.code.checked(self.work, out[rows * d :], lanes.params, context.h, size, context.every, until, stride)
             return size
 
         taken, _, context.call_steps = in_calls(
