@@ -42,8 +42,12 @@ GRID = 67108864.0
 """Steps are multiples of 1/GRID = 2^-26: times below 2^27 and offsets from them are then exact in double."""
 
 
-LONGEST = 4.0
-"""The longest step, for motions whose series end (equilibria)."""
+LONGEST, SAFE = 4.0, 0.125
+"""The longest step: of a state at rest, and if the last coefficients vanish otherwise."""
+
+
+NEAR_ZERO = 2.0**-10
+"""Size of a state relative to its motion in the step, below which the latter counts."""
 
 
 DONE, MORE, NOT_FINITE, STEP_TOO_SMALL = 0, 1, -1, -2
@@ -116,15 +120,17 @@ def size(work: Array, d: int, j: int, n: int) -> float:
 def radius(work: Array, d: int, order: int) -> float:
     """Radius of convergence after Jorba and Zou (Exp. Math. 14, 2005, section 3.2), from the last two coefficients.
 
-    Their relative form, (|x_0|/|x_j|)^(1/j) for j = order - 1 and order. Infinite when both vanish.
+    Their relative form, (|x_0|/|x_j|)^(1/j) for j = order - 1 and order; near zero, the term is compared with |x_1| t
+    instead of |x_0|. Infinite when both vanish.
     """
     n = order + 1
     first = size(work, d, 0, n)
+    motion = NEAR_ZERO * size(work, d, 1, n)
     least = math.inf
     for j in range(order - 1, n):
         last = size(work, d, j, n)
         if last > 0.0:
-            least = min(least, (first / last) ** (1.0 / j))
+            least = min(least, max((first / last) ** (1.0 / j), (motion / last) ** (1.0 / (j - 1))))
     return least
 
 
@@ -185,7 +191,8 @@ def advance(
         bound = size(work, d, order - 1, n) + size(work, d, order, n)
         if bound - bound != 0.0:
             return NOT_FINITE
-        step = math.floor(min(reach * radius(work, d, order), LONGEST) * GRID) / GRID
+        longest = SAFE if bound == 0.0 < size(work, d, 1, n) else LONGEST
+        step = math.floor(min(reach * radius(work, d, order), longest) * GRID) / GRID
         if step == 0.0:
             return STEP_TOO_SMALL
         centre = state[2 * d]
@@ -306,7 +313,7 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
     """
     field, y, t = _checked(top, y0, times)
     d = len(y)
-    scaled, k, units = NaturalUnits(field).at(y.tolist())
+    scaled, k, units = NaturalUnits(field, ORDER).at(y.tolist())
     state, out = np.zeros(2 * d + 4), np.zeros((t.size, d))
     table = table_of(scaled)
     work = np.zeros(2 * (d + int(table[1])) * (ORDER + 1))

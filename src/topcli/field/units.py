@@ -16,17 +16,23 @@ from topcli.field.polynomial import Field, Polynomial, strongly_connected
 NOTHING = -(2**20)
 """Exponent that stands for zero."""
 FREE = -(2**13)
-"""A unit of time of 2^-FREE is longer than any: a field for which it will do has none of its own."""
+"""A unit of time of 2^-FREE is longer than any: if it will do, the motion is a polynomial in time."""
+LONG = -64
+"""The unit of time is then 2^-LONG, which no run exceeds, ..."""
+ROOM = 512
+"""... or a shorter one with which no unit of a component exceeds 2^ROOM."""
 
 
 class NaturalUnits:
-    """Units in which the rates of change of one ``field`` are at most about one.
+    """Units in which the rates of change of one ``field`` are at most about one, for series of an ``order``.
 
-    Components that occur in each other's products have the same unit. The unit of time is the longest possible one.
+    Components that occur in each other's products have the same unit. The unit of time is the longest possible one. A
+    polynomial in time whose degree is at most the order is its own series at every step: its unit of time must not be
+    that of its first rates, which from a component near zero can be tiny.
     """
 
-    def __init__(self, field: Field) -> None:
-        self.field = field
+    def __init__(self, field: Field, order: int) -> None:
+        self.field, self.order = field, order
         self.groups = strongly_connected([rate.nonlinear() for rate in field], range(len(field)))
         self._terms = [[(_exponent(c), monomial) for monomial, c in rate.terms.items()] for rate in field]
         self._known: dict[tuple[int, ...], tuple[Field, int, list[int]]] = {}
@@ -77,8 +83,19 @@ class NaturalUnits:
                 return units
         return None
 
+    def _degree(self, units: list[int]) -> int:
+        """Degree in time of a motion that is a polynomial; components with a unit near ``NOTHING`` stay zero."""
+        degrees = [0] * len(units)
+        for _ in units:
+            moving = [
+                [sum(degrees[j] for j in m) for _, m in terms if all(units[j] > NOTHING // 2 for j in m)]
+                for terms in self._terms
+            ]
+            degrees = [1 + max(each) if each else 0 for each in moving]
+        return max(degrees)
+
     def _shortest(self, start: list[int]) -> int:
-        """Smallest k that has units; the largest rate at the start if any k does: then nothing repeats."""
+        """Smallest k that has units. If any k does: that of ``LONG``, or the largest rate at the start."""
         rates = (
             c + sum(start[j] for j in m) - start[i]
             for i, terms in enumerate(self._terms)
@@ -86,8 +103,9 @@ class NaturalUnits:
             if start[i] > NOTHING
         )
         k = max((rate for rate in rates if rate > NOTHING // 2), default=0)
-        if self._units(start, FREE) is not None:
-            return k
+        if (free := self._units(start, FREE)) is not None:
+            long = range(LONG if self._degree(free) <= self.order else k, k, 16)
+            return next((j for j in long if max(self._units(start, j) or [ROOM + 1]) <= ROOM), k)
         below, leap = FREE, 1
         while self._units(start, k) is None:
             below, k, leap = k, k + leap, 2 * leap

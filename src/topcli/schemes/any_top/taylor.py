@@ -325,7 +325,7 @@ def series_block(field: VectorField, tol: float) -> Block:
     """Taylor series of any polynomial field to a tolerance; its tangent map is that of the variational field."""
     a = arrangement_of(tuple(tuple(sorted(rate.terms)) for rate in field))
     order, level = order_for(tol), log2_tolerance(tol)
-    natural, base, d = NaturalUnits(field), 2 * a.lanes, len(field)
+    natural, base, d = NaturalUnits(field, order), 2 * a.lanes, len(field)
     tables: dict[tuple[int, ...], Array] = {}
 
     def enter(y: Array, work: Array, p: Array, h: float) -> int:

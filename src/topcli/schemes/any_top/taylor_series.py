@@ -406,10 +406,18 @@ def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: Vector | None) 
     return main, o.fma(rest, z, o.fma(first, z, o.negative(main)))
 
 
-MAX_STEP = 4.0
-"""Longest step, in units in which the rates of change are of order one; relevant for a series that terminates."""
+MAX_STEP, SAFE_STEP = 4.0, 0.25
+"""Longest step, in units in which the rates of change are of order one: of a state at rest, and if the coefficients
+that determine the step vanish, as those of x'' = t^5 x from t = 0. With the second one, the terms that are left out are
+below round-off."""
 MAX_RADIUS_FRACTION = 0.6
 """Longest step, as a fraction of the radius of convergence estimated from the later coefficients."""
+
+
+NEAR_ZERO = 2.0**-10
+"""Size of a state relative to its motion in the step, below which the latter counts."""
+VANISHING = -1000.0
+"""Logarithm of a coefficient that vanishes."""
 
 
 def step_size(o: IRWriter, order: int, log2_tol: Scalar) -> tuple[Scalar, Scalar]:
@@ -417,15 +425,25 @@ def step_size(o: IRWriter, order: int, log2_tol: Scalar) -> tuple[Scalar, Scalar
 
     As in Jorba and Zou (Exp. Math. 14, 2005), the radius is estimated from two coefficients, because one may vanish by
     symmetry; these are not the last two, so that the estimate overlaps with their computation. If the coefficients are
-    small for another reason than the radius, the ratio to the middle ones bounds the step.
+    small for another reason than the radius, the ratio to the middle ones bounds the step. Near zero, the last term is
+    compared with the motion in the step instead of the state.
     """
     half, last = order // 2, order - STEP_SIZE_LEAD
-    y0, before, late = (o.logarithm(o.load("y", m)) for m in (0, last - 1, last))
+    y0, y1, before, late = (o.logarithm(o.load("y", m)) for m in (0, 1, last - 1, last))
+    motion = o.add(y1, o.number(math.log2(NEAR_ZERO)))
     middle = o.largest(o.logarithm(o.load("y", half - 1)), o.logarithm(o.load("y", half)))
     least = o.largest(before, late)
-    first = o.mul(o.sub(y0, before), o.number(1.0 / (last - 1)))
-    second = o.mul(o.sub(y0, late), o.number(1.0 / last))
-    ratio = o.mul(o.sub(middle, least), o.number(1.0 / (last - half)))
+
+    def step_until(m: int, term: Scalar) -> Scalar:
+        of_state = o.mul(o.sub(y0, term), o.number(1.0 / m))
+        return o.largest(of_state, o.mul(o.sub(motion, term), o.number(1.0 / (m - 1))))
+
+    ratio = o.largest(o.mul(o.sub(middle, least), o.number(1.0 / (last - half))), o.sub(o.number(VANISHING), middle))
     share = o.mul(log2_tol, o.number(1.0 / (order - 1)))
-    step = o.least(o.add(o.least(first, second), share), o.add(ratio, o.number(math.log2(MAX_RADIUS_FRACTION))))
-    return o.power(o.largest(o.least(step, o.number(math.log2(MAX_STEP))), o.number(-1000.0))), least
+    step = o.least(step_until(last - 1, before), step_until(last, late))
+    step = o.least(o.add(step, share), o.add(ratio, o.number(math.log2(MAX_RADIUS_FRACTION))))
+    vanish = o.least(o.sub(o.number(VANISHING), o.least(middle, least)), o.sub(y1, o.number(VANISHING)))
+    longest = o.largest(
+        o.sub(o.number(math.log2(MAX_STEP)), o.largest(vanish, o.number(0.0))), o.number(math.log2(SAFE_STEP))
+    )
+    return o.power(o.largest(o.least(step, longest), o.number(-1000.0))), least
