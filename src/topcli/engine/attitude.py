@@ -281,9 +281,8 @@ class Turning:
             if self.order == 2:
                 moved = _vectors(type(self.top).angular_velocity, states, self.p)
             else:
-                moved = np.empty((steps, NUMBERS))
-                if steps:
-                    self.codes[1].checked(states.ravel(), moved.ravel(), self.buffer, h, self.order, steps)
+                moved = np.full((steps, NUMBERS), np.nan)
+                self.codes[1](states.ravel(), moved.ravel(), self.buffer, h, self.order, steps)
         later, moved, fixed, in_space = states[1:].ravel(), moved.ravel(), fixed.ravel(), int(self.top.in_space)
         return self.codes[0](q_low, later, moved, fixed, out, h, d, self.order, in_space, steps, every, until)
 
