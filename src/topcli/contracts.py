@@ -623,7 +623,8 @@ class Block:
         ``text()`` returns a module in LLVM IR. It defines ``advance(work, out, p, h, steps, every, until_record)``,
         which replaces the engine's time loop. The function takes at most ``steps`` steps of length ``h``. It writes the
         state to ``out`` after ``until_record`` steps, and then each time that another ``every`` steps are done. It
-        returns the number of steps taken or, if a step failed, minus the number of that step.
+        returns the number of steps taken or, if a step failed, minus the number of that step. The number may be less
+        than ``steps``, even 0; the next call continues.
     enter : callable
         ``enter(y, work, p, h)`` fills ``work`` from the physical state ``y``, shape (d,).
     width : int
