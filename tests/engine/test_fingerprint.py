@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -264,3 +267,38 @@ def test_what_is_the_same_has_the_same_fingerprint(form: str) -> None:
             assert not same or equal, scheme.name
             found.append(same)
     assert any(found)
+
+
+DIGESTS = """
+import importlib, pkgutil, sys
+if sys.argv[1] == "without":
+    sys.modules["gmpy2"] = None
+import topcli
+from topcli.runs.identity import method_fingerprint
+from topcli.schemes.registry import all_schemes
+from topcli.tops import TOPS
+
+def digests():
+    schemes = [scheme for scheme in all_schemes() if scheme.top in TOPS]
+    methods = [scheme.build(TOPS[scheme.top].new(), scheme.options()) for scheme in schemes]
+    return [f"{one.top} {one.name} {method_fingerprint(method)}" for one, method in zip(schemes, methods)]
+
+first = digests()
+for module in pkgutil.walk_packages(topcli.__path__, "topcli."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+from topcli.schemes.kowalevski.closed_form.multiprecision import digits, mp
+with digits(33):
+    mp.zeta(3)
+    assert digests() == first, set(digests()) ^ set(first)
+print(*first, sep="\\n")
+"""
+
+
+@pytest.mark.slow
+def test_identities_depend_neither_on_imports_nor_on_gmpy2() -> None:
+    """In a new process, after all modules are imported, in any precision of mpmath, with gmpy2 and without."""
+    kinds = ["without", *(["with"] if find_spec("gmpy2") else [])]
+    texts = [subprocess.check_output([sys.executable, "-c", DIGESTS, kind], text=True) for kind in kinds]
+    assert len(texts[0].splitlines()) > 100
+    assert len(set(texts)) == 1

@@ -123,6 +123,8 @@ class _Walk:
             if not is_versioned(value.__name__):
                 raise _IndescribableError(f"the module {value.__name__} as a value")
             self.put(f"module {value.__name__}")
+        elif kind.__module__ == "gmpy2" and kind.__name__ == "mpz":
+            self.put(f"int:{value}")  # mpmath's integers where gmpy2 is installed
         elif isinstance(value, np.dtype):
             self.put(f"dtype {np.dtype(value).descr if value.names else value.str}")
         elif isinstance(value, ctypes._SimpleCData | ctypes._Pointer | ctypes._CFuncPtr | ctypes.Structure):  # pyright: ignore
@@ -171,6 +173,9 @@ class _Walk:
             self.put(f"ufunc {value.__name__}")
         elif (name := _named_elsewhere(value)) is not None:
             self.put(name)
+        elif _kind(value) in ("mpmath.ctx_mp.MPContext", "mpmath.ctx_mp_python.constant"):
+            self.value(type(value))  # the rest of it is the precision of the moment and what is cached
+            self.put(getattr(value, "name", ""))
         else:
             self._instance(value)
 
@@ -208,14 +213,15 @@ class _Walk:
             self.put(f"function {function.__module__}.{function.__qualname__}")
             return
         names = names_in(function)
+        # first, because the import of a submodule adds a global to the functions of its package
+        modules = [module for code in _all_codes(function.__code__) for module in _imports(function, code)]
         self._code(function.__code__)
         self._named(function, {"default arguments": function.__defaults__}, names)
         self._named(function, function.__kwdefaults__ or {}, names)
         self._named(function, function.__dict__, names)
         self._named(function, references(function), names)
-        for code in _all_codes(function.__code__):
-            if _IMPORT_NAME in code.co_code[::2]:
-                self._imports(function, code, names)
+        for module in modules:
+            self._module(module, names)
 
     def _named(self, function: types.FunctionType, values: dict[str, Any], names: list[str]) -> None:
         """Add the values that a function refers to. Raises SchemeCodeError naming one that cannot be hashed."""
@@ -258,19 +264,6 @@ class _Walk:
                 except _IndescribableError as why:
                     raise _IndescribableError(f"{why} ({module.__name__}.{name})") from None
         self.open_modules.remove(id(module))
-
-    def _imports(self, function: types.FunctionType, code: types.CodeType, names: list[str]) -> None:
-        """Add the modules that a function imports when it runs; only functions that are not compiled do so."""
-        import dis
-
-        steps = list(dis.get_instructions(code))
-        for at, step in enumerate(steps):
-            if step.opcode == _IMPORT_NAME:
-                dots = "." * int(steps[at - 2].argval or 0)
-                with suppress(ImportError, ValueError):
-                    name = importlib.util.resolve_name(dots + step.argval, function.__globals__.get("__package__"))
-                    if not is_versioned(name):
-                        self._module(importlib.import_module(name), names)
 
     def _class(self, kind: type) -> None:
         self.put(f"class {named_module(kind)}.{kind.__qualname__}")
@@ -317,6 +310,27 @@ class _Walk:
         if isinstance(parts, str):
             raise _IndescribableError(f"an object of type {_kind(value)}")
         self._items("reduced", [list(part) if hasattr(part, "__next__") else part for part in parts])
+
+
+def _imports(function: types.FunctionType, code: types.CodeType) -> list[types.ModuleType]:
+    """Modules that a function imports when it runs; only functions that are not compiled do so."""
+    if _IMPORT_NAME not in code.co_code[::2]:
+        return []
+    import dis
+
+    modules = []
+    steps = list(dis.get_instructions(code))
+    for at, step in enumerate(steps):
+        if step.opcode == _IMPORT_NAME:
+            dots = "." * int(steps[at - 2].argval or 0)
+            with suppress(ImportError, ValueError):
+                name = importlib.util.resolve_name(dots + step.argval, function.__globals__.get("__package__"))
+                if not is_versioned(name):
+                    modules.append(module := importlib.import_module(name))
+                    for item in steps[at - 1].argval or ():
+                        if not hasattr(module, item):  # a submodule
+                            importlib.import_module(f"{name}.{item}")
+    return modules
 
 
 def _all_codes(code: types.CodeType) -> list[types.CodeType]:
