@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from fractions import Fraction
 from typing import Any
@@ -15,6 +16,7 @@ from topcli.arithmetic.fused import fma, follow_precision
 from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.precise import PreciseRun, Rebuilder, longest, obstacle, precise_loop, prepared
 from topcli.engine.precise_numbers import (
+    FUNCTIONS,
     RATIONAL,
     Floating,
     NotRationalError,
@@ -81,6 +83,46 @@ def test_rebuilt_function_has_the_accuracy_of_its_arithmetic() -> None:
     scaled = Fraction(1, 10**12) / 2**153 * 28 + Fraction(1, 10**6) / 2**76
     assert abs(found - (Fraction(2, 10) + Fraction(1, 6) + root + scaled)) < Fraction(1, 2**203)
     assert kernel(2.0) == pytest.approx(float(Fraction(11, 30)) + math.sqrt(2.0) + 1e-6, rel=1e-11)
+
+
+VALUES = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0, -8.0, 700.0, -700.0, 1e10, -1e10, math.inf, -math.inf)
+
+
+@pytest.mark.parametrize("name", sorted({*FUNCTIONS, "sqrt"}))
+def test_functions_are_those_of_doubles(name: str, library: str) -> None:
+    """At 60 bits, and nan where a double is nan: never a complex number, never an exception."""
+    arithmetic = arithmetic_of(17)
+    functions = arithmetic.math.__dict__
+    known = {"acos": np.arccos, "asin": np.arcsin, "atan": np.arctan, "atan2": np.arctan2}
+    expected = known.get(name) or getattr(np, name)
+    with arithmetic.active(), np.errstate(all="ignore"):
+        for arguments in itertools.product(VALUES, repeat=expected.nin):
+            numbers = [
+                math.copysign(1, x) * functions["inf"] if math.isinf(x) else arithmetic.number(Fraction(x))
+                for x in arguments
+            ]
+            value, other = float(functions[name](*numbers)), float(expected(*arguments))
+            assert value == pytest.approx(other, rel=4e-16, nan_ok=True), arguments
+
+
+def test_a_precision_lasts_until_its_context_is_left(library: str) -> None:
+    """A loop enters the context again, within that of a study."""
+    arithmetic = arithmetic_of(50)
+    third = Fraction(1, 3)
+    for _ in range(3):
+        with arithmetic.active():
+            with arithmetic.active():
+                pass
+            found = arithmetic.number(Fraction(1)) / 3
+            assert abs(arithmetic.fraction(found) - third) < Fraction(1, 10**50)
+    assert found - found == 0
+
+
+def test_complex_numbers_are_not_finite(library: str) -> None:
+    arithmetic = arithmetic_of(50)
+    with arithmetic.active():
+        assert not arithmetic.finite(arithmetic.number(Fraction(-1)) ** 0.5)
+        assert arithmetic.finite(arithmetic.number(Fraction(1)) ** 0.5)
 
 
 def test_fma_is_rounded_once() -> None:
@@ -215,7 +257,7 @@ def test_declared_invariants_are_exact_at_50_digits(scheme: Scheme) -> None:
 
 
 @pytest.mark.parametrize(("top", "name"), [("euler+gamma", "hk"), ("kowalevski", "hybrid")])
-def test_declared_invariants_are_exact_over_a_few_steps(top: str, name: str) -> None:
+def test_declared_invariants_are_exact_over_a_few_steps(top: str, name: str, library: str) -> None:
     assert_exact_at_50_digits(find_scheme(name, top), 8)
 
 
@@ -260,7 +302,7 @@ euler+gamma        hk
 lagrange           hk
 """),
 )
-def test_rational_orbits_keep_declared_invariants_equal(top: str, name: str) -> None:
+def test_rational_orbits_keep_declared_invariants_equal(top: str, name: str, library: str) -> None:
     scheme = find_scheme(name, top)
     made = ready(scheme, RATIONAL)
     found = carried_out(made, 8)

@@ -46,6 +46,29 @@ def test_report_holds_deviations_of_the_precision(tmp_path: Path) -> None:
     assert abs(exact) < Fraction(1, 10**28)
 
 
+OSCILLATOR = {
+    "top": {"kind": "custom", "components": ["x", "v"], "field": {"x": "v", "v": "-x"}},
+    "initial": {"x": 1, "v": 0},
+    "scheme": "rk4",
+    "h": 0.25,
+    "N": 40,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("formula", ["sqrt(x)", "log(v)", "x**-1.5", "1/v", "1/(t - 0.25)", "log(x - x)", "1/(v - v)"])
+def test_quantities_without_a_value_are_nan(formula: str, tmp_path: Path, library: str) -> None:
+    """At the rows where a double is not finite, in numbers and in texts."""
+    plain = simulate(OSCILLATOR | {"output": {"quantities": {"q": formula}}})["q"]
+    assert not np.isfinite(plain).all()
+    output = {"quantities": {"q": formula}, "digits": 20}
+    config = OSCILLATOR | {"precision": 40, "output": output}
+    result = run_experiment(load_experiment(config, any_precision=True), tmp_path)
+    series = read_series(result.stored.series)
+    assert series["q"] == pytest.approx(np.where(np.isfinite(plain), plain, np.nan), rel=1e-9, nan_ok=True)
+    assert [float(text) for text in series["q_decimal"]] == pytest.approx(series["q"].tolist(), nan_ok=True)
+
+
 def test_conserved_by_the_algebra_or_by_luck() -> None:
     # near the separatrix the hybrid keeps 2l to 1e-17 over this run: round-off, to a judge in doubles
     trajectory = simulate("kowalevski_hybrid", precision=50, h=0.01, N=60)
@@ -120,7 +143,7 @@ def test_growth_law(law: str) -> None:
 
 
 @pytest.mark.slow
-def test_comparison_shows_the_defects_of_the_precision() -> None:
+def test_comparison_shows_the_defects_of_the_precision(library: str) -> None:
     scene = ("kowalevski_generic_hk", "h=0.1", "N=20")
     figures = compare_schemes(precise(*scene, "precision=50"), ["hk", "bohlin-a"]).data
     hk, bohlin = ({row["name"]: row for row in one["invariants"]} for one in figures["schemes"])
@@ -135,7 +158,7 @@ REVERSIBLE = {"hk": True, "midpoint": True, "rk4": False}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("digits", [30, 50])
-def test_reversal_is_measured_in_the_digits_of_the_run(digits: int) -> None:
+def test_reversal_is_measured_in_the_digits_of_the_run(digits: int, library: str) -> None:
     """In doubles the defect of a reversible scheme would be 1e-17; that of RK4 is of order 6 down to any size."""
     scene = precise("kowalevski_generic_hk", f"precision={digits}", "h=1/1000", "N=4")
     found = compare_schemes(scene, list(REVERSIBLE)).data["schemes"]

@@ -304,7 +304,18 @@ def test_columns_of_other_numbers(precision) -> None:
         assert abs(arithmetic.fraction(found[0]) - expected) <= Fraction(1, 10**49)
 
 
-def test_functions_of_other_numbers() -> None:
+@pytest.mark.parametrize("text", ["sqrt(w1)", "log(w1)", "w1**-0.5", "w1**1.5"])
+def test_functions_of_negative_numbers_are_nan_in_any_precision(text: str, library: str) -> None:
+    arithmetic = arithmetic_of(40)
+    with arithmetic.active():
+        w1 = np.array([arithmetic.number(Fraction(n)) for n in (-2, 2)], dtype=object)
+        found = value(text, (w1, w1), (1, 1))
+    with np.errstate(invalid="ignore"):
+        w1 = np.array([-2.0, 2.0])
+        assert found.astype(float) == pytest.approx(value(text, (w1, w1), (1, 1)), nan_ok=True)
+
+
+def test_functions_of_other_numbers(library: str) -> None:
     arithmetic = arithmetic_of(40)
     with arithmetic.active():
         w1 = np.array([arithmetic.number(Fraction(1, 10))], dtype=object)

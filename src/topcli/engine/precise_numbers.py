@@ -213,12 +213,22 @@ class Floating(Arithmetic):
                 length = context.sqrt(context.fsum(values, squared=True))
             return +length
 
-        nan, inf = context.mpf("nan"), context.mpf("inf")
-        context.convert = converted
-        self.root = lambda x: context.sqrt(x) if not x < 0 else nan
+        nan, inf, cbrt = context.mpf("nan"), context.mpf("inf"), context.cbrt
+
+        def real(function: Callable[..., Any]) -> Callable[..., Any]:
+            def value(*arguments: Any) -> Any:
+                result = function(*arguments)
+                return nan if isinstance(result, context.mpc) else result
+
+            return value
+
+        context.convert, context.hypot = converted, hypot
+        context.cbrt = lambda x: -cbrt(-x) if x < 0 else cbrt(x)
+        for name in (*FUNCTIONS, "sqrt"):  # as in doubles and in MPFR, the logarithm of -1 is nan
+            setattr(context, name, real(getattr(context, name)))
+        self.root = context.sqrt
         self.define(
             context,
-            hypot=hypot,
             copysign=lambda x, y: abs(x) if y >= 0 else -abs(x),
             isnan=lambda x: x != x,
             nan=nan,
@@ -240,8 +250,8 @@ class Floating(Arithmetic):
         return self._context.make_mpf(mpf_add(mpf_mul(a._mpf_, b._mpf_), c._mpf_, self.bits, "n"))
 
     def finite(self, x: Any) -> bool:
-        """True if ``x`` is neither infinite nor nan."""
-        return bool(self._context.isfinite(x))
+        """True if ``x`` is a real number, neither infinite nor nan; a power of a negative number may be complex."""
+        return not isinstance(x, self._context.mpc) and bool(self._context.isfinite(x))
 
     def fraction(self, x: Any) -> Fraction:
         """Exact value of a finite number."""
@@ -258,7 +268,7 @@ class Mpfr(Arithmetic):
 
     def __init__(self, gmpy2: Any, bits: int, name: str = "") -> None:
         super().__init__(name or f"{bits} bits", bits, f"gmpy2 {gmpy2.version()}")
-        self._gmpy2, self._context = gmpy2, gmpy2.context(precision=bits)
+        self._gmpy2 = gmpy2
         self.fma, self.finite, self.root = gmpy2.fma, gmpy2.is_finite, gmpy2.sqrt
         self.define(
             gmpy2,
@@ -272,7 +282,7 @@ class Mpfr(Arithmetic):
 
     def active(self) -> AbstractContextManager[Any]:
         """Context in which the numbers compute with this precision."""
-        return self._context
+        return self._gmpy2.context(precision=self.bits)  # a new one: gmpy2 crashes where a context is entered twice
 
     def number(self, value: Fraction) -> Any:
         """Number nearest to ``value``."""

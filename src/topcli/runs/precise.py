@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from topcli.analysis.algebraic_growth import DigitGrowth, digit_growth
 from topcli.analysis.columns import columns
-from topcli.analysis.quantities import Quantity
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
@@ -62,8 +61,18 @@ class PreciseTally:
     def values(self, states: NDArray[Any]) -> dict[str, list[Any]]:
         """Values of the invariants at ``states`` (m, d) in this precision; None where one does not exist."""
         with self._run.arithmetic.active():
-            values = {each.name: _values(each.value, states) for each in self._invariants}
+            values = {invariant.name: self.rows_of(invariant.value, states) for invariant in self._invariants}
         return self.exact(values)
+
+    def rows_of(self, function: Callable[..., Any], *columns: NDArray[Any]) -> list[Any]:
+        """Values of a function at the rows of its arguments; None where it has no finite value."""
+        try:
+            return [x if self._run.arithmetic.finite(x) else None for x in function(*columns)]
+        except ZeroDivisionError:
+            rows = range(len(columns[0]))
+            if len(rows) == 1:
+                return [None]
+            return [x for i in rows for x in self.rows_of(function, *(each[i : i + 1] for each in columns))]
 
     def exact(self, values: dict[str, list[Any]]) -> dict[str, list[Any]]:
         """The same values. Raises NotRationalError for those that rational numbers do not have."""
@@ -127,16 +136,6 @@ def _double(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-def _values(value: Callable[..., Any], *rows: NDArray[Any]) -> list[Any]:
-    """Values of a function of arrays, row by row if one of them does not exist; that is None."""
-    try:
-        return list(value(*rows))
-    except ZeroDivisionError:
-        count = len(rows[0])
-        each = (tuple(array[i : i + 1] for array in rows) for i in range(count))
-        return [None] if count == 1 else [x for row in each for x in _values(value, *row)]
-
-
 class PreciseRecorder(Recorder):
     """Recorder of a run in another precision: its rows are rounded once, after the invariants have been evaluated."""
 
@@ -169,7 +168,10 @@ class PreciseRecorder(Recorder):
         """Add rows to the tally; return their columns."""
         values = self.precise.add(n, states)
         with self._run.arithmetic.active():
-            observed = {quantity.name: self._observed(quantity, n, states) for quantity in self._quantities}
+            observed = {
+                q.name: self.precise.rows_of(lambda n, y, q=q: q.values(self._run.top, n, self._run.h, y), n, states)
+                for q in self._quantities
+            }
         values = {**values, **self.precise.exact(observed)}
         doubles = {name: np.array([_double(x) for x in at_rows]) for name, at_rows in values.items()}
         top, h = self._experiment.top, self._experiment.h
@@ -181,9 +183,6 @@ class PreciseRecorder(Recorder):
                 at |= {"t": [int(step) * self._run.h for step in n], **values}
             made |= {name + DECIMAL: self._texts(at[name]) for name in self._names if name != "n"}
         return made
-
-    def _observed(self, quantity: Quantity, n: NDArray[np.int64], states: NDArray[Any]) -> list[Any]:
-        return _values(lambda n, y: quantity.values(self._run.top, n, self._run.h, y), n, states)
 
     def _texts(self, values: Sequence[Any]) -> NDArray[Any]:
         assert self._digits is not None
