@@ -69,6 +69,32 @@ def test_quantities_without_a_value_are_nan(formula: str, tmp_path: Path, librar
     assert [float(text) for text in series["q_decimal"]] == pytest.approx(series["q"].tolist(), nan_ok=True)
 
 
+WRITTEN = {
+    "a fraction": ["h=1/3"],
+    "backwards": ["h=-1/7"],
+    "many digits": ["h=0.12345678901234567890123456789"],
+    "parameters": ["top.A=8/3", "top.C=1.00000000000000000000001", "h=1/7"],
+    "states": ["initial.omega=[1/3, -4/7, 1.30000000000000000000000001]", "h=1/16"],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", [30, "rational"])
+@pytest.mark.parametrize("numbers", WRITTEN)
+def test_runs_are_intact_however_numbers_are_written(
+    precision: int | str, numbers: str, cli: Callable[..., Said]
+) -> None:
+    words = [word for text in (f"precision={precision}", *WRITTEN[numbers], "N=4") for word in ("--set", text)]
+    run = ("run", "euler_hk", *words, "--name", "written")
+    assert cli(*run).err.splitlines()[0].endswith("(ran)")
+    assert cli(*run).err.splitlines()[0].endswith("(up to date)")
+    assert cli("verify", "results/written").code == 0
+    assert cli("run", "results/written/config.yaml").err.splitlines()[0].endswith("(up to date)")
+    if numbers == "a fraction":
+        page = cli("report", "results/written", "--out", "page.html")
+        assert (page.code, page.err) == (0, "wrote page.html\n")
+
+
 def test_conserved_by_the_algebra_or_by_luck() -> None:
     # near the separatrix the hybrid keeps 2l to 1e-17 over this run: round-off, to a judge in doubles
     trajectory = simulate("kowalevski_hybrid", precision=50, h=0.01, N=60)

@@ -151,7 +151,8 @@ def _add_content(
     if many and name:
         chapter.attempt("distribution", quantile_pictures, folder, report, name)
     if chapter.kind != "ensemble" and name:
-        chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(h), name))
+        step = experiment.h if experiment else h  # that of the config may be a text, such as 1/3
+        chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(step), name))
     if report:
         chapter.attempt("invariants", _quantiles if many else INVARIANTS.cells, report)
     if report.get("quantities"):

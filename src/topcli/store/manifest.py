@@ -46,7 +46,7 @@ class _Scheme(BaseModel):
 
 class _Config(BaseModel):
     scheme: _Scheme
-    h: FiniteFloat
+    h: FiniteFloat | Annotated[str, Field(pattern=r"^-?[0-9]+/[0-9]+$")]  # a fraction, in other precisions than double
     N: Annotated[StrictInt, Field(ge=0, lt=1 << 63)]
 
 
