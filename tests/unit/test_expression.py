@@ -371,6 +371,7 @@ def test_functions_of_parameters_are_exact_to_many_digits() -> None:
         for monomial, expected in (((0,), mpmath.sqrt(2)), ((1,), mpmath.sin(mpmath.mpf(3) / 10))):
             c = first.terms[monomial]
             assert abs(mpmath.mpf(c.numerator) / c.denominator - expected) < mpmath.mpf(10) ** -155
+            assert type(c.numerator) is int
     with pytest.raises(NotPolynomialError, match="takes sqrt of -2"):
         polynomial_field(field, 2, [-2.0, 0.3])
 
