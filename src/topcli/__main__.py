@@ -85,6 +85,7 @@ def main() -> None:
     gc.set_threshold(100_000, 50, 50)  # start-up creates many objects and no garbage
     # no plugins of other packages take part in reading a config; a search for them reads all installed metadata
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    os.environ.pop("MPLBACKEND", None)  # figures are files; the backend of a notebook may be missing here
     _prepare_streams()
     code: int | str | None = ExitCode.SUCCESS
     try:

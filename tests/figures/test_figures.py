@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import pkgutil
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
@@ -43,6 +46,22 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("fig1", "fig3"):
         make_figure(FIGURES[name], Request(folder, ROOT / "configs"), folder / "figures")
     return folder
+
+
+BACKENDS = ("", "svg", "nonsense", "QtAgg", "module://matplotlib_inline.backend_inline", "module://nowhere.backend")
+DRAW = "import sys; from topcli.__main__ import main; sys.argv = ['topcli', 'plot', 'fig3', '--out', 'drawn']; main()"
+
+
+@pytest.mark.slow
+def test_figures_do_not_depend_on_the_backend(in_tmp: Path) -> None:
+    """That of a notebook is in the environment of the commands that it runs."""
+    pictures = set()
+    for backend in BACKENDS:
+        environment = os.environ | {"MPLBACKEND": backend}
+        subprocess.run([sys.executable, "-c", DRAW], env=environment, check=True, capture_output=True)
+        pictures.add((in_tmp / "drawn" / "fig3.png").read_bytes())
+        (in_tmp / "drawn" / "fig3.png").unlink()
+    assert len(pictures) == 1
 
 
 @pytest.mark.slow
