@@ -14,6 +14,7 @@ Rules for the author of a scheme:
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -96,6 +97,19 @@ Integral = Callable[[Any, Floats], Any]
 """``integral(y, p)``: an invariant as a formula of the components of a state and the constants of the top."""
 
 
+def double_of(x: Fraction) -> float:
+    """Nearest double; infinite beyond the range of doubles."""
+    try:
+        return float(x)
+    except OverflowError:
+        return math.inf if x > 0 else -math.inf
+
+
+def _of_numpy(x: Any) -> Any:
+    """Double whose powers and quotients are infinite where those of Python raise; other numbers as they are."""
+    return np.float64(x) if isinstance(x, float) else x
+
+
 def invariant_of(
     name: str,
     integral: Integral,
@@ -110,10 +124,12 @@ def invariant_of(
     """
 
     def value(y: Array) -> Array:
-        return integral(tuple(y.T), p) + np.zeros(len(y), dtype=y.dtype)
+        with np.errstate(all="ignore"):  # what has no value is nan, and reports say so
+            return integral(tuple(y.T), p) + np.zeros(len(y), dtype=y.dtype)
 
     def scale(y: Array) -> Array:
-        return Sized.of(integral(tuple(map(Sized, y.T)), p)).size + np.zeros(len(y))
+        with np.errstate(all="ignore"):
+            return Sized.of(integral(tuple(map(Sized, y.T)), p)).size + np.zeros(len(y))
 
     words = (integral.__doc__ or name).strip().splitlines()[0].rstrip(".")
     symbol, tex = symbols or (name, rf"\mathrm{{{name.replace('_', ' ')}}}")
@@ -268,10 +284,10 @@ class Top(BaseModel):
 
     def modified_invariants(self, scheme: str, h: float) -> tuple[Invariant, ...]:
         """Return ``integrals_of`` as invariants."""
-        return self._invariants(self.integrals_of(scheme, h))
+        return self._invariants(self.integrals_of(scheme, _of_numpy(h)))
 
     def _invariants(self, integrals: Mapping[str, Integral]) -> tuple[Invariant, ...]:
-        p = self.constants()
+        p = tuple(map(_of_numpy, self.constants()))
         return tuple(
             invariant_of(name, integral, p, self.symbols.get(name), self.holds_on.get(name))
             for name, integral in integrals.items()
@@ -544,7 +560,12 @@ class Stepper:
 
     def parameters(self, top: Top) -> Floats:
         """Return the argument ``p`` of the step: the constants of ``top``, then those of the step."""
-        return (*top.constants(), *map(float, self.constants))
+        return (*top.constants(), *self.doubles)
+
+    @property
+    def doubles(self) -> Floats:
+        """The ``constants`` as doubles; infinite beyond their range."""
+        return tuple(double_of(c) for c in self.constants)
 
 
 class Setup(Protocol):

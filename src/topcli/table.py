@@ -80,7 +80,9 @@ def plus_minus(value: float, error: float) -> str:
 
 def rounded_up(value: float) -> float:
     """Next number with two digits that is not smaller than a positive ``value``."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1) if value > 0.0 else 1.0
+    if not 0.0 < value < math.inf:
+        return value
+    unit = max(10.0 ** (math.floor(math.log10(value)) - 1), 5e-324)
     return math.ceil(value / unit) * unit
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from decimal import Decimal
@@ -12,8 +13,8 @@ import pytest
 
 from terminal import in_terminal
 from topcli.config.files import scene_files
-from topcli.runs.report import BRIEF, REPORT_COLUMNS, modified_line, open_lines
-from topcli.table import plus_minus
+from topcli.runs.report import BRIEF, REPORT_COLUMNS, accuracy_note, modified_line, open_lines
+from topcli.table import plus_minus, rounded_up
 
 TOPCLI = [sys.executable, "-m", "topcli"]
 CONTROLS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\r")
@@ -132,3 +133,19 @@ def test_brief_comparison_shows_the_figures_of_json(cli: Any) -> None:
         assert [float(cell) for cell in errors[1:4]] == pytest.approx(found, rel=0.06)
         relative = [invariant["max_deviation_relative"] for invariant in one["invariants"]]
         assert [float(cell) for cell in deviations[1:]] == pytest.approx(relative, rel=0.06)
+
+
+@pytest.mark.parametrize("value", [0.0, 5e-324, 1e-320, 2.3e-308, 1.234e-7, 1.0, 12.01, 9.99e99, 1.7e308, math.inf])
+def test_numbers_are_rounded_up_to_two_digits(value: float) -> None:
+    above = rounded_up(value)
+    assert value <= above
+    if 1e-300 < value < 1e300:
+        assert above <= 1.1 * value
+        assert float(f"{above:.1e}") == pytest.approx(above, rel=1e-12)
+
+
+@pytest.mark.parametrize("size", [None, 3.14e-15])
+def test_the_accuracy_of_a_closed_form_may_be_unknown(size: float | None) -> None:
+    accuracy = {"round_off": size, "reason": "eps", "sensitivity": None}
+    known = "unknown" if size is None else "at most about 3e-15"
+    assert accuracy_note({"accuracy": accuracy}).startswith(f"round-off {known} (eps); ")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,8 @@ from injected import python_process, topcli_process
 from topcli import __version__
 from topcli.__main__ import main
 from topcli.cli import options
-from topcli.config.load import load_named
+from topcli.config.files import scene_files
+from topcli.config.load import load_experiment, load_named
 from topcli.engine.run import Run
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
@@ -113,6 +114,32 @@ def test_blow_up_is_reported_and_its_rows_kept(cli, in_tmp: Path, settings: tupl
     report = json.loads((in_tmp / "results" / "far" / "report.json").read_text())
     assert (report["outcome"], report["step"]) == ("blew_up", 1)
     assert (in_tmp / "results" / "far" / "series.parquet").is_file()
+
+
+def settings_of_size(scene: str, size: float) -> Iterator[str]:
+    """Each number that a run depends on, alone."""
+    config = load_experiment(scene).resolved()
+    yield f"h={size}"
+    yield from (f"top.{name}={size}" for name, value in config["top"].items() if isinstance(value, float))
+    for name, vector in config["initial"].items():
+        if name != "gamma":
+            yield f"initial.{name}={[size, *vector[1:]] if isinstance(vector, list) else size}"
+
+
+SIZES = {"a denormal": 5e-324, "tiny": 1e-200, "large": 1e20, "huge": 1e200, "the largest": 1.7e308}
+SCENES_OF_SIZES = (*(name for name in scene_files() if name.endswith("_gentle")), "euler_dmv")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scene", SCENES_OF_SIZES)
+def test_runs_with_numbers_of_any_size_end_or_are_refused(cli, scene: str, size: str) -> None:
+    """The call fails on a traceback."""
+    for number, setting in enumerate(settings_of_size(scene, SIZES[size])):
+        said = cli("run", scene, "--set", setting, "--set", "N=3", "--name", f"run{number}")
+        assert said.code in (0, 1, 2), setting
+        assert "internal error" not in said.err
+        assert "Warning" not in said.err
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 import struct
 import tempfile
 import tomllib
@@ -16,10 +18,11 @@ from hypothesis import strategies as st
 
 from config_texts import CONFIGS, PLAIN
 from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.files import parse_override
+from topcli.config.files import parse_override, read_document
 from topcli.config.load import load, load_experiment
 from topcli.config.models import name_fault
 from topcli.config.text import key_lines, parse_yaml, to_yaml
+from topcli.contracts import Stepper
 from topcli.errors import ConfigError, StepTooLongError, TopcliError
 from topcli.schemes.registry import all_schemes
 
@@ -125,6 +128,64 @@ def test_any_value_of_a_key_loads_or_is_refused(key: str, value: object) -> None
     message = refusal(lambda: load_experiment(data))
     assert key in message or not message
     assert not message.startswith("not a message")
+
+
+OSCILLATOR = {
+    "top": {
+        "kind": "custom",
+        "components": ["x", "v"],
+        "parameters": {"A": 2.0, "k": 0.3},
+        "field": {"x": "v/A**3", "v": "-k**3*x"},
+        "invariants": {"energy": "v**2/2/A**3 + k**3*x**2/2"},
+    },
+    "initial": {"x": 1.0, "v": 0.5},
+    "scheme": "hk",
+    "h": 0.1,
+    "N": 10,
+    "output": {"every": 2, "quantities": {"size": "A**3*x**2 + exp(k)/h**2"}},
+}
+FILED = {path.stem: read_document(path).data for path in sorted(CONFIGS.iterdir()) if path.is_file()}
+NUMBERED = [OSCILLATOR, *FILED.values()]
+EXTREME = [0.0, 5e-324, 1e-308, 1e-200, 1e-155, 1e20, 1e100, 1e155, 1e200, 1e308, math.inf, math.nan, 10**20, 10**400]
+EXTREME += [-1, 2**63, *(-x for x in EXTREME if isinstance(x, float)), "1/3", "1/0", "1e999", "9" * 5000]
+
+
+def places_of_numbers(data: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Keys and indices that lead to each number."""
+    if isinstance(data, dict | list):
+        items = data.items() if isinstance(data, dict) else enumerate(data)
+        for key, value in items:
+            yield from places_of_numbers(value, (*place, key))
+    elif isinstance(data, int | float) and not isinstance(data, bool):
+        yield place
+
+
+@pytest.mark.slow
+@settings(CONFIG, max_examples=500)
+@given(data=st.sampled_from(NUMBERED), choice=st.data())
+def test_numbers_of_any_size_give_an_experiment_or_are_refused(data: dict[str, Any], choice: st.DataObject) -> None:
+    """Each number of each packaged config; invariants and constants of the experiment exist, finite or not."""
+    data = copy.deepcopy(data)
+    place = choice.draw(st.sampled_from(list(places_of_numbers(data))))
+    section: Any = data
+    for key in place[:-1]:
+        section = section[key]
+    section[place[-1]] = choice.draw(st.sampled_from(EXTREME) | st.floats())
+    if (precision := choice.draw(st.sampled_from(["double", "double", "rational", 40]))) != "double":
+        data["precision"] = precision
+    if message := refusal(lambda: load(data)):
+        assert not message.startswith("not a message")
+        return
+    loaded = load(data)
+    first = loaded.first if isinstance(loaded, EnsembleExperiment) else loaded
+    states = np.array([first.y0])
+    with np.errstate(all="ignore"):
+        for invariant in (*first.top.invariants(), *first.modified):
+            assert invariant.value(states).shape == invariant.scale(states).shape == (1,)
+        for quantity in first.quantities:
+            assert quantity.values(first.top, np.array([0]), first.h, states).shape == (1,)
+    if isinstance(method := first.method(), Stepper):
+        assert all(isinstance(constant, float) for constant in method.parameters(first.top))
 
 
 # --- round trips ----------------------------------------------------------------------------------------------------

@@ -230,8 +230,15 @@ def test_searches_end_for_any_number() -> None:
 
     assert dmv.longest_step(rotation, (1.0, 0.0, 0.0), (), 4e-323) == 5e-324
     assert dmv.longest_step(rotation, (1.0, 0.0, 0.0), (), 1.0) == 0.0
+    singular = lambda m, c, h: (0.0, 0.0, 0.0, 0.0 / (0.0 if h > 0.25 else 1.0), 0.0)  # noqa: E731
+    assert dmv.longest_step(singular, (1.0, 0.0, 0.0), (), 1.0) == 0.25
     assert len(tried) < 200
     assert all(np.isnan(one).all() for one in landen(np.array([0.5]), math.nan)[:2])
+
+
+def test_constants_beyond_the_range_of_doubles_are_infinite() -> None:
+    constants = (Fraction(1, 3), Fraction(10) ** 400, -(Fraction(10) ** 400), Fraction(1, 10**400))
+    assert Stepper(lambda s, h, p: s, 1, constants=constants).doubles == (1 / 3, math.inf, -math.inf, 0.0)
 
 
 def test_slow_interpreted_steps_are_timed_few_at_a_time() -> None:

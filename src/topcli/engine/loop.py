@@ -94,7 +94,7 @@ def _functions(stepper: Stepper, d: int, constants: int, staged: bool) -> tuple[
 def plain_loop(stepper: Stepper, d: int, constants: int) -> tuple[Callable[..., int], Callable[..., int]]:
     """``(enter, drive)`` as plain Python functions over indexable buffers."""
     enter, drive = _functions(stepper, d, constants, False)
-    own = tuple(map(float, stepper.constants))
+    own = stepper.doubles
     if not own:
         return enter, drive
 
@@ -114,7 +114,7 @@ def more_parameters(stepper: Stepper) -> tuple[float, ...]:
     whose steps differ in constants only, and all compositions of a scheme, thus share their code.
     """
     stages = (len(stepper.stages[1]), *stepper.stages[1]) if stepper.stages else ()
-    return tuple(map(float, (*stepper.constants, *stages)))
+    return (*stepper.doubles, *map(float, stages))
 
 
 def _sampled_loop(sampler: Sampler, d: int) -> tuple[Callable[..., int], Callable[..., int]]:

@@ -282,7 +282,8 @@ class Run:
             with suppress(StopAsked), stopping_when(self._stop):
                 self.setup = self._loop.prepare(self._y0, self._p)
         if self._position.done < 0:
-            self._loop.enter(self._y0, work, self._p, self._step)
+            with np.errstate(all="ignore"):
+                self._loop.enter(self._y0, work, self._p, self._step)
             self._position = Position(0, work, chunk_rows, chunk_steps)
             yield Chunk(np.zeros(1, dtype=np.int64), self._y0[None, :], 0)
         done, into = self._position.done, self._position.into

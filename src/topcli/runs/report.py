@@ -422,7 +422,9 @@ def accuracy_note(report: Mapping[str, Any]) -> str:
         if change is None
         else f"one ulp in the initial state, which is taken as exact, changes the states by up to {change:.0e}"
     )
-    return f"round-off at most about {accuracy['round_off']:.0e} ({accuracy['reason']}); {then}"
+    off = accuracy["round_off"]
+    size = "unknown" if off is None else f"at most about {off:.0e}"
+    return f"round-off {size} ({accuracy['reason']}); {then}"
 
 
 SHOWN_TRAJECTORIES = 20

@@ -91,7 +91,7 @@ J = \mathrm{diag}(A, B, C), \qquad r = (x_0, 0, z_0), \qquad A\,(B - C)\,x_0^2 =
     @property
     def B(self) -> float:
         """Second moment of inertia, by the condition of Hess."""
-        x, z = self.x0**2, self.z0**2
+        x, z = self.x0 * self.x0, self.z0 * self.z0
         return self.A * self.C * (x + z) / (self.A * x + self.C * z)
 
     def constants(self) -> Floats:

@@ -295,9 +295,16 @@ def longest_step(rotation: Rotation, m: Vector, c: Floats, h: float) -> float:
 
     0.0 if there is none down to 2^-64 of ``h``.
     """
+
+    def fails(size: float) -> bool:
+        try:
+            return math.isnan(rotation(m, c, size)[3])
+        except ZeroDivisionError:  # a singular matrix; compiled code divides without an exception
+            return True
+
     low, high = 0.0, h
     for _ in range(HALVINGS):
-        if not math.isnan(rotation(m, c, high)[3]):
+        if not fails(high):
             break
         low, high = high, 0.5 * high
     else:
@@ -307,7 +314,7 @@ def longest_step(rotation: Rotation, m: Vector, c: Floats, h: float) -> float:
     good, bad = high, low
     for _ in range(BISECTIONS):
         middle = 0.5 * (good + bad)
-        good, bad = (good, middle) if math.isnan(rotation(m, c, middle)[3]) else (middle, bad)
+        good, bad = (good, middle) if fails(middle) else (middle, bad)
     return good
 
 
