@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from conftest import Said
+from topcli.contracts import Block
 from topcli.schemes.registry import all_schemes
 from topcli.tops import BUILT_IN, TOPS
 
@@ -60,6 +61,27 @@ def test_what_has_no_code_is_refused(cli: Callable[..., Said], arguments: tuple[
     said = cli("show", *arguments)
     assert said.code == 2
     assert words in said.err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("top", [*BUILT_IN, *sorted({TOPS.kind(form) for form in BUILT_IN} - set(BUILT_IN))])
+def test_each_pair_of_scheme_and_top_is_shown_or_refused(cli: Callable[..., Said], top: str) -> None:
+    """A scheme fits a top if it fits one of its forms; the code of these is shown if it is generated."""
+    kinds = [form for form in BUILT_IN if TOPS.kind(form) == top] or [top]
+    for name in sorted({scheme.name for scheme in all_schemes()}):
+        fits = [scheme for scheme in all_schemes() if scheme.name == name and scheme.top in kinds]
+        said = cli("show", name, "--top", top, "--json")
+        code = cli("show", name, "--top", top, "--source")
+        if not fits:
+            assert (said.code, code.code) == (2, 2)
+            assert f"scheme '{name}' does not fit top '" in said.err
+            continue
+        assert [each["top"] for each in said.json()["schemes"]] == [scheme.top for scheme in fits]
+        methods = {scheme.top: scheme.build(TOPS[scheme.top].new(), scheme.options()) for scheme in fits}
+        made = [form for form, method in methods.items() if isinstance(method, Block) or getattr(method, "source", 0)]
+        assert re.findall(r"(?m)^# [\w-]+ \((.*)\)$", code.out) == made
+        assert code.code == 2 * (not made)
+        assert bool(made) or "is not made from the field; see " in code.err
 
 
 @pytest.mark.slow

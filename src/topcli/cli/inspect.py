@@ -88,7 +88,7 @@ def show(
     if (top or source) and not schemes:
         raise UsageError(f"--{'top' if top else 'source'}: needs the name of a scheme, not {quoted(config)}")
     if source:
-        emit_text("\n".join(map(generated_source, schemes)))
+        emit_text(generated_source(schemes))
         return
     if is_name and config.lower() in top_names():
         shown = [cls.new() for cls in forms(config)]

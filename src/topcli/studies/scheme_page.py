@@ -44,27 +44,33 @@ MANY = 6
 
 
 def scheme_forms(name: str, top: str | None = None) -> list[Scheme]:
-    """Schemes called ``name``, one for each form of a top, or of ``top`` alone; empty if there is none.
+    """Schemes called ``name``, one for each form of a top, or of ``top`` that it fits; empty if there is none.
 
-    Raises UnknownNameError for an unknown top, SchemeMisfitError for a scheme that does not fit it.
+    Raises UnknownNameError for an unknown top, SchemeMisfitError for a scheme that fits no form of it.
     """
     base = name.lower().partition("+")[0]
-    found = [scheme for scheme in all_schemes() if scheme.name == base]
-    tops = [scheme.top for scheme in found] if top is None or not found else [form.form for form in forms(top)]
-    return [find_scheme(name, form) for form in tops]
+    fits = [scheme.top for scheme in all_schemes() if scheme.name == base]
+    if top is None or not fits:
+        return [find_scheme(name, form) for form in fits]
+    asked = [form.form for form in forms(top)]
+    return [find_scheme(name, form) for form in asked if form in fits] or [find_scheme(name, asked[0])]
 
 
-def generated_source(scheme: Scheme) -> str:
-    """Code that a scheme is made of for the default parameters of its top, under a line with the name.
+def generated_source(schemes: Sequence[Scheme]) -> str:
+    """Code that schemes are made of for the default parameters of their tops, each under a line with the name.
 
-    Raises UsageError for a scheme that is written out.
+    Schemes that are written out are left out. Raises UsageError if all are.
     """
-    method = scheme.build(TOPS[scheme.top].new(), scheme.options())
-    source = method.text if isinstance(method, Block) else getattr(method, "source", None)
-    if source is None:
-        file = inspect.getsourcefile(inspect.unwrap(scheme.build))
-        raise UsageError(f"scheme {scheme.name!r} of the top {scheme.top!r} is not made from the field; see {file}")
-    return f"# {scheme.name} ({scheme.top})\n{source()}"
+    texts = []
+    for scheme in schemes:
+        method = scheme.build(TOPS[scheme.top].new(), scheme.options())
+        source = method.text if isinstance(method, Block) else getattr(method, "source", None)
+        if source is not None:
+            texts.append(f"# {scheme.name} ({scheme.top})\n{source()}")
+    if not texts:
+        name, top, file = schemes[0].name, schemes[0].top, inspect.getsourcefile(inspect.unwrap(schemes[0].build))
+        raise UsageError(f"scheme {name!r} of the top {top!r} is not made from the field; see {file}")
+    return "\n".join(texts)
 
 
 def scheme_data(scheme: Scheme) -> dict[str, Any]:
