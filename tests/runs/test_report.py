@@ -16,9 +16,11 @@ from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Invariant
 from topcli.runs.decision import RunOptions
-from topcli.runs.report import REPORT_COLUMNS
+from topcli.runs.report import INVARIANTS, REPORT_COLUMNS, ReportColumn
 from topcli.runs.run import RunResult, run_experiment
+from topcli.runs.simulate import simulate
 from topcli.store.series import read_series
+from topcli.table import DASH
 from topcli.tops.kowalevski import Kowalevski
 
 
@@ -81,6 +83,20 @@ def test_a_run_resolves_its_config_once(config: str, tmp_path: Path, monkeypatch
     result = run(config, "N=100", out=tmp_path)
     assert len(calls) == 1
     assert result.report["digest"] == result.stored.manifest["digest"] == calls[0].digest
+
+
+@pytest.mark.parametrize("column", REPORT_COLUMNS[1:], ids=lambda column: column.name)
+def test_a_report_without_a_column_shows_a_dash(column: ReportColumn) -> None:
+    """As one that was stored before the column existed."""
+    rows = [row.as_dict() for row in simulate("euler_hk", h=0.1, N=20).invariant_rows()]
+    lines = INVARIANTS.cells({"invariants": rows}).lines
+    for row in rows:
+        del row[column.name]
+    without = INVARIANTS.cells({"invariants": rows}).lines
+    changed = [after for before, after in zip(lines, without, strict=True) if before != after]
+    assert all(set(line[1:]) == {DASH} for line in changed)
+    assert len(changed) <= 1
+    assert INVARIANTS.frame({"invariants": rows})[column.name].isna().all()
 
 
 def test_every_figure_of_the_report_is_shown() -> None:

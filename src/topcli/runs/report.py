@@ -49,6 +49,10 @@ class ReportColumn(Column):
     show: Callable[[Any], str] = number
     compared: bool = False
 
+    def value(self, row: Mapping[str, Any]) -> Any:
+        """Figure of a row; None in a report that was stored before the column existed."""
+        return row.get(self.name)
+
     def compared_head(self, symbol: str) -> str:
         """Heading in comparisons, for the invariant of this symbol."""
         return label(self.name, symbol) if self.name in glossary.QUANTITIES else f"{self.head} of {symbol}"
