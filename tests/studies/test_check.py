@@ -132,9 +132,16 @@ def test_code_that_fails_is_named_once(check: Callable[..., Said]) -> None:
         (["--scheme", "nosuch"], "unknown scheme 'nosuch'"),
         (["--top", "nosuch"], "unknown top 'nosuch'"),
         (["nowhere.py"], "plugin nowhere.py: no such file"),
+        (["euler_hk"], "'euler_hk' is a config, not a Python file; to check its top: topcli check --config euler_hk"),
+        *(
+            ([name], f"'{name}' is a config, not a Python file; to check its top: topcli check --config {name}")
+            for name in ("own.yaml", "own.yml", "own.toml")
+        ),
     ],
 )
 def test_wrong_names_are_refused(cli: Callable[..., Said], arguments: list[str], message: str) -> None:
+    for name in ("own.yaml", "own.yml", "own.toml"):
+        Path(name).write_text("top: euler\n")
     said = cli("check", *arguments)
     assert (said.code, message in said.err) == (2, True)
 

@@ -21,10 +21,11 @@ from topcli.analysis.conformance import (
     states_near,
     working_states,
 )
+from topcli.config.files import is_config
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant, Method, Sampler, Scheme, Stepper, Top
-from topcli.errors import SchemeCodeError, UsageError
+from topcli.errors import SchemeCodeError, UsageError, quoted
 from topcli.field import integrals as field_integrals
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.runs.report import finite
@@ -324,6 +325,9 @@ def plan(
     """
     origin = None if file is None else str(Path(file))
     if file is not None:
+        if Path(file).suffix != ".py" and is_config(str(file)):
+            hint = f"to check its top: topcli check --config {file}"
+            raise UsageError(f"{quoted(str(file))} is a config, not a Python file; {hint}")
         load_plugin_file(Path(file))
     own = [each for each in all_schemes() if each.origin == origin]
     brought = [form for form in TOPS if top_origin(TOPS[form]) == origin]
