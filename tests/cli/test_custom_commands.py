@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -128,3 +129,31 @@ def test_a_page_on_a_study_needs_no_config(cli, config: Path) -> None:
     made = subprocess.run([sys.executable, "-c", code, "report s.json --out s.html"], capture_output=True, text=True)
     assert (made.returncode, made.stderr) == (0, "wrote s.html\n")
     assert "HK: Kahan 1993" in Path("s.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("run my_rotor.yaml --set scheme=exact", "my_rotor"),
+        ("run my_rotor.yaml --set scheme=rk4+kahan-li8", "my_rotor"),
+        ("run my_rotor.yaml --set scheme=nosuch", ""),
+        ("run my_rotor.yaml --name brief -v", ""),
+        ("compare exact rk4 --config my_rotor.yaml", "my_rotor"),
+        ("compare rk4 --config my_rotor.yaml --reference exact", "my_rotor"),
+        ("order dmv --config my_rotor.yaml", "my_rotor"),
+        ("check --config my_rotor.yaml --scheme midpoint", "my_rotor"),
+        ("stress rk4 --config my_rotor.yaml", "my_rotor"),
+        ("integrability custom --config my_rotor.yaml", "my_rotor"),
+        ("bench exact --config my_rotor.yaml", "my_rotor"),
+        ("lax custom --config my_rotor.yaml", ""),
+        ("show my_rotor.yaml --motion", ""),
+        ("sweep s.yaml --set grid.scheme=[exact]", ""),
+        ("init --top custom w.yaml --scheme exact", ""),
+    ],
+)
+def test_messages_call_a_top_by_the_name_of_its_config(cli, config: Path, command: str, name: str) -> None:
+    config.rename("my_rotor.yaml")
+    Path("s.yaml").write_text(SWEEP.replace("v.yaml", "my_rotor.yaml"))
+    said = cli(*command.split())
+    assert not re.search("custom-[0-9a-f]{8}", said.out + said.err)
+    assert name in (said.out + said.err).replace("--config my_rotor.yaml", "")

@@ -29,6 +29,7 @@ from topcli.config.document import STRICT, as_integer, describe
 from topcli.config.ranges import Interval
 from topcli.contracts import Array, Top
 from topcli.errors import quoted
+from topcli.tops import TOPS
 
 MAX_TRAJECTORIES = 10**6
 CANDIDATES = 1024
@@ -74,14 +75,15 @@ def energy_fault(top: Top, vector: str) -> str:
     """Reason why ``vector`` cannot be scaled to a given energy of the state; empty if it can."""
     energy = energy_of(top)
     if energy is None:
-        return f"the top {top.form} has no invariant {top.energy!r}, the name of its energy"
+        return f"the top {TOPS.called(top.form)} has no invariant {top.energy!r}, the name of its energy"
     states = np.tile(np.cos(np.arange(1.0, len(top.components) + 1.0)), (3, 1))  # in general position
     states[:, slice(*top.vectors[vector])] *= np.array([[0.0], [1.0], [2.0]])
     with np.errstate(all="ignore"):
         none, once, twice = energy.value(states)
         if abs((twice - none) - 4.0 * (once - none)) <= 1e-12 * energy.scale(states).max():
             return ""
-    return f"{energy.name!r}, the energy of the top {top.form}, is not quadratic in {vector}; use sphere or near"
+    owner = TOPS.called(top.form)
+    return f"{energy.name!r}, the energy of the top {owner}, is not quadratic in {vector}; use sphere or near"
 
 
 def drawable(cls: type[Top]) -> list[str]:

@@ -26,7 +26,7 @@ from topcli.config.written import read_written, with_written_numbers
 from topcli.contracts import Top, checked_rotation
 from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError, UsageError, quoted
-from topcli.tops import TOPS, forms
+from topcli.tops import CUSTOM, TOPS, forms
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -157,6 +157,8 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         problems.raise_any()
     config = _config(data, problems)
     cls, top = _top(data, problems)
+    if cls and cls.form in TOPS.declared and (default_name or cls.form not in TOPS.names):  # a study derives configs
+        TOPS.names[cls.form] = str(data.get("name", CUSTOM))
     scheme = read_scheme(data["scheme"], cls, problems) if cls and "scheme" in data else None
     state = members = columns = quantities = section = written = None
     if cls and top and "ensemble" in data:

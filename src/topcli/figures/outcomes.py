@@ -24,6 +24,7 @@ from topcli.schemes.display import display_name
 from topcli.studies.stress import trials
 from topcli.studies.stress.study import FILE, UNEXPLAINED, known_top
 from topcli.studies.study import Result
+from topcli.tops import TOPS
 
 STRESS_OUTCOMES = ("not tried", "held", "degraded", "broke")
 SHADES = ("#ffffff", "#dcebf5", "#f2a541", "#7b1e2b")
@@ -110,7 +111,7 @@ class StressPanel:
         axes.tick_params(which="both", length=0, pad=2)
         axes.grid(False)
         axes.grid(which="minor", color="white", linewidth=0.8)
-        axes.set_xlabel(self.top, fontsize=9, labelpad=3)
+        axes.set_xlabel(TOPS.called(self.top), fontsize=9, labelpad=3)
 
 
 def _in_columns(tops: Sequence[str]) -> list[list[str]]:

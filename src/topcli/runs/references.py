@@ -22,6 +22,7 @@ from topcli.contracts import Array, Sampler, Scheme, Top, check_stop
 from topcli.engine.setups import prepare
 from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.registry import find_scheme
+from topcli.tops import TOPS
 
 TAYLOR = "taylor"
 EXACT = "exact"
@@ -104,7 +105,9 @@ def reference_of(top: Top, kind: str | None = None, judged: Scheme | None = None
         return Reference(top)
     closed = closed_form_of(top)
     if closed is None and kind == EXACT:
-        raise UsageError(f"the top {top.form} has no scheme exact to compare with; use the reference {TAYLOR}")
+        raise UsageError(
+            f"the top {TOPS.called(top.form)} has no scheme exact to compare with; use the reference {TAYLOR}"
+        )
     return Reference(top, closed)
 
 

@@ -390,8 +390,8 @@ def find_scheme(name: str, top: str) -> Scheme:
     if fits:
         reason = _misfit(name.lower(), top) or f"it fits {', '.join(fits)}"
         raise SchemeMisfitError(
-            f"scheme {quoted(name)} does not fit top {top!r}; {reason}; "
-            f"schemes for {top}: {', '.join(names_for(top)) or 'none'}"
+            f"scheme {quoted(name)} does not fit top {TOPS.called(top)!r}; {reason}; "
+            f"schemes for {TOPS.called(top)}: {', '.join(names_for(top)) or 'none'}"
         )
     raise UnknownNameError(
         f"unknown scheme {quoted(name)}; {nearest(name, names_for(top))}", *map(str, known_failures()[:2])
@@ -427,7 +427,7 @@ def composed(base: Scheme, name: str) -> Scheme:
     if reason := obstacle(base):
         raise UsageError(
             f"scheme {base.name!r} cannot be composed: it {reason}; "
-            f"schemes for {base.top} that can be: {', '.join(composable_names(base.top)) or 'none'}"
+            f"schemes for {TOPS.called(base.top)} that can be: {', '.join(composable_names(base.top)) or 'none'}"
         )
     return compose(base, name)
 

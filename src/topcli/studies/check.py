@@ -11,6 +11,7 @@ from topcli.errors import ExitCode, counted
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Config, Data, Faults, Flag, Head, Result, Study, config_flag, top_flag
 from topcli.table import Column, Table, number, two_digits
+from topcli.tops import TOPS
 
 
 def measure(
@@ -68,7 +69,7 @@ def measure(
 
 
 def _subject(data: Data) -> str:
-    names = [*data["tops"], *(f"{name} ({form})" for form, name in data["schemes"])]
+    names = [*map(TOPS.called, data["tops"]), *(f"{name} ({TOPS.called(form)})" for form, name in data["schemes"])]
     return ", ".join(names)
 
 

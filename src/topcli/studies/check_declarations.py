@@ -293,19 +293,21 @@ def _row(subject: str, check: str, declared: str, measured: Callable[[], Found])
 def scheme_rows(subject: Subject) -> Iterator[dict[str, Any]]:
     """A row for each check of a scheme."""
     scheme = subject.scheme
+    name = TOPS.called(scheme.top)
     for check, (measure, declared) in SCHEME_CHECKS.items():
-        yield _row(f"{scheme.name} ({scheme.top})", check, declared(scheme), lambda measure=measure: measure(subject))
+        yield _row(f"{scheme.name} ({name})", check, declared(scheme), lambda measure=measure: measure(subject))
 
 
 def top_rows(experiment: Experiment) -> Iterator[dict[str, Any]]:
     """A row for the field of a top and two for each integral."""
     top, states = experiment.top, states_near(experiment.y0, 20)
     components = ", ".join(top.components)
-    yield _row(top.form, "field", components, lambda: field_returns(top, states))
+    name = TOPS.called(top.form)
+    yield _row(name, "field", components, lambda: field_returns(top, states))
     k = moving(top, tuple(states[1].tolist()))
     for one in top.invariants():
-        yield _row(top.form, f"{one.name}: exact rate", "0", lambda one=one: exact_rate(top, one, k))
-        yield _row(top.form, f"{one.name}: random states", "0", lambda one=one: random_rate(top, one, states[1:], k))
+        yield _row(name, f"{one.name}: exact rate", "0", lambda one=one: exact_rate(top, one, k))
+        yield _row(name, f"{one.name}: random states", "0", lambda one=one: random_rate(top, one, states[1:], k))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Annotated
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Config, Data, Flag, Head, Overrides, Result, Study, config_flag
 from topcli.table import Column, Table
+from topcli.tops import TOPS
 
 
 def measure(
@@ -64,7 +65,7 @@ def measure(
 
 
 def _subject(data: Data) -> str:
-    return f"{data['scheme']} on {data['top']}, h = {data['h']:g}"
+    return f"{data['scheme']} on {TOPS.called(data['top'])}, h = {data['h']:g}"
 
 
 EVIDENCE = Table(

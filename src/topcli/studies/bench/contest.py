@@ -17,6 +17,7 @@ from topcli.contracts import Array, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.registry import SchemeMisfitError, composable_names, schemes_of
 from topcli.studies.entries import scheme_with
+from topcli.tops import TOPS
 
 BENCH_INTERVALS = 100
 """Number of intervals between the evenly spaced times at which errors are measured."""
@@ -250,7 +251,7 @@ def choose(problem: Problem, names: Sequence[str]) -> LineUp:
         try:
             scheme = scheme_with(name, problem.top.form)
         except SchemeMisfitError:
-            left_out.append((name, f"does not fit the top {problem.top.form}"))
+            left_out.append((name, f"does not fit the top {TOPS.called(problem.top.form)}"))
             continue
         if any(scheme.name == other.name for other in (*schemes, *closed_forms)):
             raise UsageError(f"scheme {scheme.name!r} is named twice")

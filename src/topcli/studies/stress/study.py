@@ -11,6 +11,7 @@ from topcli.errors import ExitCode, UnknownNameError, UsageError, counted, neare
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Data, Faults, Flag, Head, Result, Study, config_flag, scheme_names, top_flag
 from topcli.table import Column, Table
+from topcli.tops import TOPS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -149,7 +150,7 @@ def _what(trial: Data) -> str:
     return ", ".join(filter(None, (outcome, _said(trial["verdict"]))))
 
 
-TRIAL = (Column("scheme", "scheme"), Column("top", "top"), Column("case", "case"))
+TRIAL = (Column("scheme", "scheme"), Column("top", "top", TOPS.called), Column("case", "case"))
 TRIALS = Table(
     "trials",
     (
@@ -184,7 +185,7 @@ FAILURES = Table(
 )
 QUESTIONS = Table(
     "cases",
-    tuple(Column(key, key) for key in ("case", "top", "question")),
+    (Column("case", "case"), Column("top", "top", TOPS.called), Column("question", "question")),
     name="questions",
     heading="Cases",
     keys=2,
@@ -213,7 +214,7 @@ def grid_of(data: Data, top: str) -> Table:
         lambda data: list(rows.values()),
         [Column("scheme", "scheme"), *map(column, cases)],
         name=f"grid {top}",
-        heading=f"Outcomes: {top}",
+        heading=f"Outcomes: {TOPS.called(top)}",
         caption=f"{meanings}; an empty cell was not run",
         numbers=False,
         marks={SIGNS[outcome]: kind for outcome, kind in MARKS.items()},
@@ -241,7 +242,7 @@ def summary_of(data: Data, top: str) -> Table:
             *(Column(list(SIGNS)[i], lambda row, i=i: row["cells"][i] or None) for i in shown),
         ],
         name=f"summary {top}",
-        title=f"{top}: cases that did not hold",
+        title=f"{TOPS.called(top)}: cases that did not hold",
         numbers=(1,),
     )
 
@@ -298,9 +299,13 @@ def faults(data: Data) -> Faults:
     """Code that failed, and trials that contradict a declaration."""
     trials = data["trials"]
     failed = [trial for trial in trials if trial["verdict"] == "code failed"]
-    lines = dict.fromkeys(f"{trial['scheme']} ({trial['top']}): {trial['why']}" for trial in failed)
+
+    def subject(trial: Data) -> str:
+        return f"{trial['scheme']} ({TOPS.called(trial['top'])})"
+
+    lines = dict.fromkeys(f"{subject(trial)}: {trial['why']}" for trial in failed)
     wrong = [
-        f"{trial['scheme']} ({trial['top']}), case {trial['case']}: {UNEXPLAINED[trial['verdict']]}: {trial['why']}"
+        f"{subject(trial)}, case {trial['case']}: {UNEXPLAINED[trial['verdict']]}: {trial['why']}"
         for trial in _contradictions(data)
     ]
     if failed:
