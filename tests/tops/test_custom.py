@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import builtins
 import json
+import keyword
 import pickle
 import re
 import subprocess
@@ -29,6 +32,7 @@ from topcli.config.schema import config_schema
 from topcli.config.sweep import load_sweep
 from topcli.config.text import parse_yaml
 from topcli.contracts import Outcome
+from topcli.engine.loop import interpreted, state_after
 from topcli.errors import ConfigError, TopcliError
 from topcli.field.polynomial import field_of
 from topcli.figures.picture import component_symbol
@@ -38,7 +42,7 @@ from topcli.schemes.registry import all_schemes, names_for, schemes_of
 from topcli.store.series import read_series
 from topcli.sweeps.row_results import Work
 from topcli.tops import TOPS, top_names
-from topcli.tops.custom import EXAMPLE
+from topcli.tops.custom import EXAMPLE, Custom
 
 schema_of_configs = cache(config_schema)
 OMEGA = "angular_velocity: [w1, w2, w3]\n"
@@ -516,3 +520,53 @@ def test_integrals_are_checked_for_every_set_of_parameters(law: str) -> None:
     drawn = load_sweep({"base": damped(law), "random": draws, "measure": measure})
     with pytest.raises(ConfigError, match=fault):
         list(RowReader(drawn).rows())
+
+
+NAMES = {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *dir(Custom), *Custom.__annotations__, *dir(ast.Name)}
+NAMES |= {*"ypcsthnxE", "cls", "self", "math", "fma", "work", "out", "params", "value", "pi", "normalize"}
+ROLES = {
+    "parameter": ("{{'{name}': 0.3}}", "[u, v]", "u: v, v: -{name}*u"),
+    "component": ("{{k: 0.3}}", "['{name}', v]", "'{name}': v, v: -k*{name}"),
+}
+OWN = """\
+top:
+  kind: custom
+  parameters: {0}
+  components: {1}
+  field: {{{2}}}
+initial: {{'{3}': 1.0, v: 0.2}}
+scheme: hk
+h: 0.1
+N: 5
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("role", ROLES)
+def test_any_name_works_or_is_refused_with_its_line(role: str, tmp_path: Path) -> None:
+    """Words of Python, and names that topcli, pydantic or generated code use themselves."""
+    path, refused, steps = tmp_path / "own.yaml", set(), set()
+    line = {"parameter": 3, "component": 4}[role]
+    for name in sorted(NAMES):
+        parts = [part.format(name=name) for part in ROLES[role]]
+        first = name if role == "component" and name != "from" else "u"  # initial: {from: RUN} is read before the top
+        path.write_text(OWN.format(*parts, first))
+        try:
+            experiment = load_experiment(path)
+        except ConfigError as error:
+            refused.add(name)
+            message = str(error)
+        else:
+            assert load_experiment(experiment.resolved()).digest == experiment.digest
+            p = np.array(pickle.loads(pickle.dumps(experiment.top)).constants())
+            y = state_after(interpreted(experiment.method(), 2, len(p)), np.array(experiment.y0), p, experiment.h)
+            assert y is not None
+            steps.add(tuple(y))
+            continue
+        assert message.startswith(f"{path}:{line}: top.{role}s"), name
+        assert name in message.partition(": ")[2]
+        assert "\n" not in message
+    assert len(steps) == 1
+    assert refused >= set(keyword.kwlist)
+    assert not refused & {"self", "y", "p", "c", "s", "math", "fma", "work", "print", "type", "match", "E", "pi"}

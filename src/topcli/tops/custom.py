@@ -10,7 +10,10 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from keyword import iskeyword
 from typing import Any, ClassVar
+
+from pydantic import BaseModel
 
 from topcli.contracts import Integral, Top
 from topcli.field.expression import FUNCTIONS, NAME, Expression, function_of, parse, value_of
@@ -76,11 +79,16 @@ def name_fault(name: str, what: str, earlier: Mapping[str, str]) -> str:
     ``earlier`` says what the names are that are given already.
     """
     if not NAME.fullmatch(name):
-        return f"a name has letters, digits and _, and begins with a letter; {name[:40]!r} cannot name a {what}"
+        article = "an" if what[0] in "aeiou" else "a"
+        return f"a name has letters, digits and _, and begins with a letter; {name[:40]!r} cannot name {article} {what}"
     if name in earlier:
         article = "an" if earlier[name][0] in "aeiou" else "a"
         return f"{name!r} names {article} {earlier[name]} already; choose another name"
-    if name in TAKEN or (what == "parameter" and (hasattr(Custom, name) or name.startswith("model_"))):
+    if what in ("component", "parameter") and iskeyword(name):
+        return f"{name!r} is a word of Python, which no formula contains; choose another name for the {what}"
+    of_models = what == "component" and name in dir(BaseModel)
+    of_tops = what == "parameter" and (hasattr(Custom, name) or name in ("cls", "declaration") or name[:6] == "model_")
+    if name in TAKEN or of_models or of_tops:
         return f"{name!r} is taken; choose another name for the {what}"
     return ""
 
