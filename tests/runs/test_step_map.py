@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import topcli
+from topcli.config.load import load_experiment
 from topcli.errors import TopcliError
 
 SCENE = "kowalevski_generic_hk"
@@ -21,6 +24,18 @@ def test_steps_are_those_of_a_run() -> None:
     for _ in range(7):
         by_one = f(by_one)
     assert np.array_equal(by_one, run.states[-1])
+
+
+LENGTHS = ({}, {"N": 1000}, {"T": 20}, {"T": 0.37}, {"N": 0}, {"N": 10, "output": {"every": 20, "nonsense": 1}})
+SETTINGS = ([], ["N=3"], ["T=7"], ["T=0.37"], ["output.every=9"])
+
+
+@pytest.mark.parametrize("length", LENGTHS, ids=str)
+def test_a_map_needs_no_length_of_a_run(length: dict[str, Any]) -> None:
+    data = {key: value for key, value in load_experiment(SCENE).resolved().items() if key not in ("N", "output")}
+    for overrides in SETTINGS:
+        f = topcli.step(data | length, ["h=0.1", *overrides])
+        assert np.array_equal(f(f.initial), topcli.step(SCENE, ["h=0.1"])(f.initial))
 
 
 @pytest.mark.parametrize("shape", [(6,), (1, 6), (100, 6), (4, 5, 6), (0, 6)])

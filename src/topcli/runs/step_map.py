@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from topcli.config.files import parse_override
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array
@@ -145,8 +146,8 @@ def step(config: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) 
     Parameters
     ----------
     config : path, str or mapping
-        Config file, name of a scene (a packaged config), or the content of a config. The keys ``N`` and ``output`` are
-        ignored.
+        Config file, name of a scene (a packaged config), or the content of a config. The keys ``N``, ``T`` and
+        ``output`` are not needed, and are ignored.
     overrides : sequence of str, optional
         Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line, such as
         ``"h=0.01"``.
@@ -172,4 +173,5 @@ def step(config: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) 
     >>> bool(abs(numpy.linalg.det(f.jacobian(f.initial)) - 1) < 0.01)
     True
     """
-    return StepMap(load_experiment(config, overrides))
+    used = [text for text in overrides if parse_override(text)[0][0] not in ("N", "T", "output")]
+    return StepMap(load_experiment(config, used, {"N": 1, "output": {}}))
