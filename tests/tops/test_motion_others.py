@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 
@@ -266,6 +267,33 @@ def test_heavy_tops_of_special_shape_have_the_motion_of_their_class() -> None:
         else:
             assert found == of(special, *y)
     assert of(Heavy(A=2.0, B=2.0, C=1.0, x0=1.5, y0=0.0, z0=1e-9), *y).kind == "no closed form"
+
+
+PLANE = (0.6, -0.8, 0.0)
+IN_OTHER_AXES = {
+    "Lagrange": [((2.0, 2.0, 0.7), (0.0, 0.0, -1.5)), ((2.0, 2.0, 2.0), (0.3, 0.0, 0.4)), ((2.0, 2.0, 2.0), PLANE)],
+    "Kowalevski": [((2.0, 2.0, 1.0), (1.5, 0.0, 0.0)), ((2.0, 2.0, 1.0), PLANE)],
+    "": [((2.0, 1.0, 0.7), (0.0, 0.0, 1.5)), ((2.0, 2.0, 1.0), (1.0, 0.0, 0.1)), ((2.0, 2.0, 1.1), PLANE)],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", IN_OTHER_AXES)
+def test_a_heavy_top_is_known_in_some_axes(name: str) -> None:
+    """In all orders of the axes: its own are those of the closed form, or the message names the top."""
+    for moments, gravity in IN_OTHER_AXES[name]:
+        for order in itertools.permutations(range(3)):
+            A, B, C = (moments[i] for i in order)
+            x0, y0, z0 = (gravity[i] for i in order)
+            motion = of(Heavy(A=A, B=B, C=C, x0=x0, y0=y0, z0=z0), 0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
+            lagrange, kowalevski = A == B and x0 == y0 == 0.0, A == B == 2.0 * C and y0 == z0 == 0.0
+            if lagrange or kowalevski:
+                assert motion.kind != "no closed form"
+            elif name:
+                assert motion.title.startswith("no closed form in these axes; ")
+                assert motion.title.endswith(f"it is a {name} top")
+            else:
+                assert motion.title == "no closed form is known for a top with these parameters"
 
 
 def test_states_whose_integrals_overflow_are_refused() -> None:

@@ -58,7 +58,7 @@ def motion_of(top: Top, y0: Floats) -> Motion:
 
             return kowalevski_motion(top, y)
         free, notes = True, ("without gravity: the free symmetric top",)
-    described: Described = "no closed form", "no closed form is known for a top with these parameters", ()
+    described: Described = "no closed form", _without_closed_form(top), ()
     conserved = integrals_of(top, y)
     with localcontext(prec=DIGITS):
         if free:
@@ -81,6 +81,19 @@ def closed_form_top(top: Top) -> Top:
     if A == B == 2.0 * C and top.y0 == top.z0 == 0.0:
         return Kowalevski(A=A, c0=top.x0)
     return top
+
+
+def _without_closed_form(top: Top) -> str:
+    """Title of the motion of a top without a closed form; some heavy tops have one in other axes."""
+    if isinstance(top, Heavy):
+        moments, gravity = (top.A, top.B, top.C), (top.x0, top.y0, top.z0)
+        for i in range(3):
+            (J, x), (K, y) = ((moments[j], gravity[j]) for j in range(3) if j != i)
+            if J == K and (x == y == 0.0 or moments[i] == J):
+                return "no closed form in these axes; with A = B and x0 = y0 = 0 in others, it is a Lagrange top"
+            if J == K == 2.0 * moments[i] and gravity[i] == 0.0:
+                return "no closed form in these axes; with A = B = 2C and y0 = z0 = 0 in others, it is a Kowalevski top"
+    return "no closed form is known for a top with these parameters"
 
 
 def _vector(values: Sequence[float]) -> Vector:
