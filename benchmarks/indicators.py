@@ -25,8 +25,8 @@ sys.path[:0] = [str(ROOT / "src")]
 import topcli  # noqa: E402
 from topcli.analysis.frequencies import agreement_digits  # noqa: E402
 from topcli.analysis.lyapunov import Verdict, growth_of  # noqa: E402
-from topcli.runs.report import markdown_table  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
+from topcli.table import markdown_table  # noqa: E402
 from topcli.tops import TOPS  # noqa: E402
 
 PAGE = ROOT / "docs" / "chaos.md"

@@ -17,8 +17,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src")]
 
-from topcli.runs.report import markdown_table, number  # noqa: E402
 from topcli.studies.bench.result import DECADE_TABLE, microseconds, stored_benches  # noqa: E402
+from topcli.table import markdown_table, number  # noqa: E402
 
 PAGE = ROOT / "docs" / "which-scheme.md"
 
