@@ -79,7 +79,7 @@ def test_an_orbit_that_broke_off_is_a_failure() -> None:
 
 @pytest.mark.parametrize("spectrum", [False, True])
 def test_picture(spectrum: bool, tmp_path: Path) -> None:
-    result = measure(REGULAR[0], spectrum, REGULAR[1])
+    result = measure(*REGULAR, spectrum=spectrum)
     loaded = loaded_lyapunov(Result(result.data, result.arrays))
     figure = draw(loaded.panels, loaded.data(), loaded.layout)
     (axes,) = figure.axes

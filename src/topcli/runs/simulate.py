@@ -39,7 +39,7 @@ def trajectory_of(experiment: Experiment) -> Trajectory:
 
 
 def simulate(
-    config: str | Path | Mapping[str, Any] | None = None, *, overrides: Sequence[str] = (), **changes: Any
+    config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] = (), **changes: Any
 ) -> Trajectory:
     """Run an experiment in memory.
 
@@ -159,9 +159,9 @@ def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> E
 
 def simulate_ensemble(
     config: str | Path | Mapping[str, Any] | None = None,
+    overrides: Sequence[str] = (),
     *,
     states: Array | Sequence[Sequence[float]] | None = None,
-    overrides: Sequence[str] = (),
     threads: int | None = None,
     **changes: Any,
 ) -> Ensemble:
@@ -173,12 +173,12 @@ def simulate_ensemble(
     ----------
     config : path, str or mapping, optional
         Config file, name of a scene (a packaged config), or the content of a config, as for ``topcli.simulate``.
-    states : array_like of float, shape (trajectories, d), optional
-        Initial states, with components in the order of ``top.components``. By default, the section ``ensemble`` of the
-        config defines the initial states: by a list (``states``), a grid (``grid``), or random draws (``random``).
     overrides : sequence of str
         Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line. They are applied
         after ``changes``.
+    states : array_like of float, shape (trajectories, d), optional
+        Initial states, with components in the order of ``top.components``. By default, the section ``ensemble`` of the
+        config defines the initial states: by a list (``states``), a grid (``grid``), or random draws (``random``).
     threads : int, optional
         Number of threads, by default one per CPU. The results do not depend on this number.
     **changes

@@ -234,12 +234,25 @@ _PROGRESS = """progress : bool, optional
 """
 
 
+def _refuse_lists(name: str, bound: inspect.BoundArguments) -> None:
+    """Raise UsageError for a list, such as overrides in the wrong place, where a study takes no sequence."""
+    for key, value in bound.arguments.items():
+        parameter = bound.signature.parameters[key]
+        values = value if parameter.kind is inspect.Parameter.VAR_POSITIONAL else [value]
+        if "Sequence" not in str(parameter.annotation) and any(isinstance(each, list | tuple) for each in values):
+            raise UsageError(
+                f"topcli.{name}: {key}: a list is not expected here; KEY=VALUE texts go to overrides=[...]"
+            )
+
+
 @cache
 def function(name: str) -> Callable[..., StudyReport]:
     """Return the Python function of the study called ``name``: ``measure``, with a progress bar."""
     study = find_study(name)
+    signature = inspect.signature(study.measure, eval_str=True)
 
     def call(*arguments: Any, progress: bool = True, **options: Any) -> StudyReport:
+        _refuse_lists(name, signature.bind(*arguments, **options))
         with Progress(study.name, progress, study.unit) as bar:
             return StudyReport(study, study.measure(*arguments, **options, watch=bar))
 
@@ -312,7 +325,7 @@ class MotionReport(Motion, Report):
 
 
 def motion(
-    config: str | Path | Mapping[str, Any] | None = None, *, overrides: Sequence[str] = (), **changes: Any
+    config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] = (), **changes: Any
 ) -> MotionReport:
     """Return the class and the frequencies of an exact motion, and the critical motions nearest to it.
 

@@ -17,9 +17,10 @@ SHOWN_TIMES = 5
 def measure(
     path: Annotated[str | Path, Flag("", "FILE")],
     config: Annotated[str | Path | Mapping[str, Any], Flag("--config", "CONFIG")],
+    overrides: Overrides = (),
+    *,
     columns: Annotated[Sequence[str], Flag("--rename", "NAME=COLUMN,...")] = (),
     steps: Annotated[int | None, steps_flag("rows - 1, or from the column n")] = None,
-    overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
     """Analyse a time series that another program computed.
@@ -34,13 +35,13 @@ def measure(
         CSV or Parquet file with the time t and the components of the state as columns.
     config : path, str or mapping
         Config that gives the top and the initial state.
+    overrides : sequence of str, optional
+        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     columns : sequence of str, optional
         Read t or a component from a column of another name, e.g. t=time.
     steps : int, optional
         Number of steps that the program took, for the bound of round-off. By default, it is the difference between the
         last and the first step number in a column n or, without this column, the number of rows minus 1.
-    overrides : sequence of str, optional
-        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
         Observer of the study.
 

@@ -23,9 +23,10 @@ RESOLUTION = 70
 
 def measure(
     config: Annotated[str | Path, Flag("", "CONFIG")],
+    overrides: Overrides = (),
+    *,
     component: Annotated[Sequence[str], Flag("--component", "NAME", default="all components and quantities")] = (),
     angle: Annotated[Sequence[str], Flag("--angle", "X,Y")] = (),
-    overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
     """Measure the frequencies of an orbit and detect chaos.
@@ -38,14 +39,14 @@ def measure(
     ----------
     config : path or str
         Config file or name of a packaged scene.
+    overrides : sequence of str, optional
+        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     component : sequence of str, optional
         Components, invariants or quantities (formulas in ``output.quantities`` of the config) to measure. By default,
         all components and quantities are measured, or none if an ``angle`` is given.
     angle : sequence of str, optional
         Measure how fast the point (X, Y) turns about the origin, where X and Y are two columns. Each pair is a text
         such as ``"gamma1,gamma2"``.
-    overrides : sequence of str, optional
-        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
         Observer of the study.
 

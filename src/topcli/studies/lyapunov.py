@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 def measure(
     config: Annotated[str | Path, Flag("", "CONFIG")],
-    spectrum: Annotated[bool, Flag("--spectrum")] = False,
     overrides: Overrides = (),
+    *,
+    spectrum: Annotated[bool, Flag("--spectrum")] = False,
     watch: Watch = SILENT,
 ) -> Result:
     """Measure Lyapunov exponents and detect chaos.
@@ -31,10 +32,10 @@ def measure(
     ----------
     config : path or str
         Config file or name of a packaged scene.
-    spectrum : bool, optional
-        Measure as many exponents as the state has components.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
+    spectrum : bool, optional
+        Measure as many exponents as the state has components.
     watch : Watch, optional
         Observer of the study.
 

@@ -15,11 +15,12 @@ from topcli.table import Column, Table, two_digits
 def measure(
     scheme: Annotated[str, Flag("", "SCHEME")],
     config: Annotated[str | Path | None, config_flag("a packaged scene at h = 0.01")] = None,
+    overrides: Overrides = (),
+    *,
     steps: Annotated[float, steps_flag("1e7")] = 1e7,
     copies: Annotated[int, Flag("--copies", "K")] = 8,
     max_exponent: Annotated[float | None, Flag("--max-exponent", "X")] = None,
     max_drift: Annotated[float | None, Flag("--max-drift", "X")] = None,
-    overrides: Overrides = (),
     watch: Watch = SILENT,
 ) -> Result:
     """Measure growth of round-off, and cost of compensated sums.
@@ -33,6 +34,8 @@ def measure(
         Name of a scheme.
     config : path or str, optional
         Config of the experiment; by default, a packaged scene at h = 0.01.
+    overrides : sequence of str, optional
+        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     steps : float, optional
         Number of steps of each run, e.g. 1e8.
     copies : int, optional
@@ -42,8 +45,6 @@ def measure(
         Round-off grows as the number of steps to the power of the growth exponent: 1/2 for a random walk, 1 for a bias.
     max_drift : float, optional
         Report a violation (exit code 4) if round-off changes an invariant by more than this value in any of the runs.
-    overrides : sequence of str, optional
-        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     watch : Watch, optional
         Observer of the study.
 
