@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from topcli.contracts import Array, Method, Scheme, Top, check_stop, stop_asked
 from topcli.engine.ensemble import default_threads, tile_of
 from topcli.engine.tangent import BlockCode, BlockRun, TangentCode, TangentRun, tangent_code
+from topcli.errors import UsageError
 
 FEWEST_STEPS, MOST_STEPS = 8, 64
 """Steps from one renormalisation of the vectors to the next."""
@@ -235,6 +236,11 @@ def growth_of(
     return Growth(points, h, np.concatenate([f[0] for f in found], axis=1), np.concatenate([f[1] for f in found]))
 
 
+WIDEST = 16.0
+"""Largest difference of the logarithms of the growth of vectors between two orthogonalisations: the slowest vector is
+then accurate to about exp(16) roundings."""
+
+
 def spectrum_of(
     top: Top,
     scheme: Scheme,
@@ -248,27 +254,39 @@ def spectrum_of(
 ) -> Growth:
     """Growth of d orthogonal tangent vectors along one orbit: ``logs`` (k, d), the fastest first.
 
-    Raises UsageError for a method without a tangent map.
+    The vectors are made orthogonal as often as their growth demands. Raises UsageError for a method without a tangent
+    map, and for one of which a step alone stretches vectors too differently.
     """
     d = len(y0)
-    code = tangent_code(scheme, top, method, tile_of(d))
-    vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(d, d)))[0]
-    y = np.repeat(np.array([y0], dtype=float), d, axis=0)
-    run, every, points = code.run(h, y, vectors), interval(h, N), checkpoints(N)
-    logs, total, states, done = np.full((len(points), d), np.nan), np.zeros(d), [y[:1]], 0
+    code = tangent_code(scheme, top, method, max(d, tile_of(d)))
+    points = checkpoints(N)
+    y, vectors = np.array(y0, dtype=float), np.linalg.qr(np.random.default_rng(seed).normal(size=(d, d)))[0]
+    total, states, done, every = np.zeros(d), [y[None]], 0, 1
+    logs = np.full((len(points), d), np.nan)
     for k, n in enumerate(points.tolist()):
         while done < n:
             steps = min(every, n - done)
+            run = code.run(h, np.tile(y, (d, 1)), vectors)  # all vectors on the same orbit
             run.advance(1, steps, renormalise=False)
-            done += steps
-            reached = run.vectors
-            if not np.isfinite(reached).all():
+            with np.errstate(all="ignore"):
+                q, r = np.linalg.qr(run.vectors.T)
+                grown = np.log(np.abs(np.diag(r)))
+            difference = float(np.ptp(grown))
+            if not difference <= WIDEST and steps > 1:  # nan included
+                every = steps // 2
+                continue
+            if not np.isfinite(run.vectors).all():
                 return Growth(points, h, logs, np.zeros(d))
-            q, r = np.linalg.qr(reached.T)
-            total += np.log(np.abs(np.diag(r)))
-            run.restart(q.T)
+            if difference > WIDEST:
+                raise UsageError(
+                    f"after one step at t = {done * h:g}, the growths of tangent vectors differ by a factor "
+                    f"exp({difference:.0f}), too much for a spectrum; take the largest exponent alone, or a smaller h"
+                )
+            if difference < WIDEST / 4.0 and steps == every:
+                every = min(2 * every, MOST_STEPS)
+            y, vectors, total, done = run.states[0], q.T, total + grown, done + steps
         logs[k] = total
-        states.append(run.states[:1])
+        states.append(y[None])
         watch(done, N)
     largest_first = np.argsort(-logs[-1], kind="stable")
     along = np.array(states)

@@ -1,0 +1,32 @@
+"""Systems with known exponents, for the tests of chaos."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from topcli.analysis.lyapunov import Growth, growth_of
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+
+LORENZ = {"x": "10*(y - x)", "y": "28*x - y - x*z", "z": "x*y - 8/3*z"}
+ROESSLER = {"x": "-y - z", "y": "x + 0.2*y", "z": "0.2 + z*(x - 5.7)"}
+HENON_HEILES = {"x": "px", "y": "py", "px": "-x - 2*x*y", "py": "-y - x*x + y*y"}
+DUFFING = {"x": "v", "v": "x - x**3"}
+PENDULUM = {"q": "p", "p": "sin(q)"}
+
+
+def of_field(field: Mapping[str, str], y: Sequence[float], scheme: str, h: float, N: int = 1000) -> Experiment:
+    """Experiment with a field of its own."""
+    top = {"kind": "custom", "components": list(field), "field": dict(field)}
+    initial = dict(zip(field, y, strict=True))
+    return load_experiment({"name": "orbit", "top": top, "initial": initial, "scheme": scheme, "h": h, "N": N})
+
+
+def growth_along(experiment: Experiment, y: Any = None, N: int | None = None, **options: Any) -> Growth:
+    """Growth of tangent vectors along the orbits of an experiment from the states ``y`` (m, d)."""
+    states = np.array([experiment.y0] if y is None else y, dtype=float)
+    scheme, method = experiment.scheme, experiment.method()
+    return growth_of(experiment.top, scheme, method, experiment.h, N or experiment.N, states, **options)

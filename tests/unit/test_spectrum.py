@@ -1,0 +1,159 @@
+"""Spectra of Lyapunov exponents: their sum against determinants, all of them against an orthogonalisation each step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import topcli
+from orbits import LORENZ, of_field
+from topcli.analysis.lyapunov import Growth, spectrum_of
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.engine.tangent import obstacle
+from topcli.errors import UsageError
+from topcli.schemes.registry import schemes_of
+from topcli.tops import TOPS
+
+STRONG = {"x": "16*(y - x)", "y": "45.92*x - y - x*z", "z": "x*y - 4*z"}
+"""Lorenz's system of Wolf and others, Physica D 16 (1985) 285: exponents 1.50, 0, -22.46."""
+STIFF = {"x": "-150*(x - y*y)", "y": "z", "z": "-y - 0.1*x"}
+NUDGE = 1e-5
+
+
+def spectrum(experiment: Experiment) -> Growth:
+    method, y0 = experiment.method(), list(experiment.y0)
+    return spectrum_of(experiment.top, experiment.scheme, method, experiment.h, experiment.N, y0)
+
+
+def jacobians(experiment: Experiment) -> np.ndarray:
+    """Derivatives of the steps along the orbit (N, d, d), by central differences of the step itself."""
+    step = topcli.step(experiment.resolved())
+    y, d = np.array(experiment.y0, dtype=float), len(experiment.y0)
+    states = np.empty((experiment.N, d))
+    for n in range(experiment.N):
+        states[n], y = y, step(y, 1)
+    moved = states[:, None, :] + NUDGE * np.concatenate([np.eye(d), -np.eye(d)])
+    images = step(moved.reshape(-1, d), 1).reshape(experiment.N, 2, d, d)
+    return np.moveaxis(images[:, 0] - images[:, 1], 1, 2) / (2.0 * NUDGE)
+
+
+def sum_of_determinants(experiment: Experiment) -> float:
+    return float(np.log(np.abs(np.linalg.det(jacobians(experiment)))).sum())
+
+
+KOWALEVSKI = {"omega": [1.2, 0.4, 0.6], "gamma": [0.36, 0.48, 0.8]}
+STATES: dict[str, dict[str, list[float]]] = {
+    "kowalevski": KOWALEVSKI,
+    "euler": {"omega": [0.7, -0.4, 0.9]},
+    "lagrange/inertial": {"m": [0.3, 0.4, 1.6], "a": [0.36, 0.48, 0.8]},
+}
+
+
+COSTLY = ("dg4", "midpoint4")
+"""Schemes whose tangent maps take a minute to compile."""
+
+
+def with_tangent_maps() -> list[tuple[str, str]]:
+    """A top and a scheme of each family that has tangent maps."""
+    found: dict[str, tuple[str, str]] = {}
+    for form in STATES:
+        top = TOPS[form].new()
+        for scheme in schemes_of(form):
+            family = scheme.name.partition("-")[0]
+            if family not in found and scheme.name not in COSTLY and not obstacle(scheme.build(top, scheme.options())):
+                found[family] = (form, scheme.name)
+    return list(found.values())
+
+
+def on_top(form: str, scheme: str, N: int) -> Experiment:
+    config = {"name": "one", "top": TOPS[form].kind, "initial": STATES[form], "scheme": scheme, "h": 0.05, "N": N}
+    return load_experiment(config)
+
+
+FIELDS = {
+    "Lorenz": (LORENZ, (1.0, 2.0, 20.0), 0.01),
+    "strong contraction": (STRONG, (1.0, 2.0, 20.0), 0.02),
+    "stiff": (STIFF, (1.0, 1.0, 0.5), 0.01),
+    "changing divergence": ({"x": "y*y - 0.3*x*x", "y": "-x*y + 0.2*x"}, (0.7, 0.4), 0.05),
+}
+
+
+def check_sum(experiment: Experiment) -> None:
+    """The difference quotients are off by about 1e-9 each."""
+    growth = spectrum(experiment)
+    total = sum_of_determinants(experiment)
+    assert growth.logs[-1].sum() == pytest.approx(total, abs=1e-8 * experiment.N, rel=1e-8)
+    assert growth.exponents.sum() == pytest.approx(total / growth.t[-1], abs=1e-8 / experiment.h, rel=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("form", "scheme"), with_tangent_maps())
+def test_exponents_add_up_to_the_mean_logarithm_of_the_determinant(form: str, scheme: str) -> None:
+    check_sum(on_top(form, scheme, 1000))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scheme", "field"),
+    [*((scheme, field) for scheme in ("rk4", "taylor") for field in FIELDS), ("hk", "stiff"), ("midpoint", "stiff")],
+)
+def test_exponents_of_a_field_add_up_to_the_mean_logarithm_of_the_determinant(scheme: str, field: str) -> None:
+    check_sum(of_field(FIELDS[field][0], FIELDS[field][1], scheme, FIELDS[field][2]))
+
+
+def test_exponents_add_up_on_one_top() -> None:
+    check_sum(on_top("euler", "rk4", 1000))
+
+
+@pytest.mark.parametrize(
+    ("experiment", "divergence"),
+    [
+        (of_field(LORENZ, (1.0, 2.0, 20.0), "taylor", 0.01, 10_000), -41.0 / 3.0),
+        (of_field(STRONG, (1.0, 2.0, 20.0), "taylor", 0.02, 5_000), -21.0),
+        (load_experiment("heavy_chaotic", ["scheme=taylor", "N=20000"]), 0.0),
+    ],
+    ids=["Lorenz", "strong contraction", "heavy top"],
+)
+def test_all_vectors_of_a_scheme_with_steps_of_its_own_follow_one_orbit(
+    experiment: Experiment, divergence: float
+) -> None:
+    """Their exponents add up to the divergence of the field, a constant, to round-off."""
+    assert spectrum(experiment).exponents.sum() == pytest.approx(divergence, abs=1e-9)
+
+
+@pytest.mark.parametrize("field", ["strong contraction", "stiff"])
+def test_vectors_are_made_orthogonal_as_often_as_it_takes(field: str) -> None:
+    """The exponents are those of an orthogonalisation after each step, with derivatives by differences."""
+    experiment = of_field(FIELDS[field][0], FIELDS[field][1], "rk4", FIELDS[field][2], 2000)
+    growth = spectrum(experiment)
+    q = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    total = np.zeros(3)
+    for jacobian in jacobians(experiment):
+        q, r = np.linalg.qr(jacobian @ q)
+        total += np.log(np.abs(np.diag(r)))
+    assert growth.logs[-1] == pytest.approx(total, abs=3.0)  # by the directions of the first vectors
+    assert growth.logs[-1, 2] < -800.0
+
+
+def test_a_step_that_stretches_vectors_too_differently_is_refused() -> None:
+    experiment = of_field({"x": "-1000*(x - y)", "y": "-0.1*y"}, (1.0, 1.0), "taylor", 0.05)
+    with pytest.raises(UsageError, match=r"after one step at t = 0, .* differ by a factor exp\(\d\d\), too much"):
+        spectrum(experiment)
+
+
+def test_vectors_that_all_grow_fast_are_not_lost() -> None:
+    """In 64 steps by exp(2600), more than a double can hold; their difference alone would allow as many steps."""
+    growth = spectrum(of_field({"x": "40*x - y*y", "y": "40.02*y + x*y"}, (0.0, 0.0), "taylor", 1.0))
+    assert growth.exponents == pytest.approx([40.02, 40.0], abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "scheme"), [(9, "rk4"), (12, "taylor"), (17, "taylor")])
+def test_systems_of_many_components(count: int, scheme: str) -> None:
+    """Lorenz's ring of 1996, whose divergence is minus the number of its components."""
+    field = {f"x{i}": f"(x{(i + 1) % count} - x{(i - 2) % count})*x{(i - 1) % count} - x{i} + 8" for i in range(count)}
+    growth = spectrum(of_field(field, [8.0 + 0.01 * i for i in range(count)], scheme, 0.02, 1000))
+    assert len(growth.exponents) == count
+    assert growth.exponents.sum() == pytest.approx(-count, abs=1e-9 if scheme == "taylor" else 1e-3)
+    assert growth.exponents[0] > 0.5
