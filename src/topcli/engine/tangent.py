@@ -227,11 +227,6 @@ class TangentRun:
             code.code.checked(self._work, self._out, code.params, self.h, blocks, every, *flags)
         self._begin = False
 
-    def restart(self, vectors: Array) -> None:
-        """Go on from the present states with other tangent vectors."""
-        self._place(self.states, vectors)
-        self._begin = True
-
     @property
     def states(self) -> Array:
         """Physical states (m, d)."""
@@ -273,7 +268,3 @@ class BlockRun:
                         size = np.linalg.norm(end[d:])
                         self.growth[i] += np.log(size)
                         self.vectors[i] /= size
-
-    def restart(self, vectors: Array) -> None:
-        """As ``TangentRun.restart``."""
-        self.vectors = np.array(vectors)
