@@ -10,7 +10,7 @@ import pytest
 
 import topcli
 from steppers import built
-from topcli.analysis.lyapunov import growth_of
+from topcli.analysis.lyapunov import LEAST_STEPS, growth_of
 from topcli.config.load import load_experiment
 from topcli.errors import TopcliError
 from topcli.figures.chaos import loaded_lyapunov
@@ -102,9 +102,35 @@ def test_measures_of_a_sweep(tmp_path: Path) -> None:
         if row["outcome"] != "completed":
             assert np.isnan(row["lyapunov"])
             continue
-        assert row["lyapunov"] == pytest.approx(study["exponents"][0], rel=0.2, abs=2e-3)
+        assert row["lyapunov"] == study["exponents"][0]
         assert {1.0: "chaotic", 0.0: "regular"}.get(row["chaotic"], "undecided") == study["verdict"]
     assert set(table["chaotic"]) & {0.0, 1.0}
+
+
+ROWS = {
+    "base": {"top": "heavy", "scheme": "hk", "h": 0.05, "N": 1200, "initial": {}},
+    "random": {"count": 200, "seed": 3, "omega": {"sphere": 2.0}, "gamma": "sphere"},
+    "measure": ["lyapunov", "chaotic"],
+}
+
+
+@pytest.mark.slow
+def test_a_row_of_a_sweep_does_not_depend_on_the_other_rows(tmp_path: Path) -> None:
+    """Bit for bit that of the same state alone, and of a sweep over fewer states."""
+    table = topcli.sweep(ROWS, tmp_path, progress=False).table
+    fewer = {**ROWS, "name": "fewer", "random": {**ROWS["random"], "count": 137}}
+    assert table["lyapunov"][:137].tolist() == topcli.sweep(fewer, tmp_path, progress=False).table["lyapunov"].tolist()
+    for _, row in table.iloc[[0, 1, 77, 199]].iterrows():
+        initial = {name: [row[f"drawn.initial.{name}{i}"] for i in (1, 2, 3)] for name in ("omega", "gamma")}
+        assert measure({**ROWS["base"], "initial": initial}).data["exponents"][0] == row["lyapunov"]
+
+
+def test_a_row_of_too_few_steps_has_no_measure(tmp_path: Path) -> None:
+    """Not even "not chaotic", where the command refuses to answer."""
+    sweep = {**ROWS, "base": {**ROWS["base"], "N": LEAST_STEPS - 1}}
+    table = topcli.sweep(sweep, tmp_path, progress=False).table
+    assert (table["outcome"] == "completed").all()
+    assert table[["lyapunov", "chaotic"]].isna().all().all()
 
 
 def test_a_measure_that_does_not_fit_is_refused(tmp_path: Path) -> None:

@@ -8,9 +8,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from orbits import LORENZ, growth_along, of_field
 from steppers import built
 from topcli import Top
-from topcli.analysis.lyapunov import Verdict, growth_of, spectrum_of
+from topcli.analysis.lyapunov import LEAST_STEPS, Verdict, growth_of, spectrum_of
+from topcli.config.load import load_experiment
 from topcli.contracts import Stepper, StopAsked, stopping_when
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
@@ -172,3 +174,23 @@ def test_errors_cover_the_exponent_of_a_longer_run() -> None:
     pulls = (short.exponents - 0.9056) / short.errors
     assert np.abs(pulls.mean()) < 1.0
     assert 0.5 < pulls.std() < 2.0
+
+
+def test_the_growth_along_an_orbit_does_not_depend_on_the_others() -> None:
+    """Bit for bit, with few and with many orbits beside it, on tops of three to eight components."""
+    for name, count in (("euler_hk", 70), ("heavy_chaotic", 9), ("so4_gentle", 3)):
+        experiment = load_experiment(name, ["N=1500"])
+        y = np.array(experiment.y0) * np.linspace(0.9, 1.1, count)[:, None]
+        many = growth_along(experiment, y)
+        for i in (0, 1, count // 2, count - 1):
+            alone = growth_along(experiment, y[i : i + 1])
+            assert np.array_equal(alone.logs[:, 0], many.logs[:, i])
+            assert alone.exponents[0] == many.exponents[i]
+            assert (alone.rate[0], alone.verdicts[0]) == (many.rate[i], many.verdicts[i])
+
+
+def test_no_verdict_on_fewer_steps_than_the_command_takes() -> None:
+    lorenz = of_field(LORENZ, (1.0, 2.0, 20.0), "rk4", 0.05)
+    for N, decided in ((LEAST_STEPS - 1, False), (LEAST_STEPS, True)):
+        assert (growth_along(lorenz, N=N).verdicts[0] is Verdict.CHAOTIC) == decided
+    assert growth_along(lorenz, N=5).verdicts == [Verdict.UNDECIDED]

@@ -116,7 +116,7 @@ class Growth:
 
     @property
     def verdicts(self) -> list[Verdict]:
-        """Verdict on each orbit."""
+        """Verdict on each orbit; there is none on orbits of less than ``LEAST_STEPS`` steps."""
         N = int(self.n[-1])
         half, tenth, excess = self.at(max(1, N // 2)), self.at(max(1, N // 10)), self.excess
         late, last = self.logs[-1] - half, self.logs[-1] - tenth
@@ -124,6 +124,8 @@ class Growth:
         for i in range(len(excess)):
             if not np.isfinite(excess[i]):
                 found.append(Verdict.BROKE_OFF)
+            elif N < LEAST_STEPS:
+                found.append(Verdict.UNDECIDED)
             elif excess[i] > CHAOTIC and late[i] > LATE:
                 found.append(Verdict.CHAOTIC)
             elif excess[i] < REGULAR or last[i] < math.log(10.0) + 1.0:
@@ -134,9 +136,12 @@ class Growth:
 
 
 def _mean(values: Array) -> Array:
-    """Mean of the finite values along the first axis; 0 if there are none."""
+    """Mean of the finite values along the first axis; 0 if there are none.
+
+    Python's sum adds row by row, so that the bits of a mean do not depend on the number of columns.
+    """
     finite = np.isfinite(values)
-    return np.where(finite, values, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
+    return sum(np.where(finite, values, 0.0)) / np.maximum(finite.sum(axis=0), 1)
 
 
 def _units(top: Top, states: Array) -> Array:
@@ -189,8 +194,9 @@ def _tile_growth(
     stop: Callable[[], bool],
 ) -> tuple[Array, Array]:
     """Growth (k, m) and rates (m,) of the orbits of a tile from ``y`` (m, d)."""
-    first, every = np.random.default_rng(seed).normal(size=y.shape), interval(h, int(points[-1]))
-    first *= _units(top, y[None])
+    # the same vector for all orbits, each in its own units, so that its growth does not depend on the others
+    first = np.random.default_rng(seed).normal(size=y.shape[1]) * _units(top, y[None])
+    every = interval(h, int(points[-1]))
     run, states, done = code.run(h, y, first), [y], 0
     logs, vectors = np.full((len(points), len(y)), np.nan), np.full((len(points), *y.shape), np.nan)
     looked = set(np.linspace(0, len(points) - 1, STATES).round().astype(int).tolist())
@@ -219,8 +225,8 @@ def growth_of(
 ) -> Growth:
     """Growth of a tangent vector along each orbit of ``N`` steps from the states ``y0`` (m, d).
 
-    The orbits run side by side, on all processors. Raises UsageError for a method without a tangent map, StopAsked if
-    the work is to stop.
+    The orbits run side by side, on all processors; the growth along each does not depend on the others. Raises
+    UsageError for a method without a tangent map, StopAsked if the work is to stop.
     """
     stop = stop_asked.get()
     code = tangent_code(scheme, top, method, 1 if len(y0) == 1 else tile_of(len(y0)))
@@ -228,7 +234,7 @@ def growth_of(
     starts = range(0, len(y0), code.lanes)
 
     def tile(first: int) -> tuple[Array, Array]:
-        return _tile_growth(code, top, h, points, y0[first : first + code.lanes], seed + first, stop)
+        return _tile_growth(code, top, h, points, y0[first : first + code.lanes], seed, stop)
 
     with ThreadPoolExecutor(min(default_threads(), len(starts))) as pool:
         found = list(pool.map(tile, starts))

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from topcli.analysis.frequencies import agreement_digits, strongest_line
-from topcli.analysis.lyapunov import Verdict
+from topcli.analysis.lyapunov import LEAST_STEPS, Verdict
 from topcli.analysis.swings import first_swing_spacing as first_spacing_of
 from topcli.analysis.swings import minima_times
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
@@ -496,7 +496,9 @@ def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
     obstacle=_tangent_obstacle,
 )
 def lyapunov(batch: Batch) -> Array:
-    """Growth of a tangent vector over the whole run, divided by the time."""
+    """Growth of a tangent vector over the whole run, divided by the time; nan for too few steps."""
+    if batch.experiment.N < LEAST_STEPS:
+        return np.full(len(batch), np.nan)
     return batch.growth.exponents
 
 
