@@ -168,8 +168,8 @@ _QUANTITIES = (
         "",
         NUMBER,
     ),
-    Term("lyapunov", "largest finite-time Lyapunov exponent", "Lyapunov exponent", r"\lambda", "inverse time"),
-    Term("chaotic", "1 for a chaotic orbit, 0 for a regular one; missing if undecided", "chaotic", "", NUMBER),
+    Term("lyapunov", "largest Lyapunov exponent, after a transient", "Lyapunov exponent", r"\lambda", "inverse time"),
+    Term("chaotic", "1 for a chaotic orbit, 0 for a regular one or a point; otherwise missing", "chaotic", "", NUMBER),
     # work
     _of_invariant("counter", "number of events called NAME that the scheme counted", "counter", "", NUMBER),
     Term("steps", "number of steps taken; for a failed run, the number of the step that failed", "steps", "n", NUMBER),

@@ -7,19 +7,18 @@ import math
 import numpy as np
 import pytest
 
+from orbits import curves
 from topcli.analysis.lyapunov import Growth
 from topcli.figures import chaos
 from topcli.figures.picture import Grid, draw
 
-KINDS = {"chaotic": (60.0, 110.0), "regular": (8.0, 8.5), "undecided": (10.0, 13.8), "broke off": (np.nan, np.nan)}
-"""Growth at half of the time and at the end."""
+GROWTH = {"chaotic": 110.0, "regular": 8.5, "undecided": 12.0, "broke_off": math.nan}
+"""Growth at the end of a curve that is a straight line."""
 
 
 def growth(**counts: int) -> Growth:
-    pairs = [KINDS[kind.replace("_", " ")] for kind, count in counts.items() for _ in range(count)]
-    half, end = np.array(pairs).T
-    logs = np.array([np.zeros(len(pairs)), half, end])
-    return Growth(np.array([100, 500, 1000]), 1.0, logs, np.ones(len(pairs)))
+    ends = [GROWTH[kind] for kind, count in counts.items() for _ in range(count)]
+    return curves(*(lambda u, end=end: end * u for end in ends))
 
 
 def test_share_of_chaotic_orbits_and_its_error() -> None:

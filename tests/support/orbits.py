@@ -1,13 +1,14 @@
-"""Systems with known exponents, for the tests of chaos."""
+"""Systems with known exponents, and curves of growth written down, for the tests of chaos."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from topcli.analysis.lyapunov import Growth, growth_of
+from topcli.analysis.lyapunov import Growth, checkpoints, growth_of
+from topcli.analysis.recurrence import Recurrence
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 
@@ -30,3 +31,14 @@ def growth_along(experiment: Experiment, y: Any = None, N: int | None = None, **
     states = np.array([experiment.y0] if y is None else y, dtype=float)
     scheme, method = experiment.scheme, experiment.method()
     return growth_of(experiment.top, scheme, method, experiment.h, N or experiment.N, states, **options)
+
+
+Curve = Callable[[Any], Any]
+
+
+def curves(*of_time: Curve, T: float = 1000.0, recurrence: Recurrence | None = Recurrence.WANDERS) -> Growth:
+    """Growth with a curve G(u) for each orbit, u from 0 to 1 along the time T."""
+    n = checkpoints(1000)
+    logs = np.array([np.broadcast_to(curve(n / 1000), n.shape) for curve in of_time], dtype=float).T
+    count = len(of_time)
+    return Growth(n, T / 1000, logs, np.ones(count), np.zeros(count, dtype=np.int64), [recurrence] * count)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -21,9 +23,9 @@ STIFF = {"x": "-150*(x - y*y)", "y": "z", "z": "-y - 0.1*x"}
 NUDGE = 1e-5
 
 
-def spectrum(experiment: Experiment) -> Growth:
+def spectrum(experiment: Experiment, **options: Any) -> Growth:
     method, y0 = experiment.method(), list(experiment.y0)
-    return spectrum_of(experiment.top, experiment.scheme, method, experiment.h, experiment.N, y0)
+    return spectrum_of(experiment.top, experiment.scheme, method, experiment.h, experiment.N, y0, **options)
 
 
 def jacobians(experiment: Experiment) -> np.ndarray:
@@ -81,10 +83,10 @@ FIELDS = {
 
 def check_sum(experiment: Experiment) -> None:
     """The difference quotients are off by about 1e-9 each."""
-    growth = spectrum(experiment)
+    growth = spectrum(experiment, discard=0)
     total = sum_of_determinants(experiment)
     assert growth.logs[-1].sum() == pytest.approx(total, abs=1e-8 * experiment.N, rel=1e-8)
-    assert growth.exponents.sum() == pytest.approx(total / growth.t[-1], abs=1e-8 / experiment.h, rel=1e-8)
+    assert growth.exponents.sum() == pytest.approx(total / growth.T, abs=1e-8 * experiment.N / growth.T, rel=1e-8)
 
 
 @pytest.mark.slow
@@ -126,7 +128,7 @@ def test_all_vectors_of_a_scheme_with_steps_of_its_own_follow_one_orbit(
 def test_vectors_are_made_orthogonal_as_often_as_it_takes(field: str) -> None:
     """The exponents are those of an orthogonalisation after each step, with derivatives by differences."""
     experiment = of_field(FIELDS[field][0], FIELDS[field][1], "rk4", FIELDS[field][2], 2000)
-    growth = spectrum(experiment)
+    growth = spectrum(experiment, discard=0)
     q = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     total = np.zeros(3)
     for jacobian in jacobians(experiment):
@@ -157,3 +159,20 @@ def test_systems_of_many_components(count: int, scheme: str) -> None:
     assert len(growth.exponents) == count
     assert growth.exponents.sum() == pytest.approx(-count, abs=1e-9 if scheme == "taylor" else 1e-3)
     assert growth.exponents[0] > 0.5
+
+
+def test_all_exponents_leave_out_the_same_time() -> None:
+    """So that they add up: those of Lorenz's system from the neighbourhood of a spiral that is left slowly."""
+    growth = spectrum(of_field(LORENZ, (0.0, 10.0, 0.0), "rk4", 0.01, 50_000))
+    assert growth.skipped[0] > 0
+    assert len(set(growth.skipped.tolist())) == 1
+    assert growth.exponents.sum() == pytest.approx(-41.0 / 3.0, abs=1e-3)
+    assert growth.exponents == pytest.approx([0.9056, 0.0, -14.572], abs=0.05)
+    assert (np.abs(growth.exponents - [0.9056, 0.0, -14.572]) < growth.errors).all()
+
+
+def test_what_a_spectrum_discards() -> None:
+    lorenz = of_field(LORENZ, (0.0, 10.0, 0.0), "rk4", 0.01, 20_000)
+    late = spectrum(lorenz, discard=8_000)
+    assert (late.n[-1], late.skipped[0]) == (12_000, 0)
+    assert late.exponents[0] == pytest.approx(0.9056, abs=late.errors[0])

@@ -2,9 +2,13 @@
 
 A tangent vector v follows the derivative of the map along an orbit. Its growth is G = ln(|v(t)|/|v(0)|), and G/t tends
 to the largest Lyapunov exponent. On a regular orbit v grows like t: G/t falls like ln(t)/t and is never zero. On a
-chaotic orbit G grows like t. The verdict rests on the excess of G over the logarithm of the elapsed time, counted in
-units of |y|/|dy/dt|, and on the growth in the second half of the time. Measured on 896 orbits of seven tops: the excess
-is below 2 on regular orbits; a regular orbit near a separatrix may have a large one, but stops growing.
+chaotic orbit G grows like t.
+
+A verdict rests on the excess of G over the logarithm of the elapsed time, counted in units of |y|/|dy/dt|; on the
+growth in the second half of the time, which has to be there at all times and to exceed its falls and its error; and on
+the recurrence of the orbit. A regular orbit near a separatrix has a large excess, but G rises and falls again and again
+by the logarithm of its distance from the separatrix. If that is near the precision of the numbers, round-off decides
+on which side of the separatrix the orbit goes on, and there is no verdict.
 
 Several exponents come from as many vectors, which are made orthogonal on the way (Benettin, Galgani, Giorgilli,
 Strelcyn, Meccanica 15 (1980) 9).
@@ -15,29 +19,41 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Method, Scheme, Top, check_stop, stop_asked
+from topcli.analysis.recurrence import Recurrence, at_rest, recurrence_of
+from topcli.contracts import Array, Floats, Method, Scheme, Top, check_stop, stop_asked
 from topcli.engine.ensemble import default_threads, tile_of
 from topcli.engine.tangent import BlockCode, BlockRun, TangentCode, TangentRun, tangent_code
 from topcli.errors import UsageError
 
-FEWEST_STEPS, MOST_STEPS = 8, 64
-"""Steps from one renormalisation of the vectors to the next."""
+MOST_STEPS = 64
+"""Most steps from one renormalisation of the vectors to the next."""
 CALL_STEPS = 1 << 22
 """Steps of all orbits of a call of compiled code: about 0.1 s."""
 LEAST_STEPS = 1000
 """Fewest steps of an orbit."""
-POINTS, LATE_POINTS = 64, 16
-"""Points of a curve of the growth: evenly spread on a logarithmic axis, and on a linear one over the second half."""
+EARLY, PARTS = 32, 256
+"""Points of a curve of the growth: at its beginning on a logarithmic axis, and evenly spread over all the time."""
 REGULAR, CHAOTIC = 3.0, 6.0
 """Excess of the growth below which an orbit may be regular, and above which it may be chaotic."""
 LATE = 5.0
 """Growth in the second half of the time of a chaotic orbit; regular ones reach 3.4."""
+FALLS = 2.0
+"""Growth in the second half of the time of a chaotic orbit, in units of the largest fall."""
+DEEP = 8.0
+"""Largest fall of the growth on a chaotic orbit; those of random orbits reach 6."""
+BATCHES, STUDENT = (4, 8), 3.2
+"""Numbers of equal parts of the time from which the error of an exponent is taken, and Student's factor of four parts
+for 95 %: growth is correlated over long times where orbits stick to regular islands, so the parts are few."""
+TRANSIENT, UNLIKE = 16, 5.0
+"""Parts of the time that may be a transient, and their distance from the later parts, in standard deviations."""
+UNSURE = 2.0
+"""Growth of a vector that its direction at the beginning and the end leaves open."""
 SEED = 20250101
 """Seed of the first tangent vectors."""
 
@@ -49,17 +65,45 @@ class Verdict(StrEnum):
     CHAOTIC = "chaotic"
     UNDECIDED = "undecided"
     BROKE_OFF = "broke off"
+    EQUILIBRIUM = "equilibrium"
+    UNSTABLE = "unstable"
+    ESCAPING = "escaping"
 
 
-def interval(h: float, N: int) -> int:
-    """Steps from one renormalisation to the next: about a unit of time."""
-    return min(max(FEWEST_STEPS, min(MOST_STEPS, int(1.0 / abs(h)))), max(1, N // POINTS))
+OF_RECURRENCE = {
+    Recurrence.REPEATS: Verdict.UNSTABLE,
+    Recurrence.WANDERS: Verdict.CHAOTIC,
+    Recurrence.LEAVES: Verdict.ESCAPING,
+}
+"""Verdicts on orbits whose tangent vectors grow exponentially."""
+
+
+def shares_of_chaos(verdicts: Sequence[Verdict]) -> Array:
+    """1 for each orbit that is chaotic, 0 for one that is regular or at rest, nan for others (m,)."""
+    shares = {Verdict.CHAOTIC: 1.0, Verdict.REGULAR: 0.0, Verdict.EQUILIBRIUM: 0.0}
+    return np.array([shares.get(verdict, math.nan) for verdict in verdicts])
+
+
+def interval(h: float) -> int:
+    """Steps from one renormalisation to the next: about four units of time."""
+    return max(1, min(MOST_STEPS, int(4.0 / abs(h))))
+
+
+def even_points(N: int) -> NDArray[np.int64]:
+    """Numbers of steps of ``PARTS + 1`` evenly spread points, from 0 on."""
+    return np.round(np.linspace(0, N, PARTS + 1)).astype(np.int64)
 
 
 def checkpoints(N: int) -> NDArray[np.int64]:
-    """Numbers of steps at which a curve has a point; N, N/2 and N/10 are among them."""
-    early, late = np.geomspace(min(10, N), N, POINTS), np.linspace(N // 2, N, LATE_POINTS + 1)
-    return np.unique(np.concatenate([np.round(early), np.round(late), [N // 10, N // 2, N]]).clip(1).astype(np.int64))
+    """Numbers of steps, from 1 on, at which a curve has a point."""
+    early = np.round(np.geomspace(min(10, N), N / 8.0, EARLY)).astype(np.int64)
+    return np.unique(np.concatenate([early, even_points(N)]))[1:]
+
+
+def _moments(parts: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation of each column of ``parts`` (k, m), whose bits do not depend on the other columns."""
+    rows = np.ascontiguousarray(parts.T)
+    return rows.mean(axis=1), rows.std(axis=1, ddof=1)
 
 
 @dataclass(frozen=True)
@@ -69,70 +113,133 @@ class Growth:
     Attributes
     ----------
     n : ndarray of int64, shape (k,)
-        Step numbers.
+        Step numbers of the points of ``checkpoints``.
     h : float
         Step size.
     logs : ndarray, shape (k, m)
         Growth G of the vector of each orbit, nan after the end of an orbit that broke off.
     rate : ndarray, shape (m,)
         Typical |dy/dt|/|y| of each orbit, its unit of inverse time.
+    skipped : ndarray of int64, shape (m,)
+        Parts of the time, of ``TRANSIENT``, that the exponents leave out at the beginning.
+    recurrences : sequence of Recurrence or None
+        Of each orbit that rests or whose vector grows exponentially.
     """
 
     n: NDArray[np.int64]
     h: float
     logs: Array
     rate: Array
+    skipped: NDArray[np.int64]
+    recurrences: Sequence[Recurrence | None]
 
     @property
     def t(self) -> Array:
-        """Times of the points, from 0 on."""
+        """Times of the points."""
         return self.n * abs(self.h)
 
-    def at(self, n: int) -> Array:
-        """Growth after ``n`` steps, of a point of the curve (m,)."""
-        return self.logs[int(np.searchsorted(self.n, n))]
+    @property
+    def T(self) -> float:
+        """Time of the last point."""
+        return float(self.t[-1])
+
+    @property
+    def even(self) -> Array:
+        """Growth at evenly spread times from 0 on (PARTS + 1, m)."""
+        rows = np.searchsorted(self.n, even_points(int(self.n[-1]))[1:])
+        return np.vstack([np.zeros_like(self.logs[:1]), self.logs[rows]])
+
+    @property
+    def transients(self) -> NDArray[np.int64]:
+        """First parts of the time, of ``TRANSIENT``, in which the growth is unlike that in the second half (m,).
+
+        None of those of an orbit that grows no more than a regular one.
+        """
+        parts, half = np.diff(self.even[:: PARTS // TRANSIENT], axis=0), TRANSIENT // 2
+        mean, scatter = _moments(parts[half:])
+        unlike = np.abs(parts[:half] - mean) > UNLIKE * scatter
+        return np.where(self.excess > CHAOTIC, np.cumprod(unlike, axis=0).sum(axis=0), 0)
+
+    @property
+    def _settled(self) -> tuple[Array, Array, Array]:
+        """Growth after the transient, half the width of its confidence interval of 95 %, and the time (m,)."""
+        even, begin = self.even, self.skipped * (PARTS // TRANSIENT)
+        growth, margin = np.empty_like(self.rate), np.empty_like(self.rate)
+        for row in set(begin.tolist()):
+            columns = begin == row
+            curves = even[row:, columns]
+            spread = np.zeros(curves.shape[1])
+            for count in BATCHES:
+                edges = np.round(np.linspace(0, len(curves) - 1, count + 1)).astype(int)
+                spread = np.maximum(spread, math.sqrt(count) * _moments(np.diff(curves[edges], axis=0))[1])
+            growth[columns], margin[columns] = curves[-1] - curves[0], np.hypot(STUDENT * spread, UNSURE)
+        return growth, margin, self.T - even_points(int(self.n[-1]))[begin] * abs(self.h)
 
     @property
     def exponents(self) -> Array:
-        """Exponent of each orbit over the whole time, per unit of time (m,)."""
-        return self.logs[-1] / self.t[-1]
+        """Exponent of each orbit per unit of time, after its transient (m,)."""
+        growth, _, time = self._settled
+        return growth / time
 
     @property
     def errors(self) -> Array:
-        """Standard error of the exponents, from the growth in equal parts of the second half (m,)."""
-        late = np.round(np.linspace(self.n[-1] // 2, self.n[-1], LATE_POINTS + 1)).astype(np.int64).clip(1)
-        parts = np.diff(self.logs[np.searchsorted(self.n, late)], axis=0)
-        return parts.std(axis=0, ddof=1) * math.sqrt(LATE_POINTS / 2.0) / self.t[-1]
+        """Half the widths of the confidence intervals of the exponents, 95 % (m,)."""
+        _, margin, time = self._settled
+        return margin / time
+
+    @property
+    def beyond(self) -> Array:
+        """Growth beyond the logarithm of the time, counted in the unit of each orbit, at even times (PARTS + 1, m)."""
+        return self.even - np.log1p(self.rate * np.linspace(0.0, self.T, PARTS + 1)[:, None])
 
     @property
     def excess(self) -> Array:
-        """Growth beyond the logarithm of the time, counted in the unit of each orbit (m,)."""
-        return self.logs[-1] - np.log1p(self.rate * self.t[-1])
+        """Growth beyond the logarithm of the time at the end (m,)."""
+        return self.beyond[-1]
 
     @property
     def detectable(self) -> Array:
         """Exponent above which an orbit as long as these would be called chaotic (m,)."""
-        return np.maximum(CHAOTIC + np.log1p(self.rate * self.t[-1]), 2.0 * LATE) / self.t[-1]
+        return np.maximum(CHAOTIC + np.log1p(self.rate * self.T), 2.0 * LATE) / self.T
+
+    @property
+    def largest_fall(self) -> Array:
+        """Largest fall of the growth from an earlier value, but for the first eighth of the time (m,)."""
+        even = self.even[PARTS // 8 :]
+        return (np.maximum.accumulate(even, axis=0) - even).max(axis=0)
+
+    @property
+    def grows(self) -> NDArray[np.bool_]:
+        """True for each vector that grows exponentially, as far as its growth can tell (m,)."""
+        even, (growth, margin, _) = self.even, self._settled
+        quarters = np.diff(even[PARTS // 2 :: PARTS // 8], axis=0)
+        late = even[-1] - even[PARTS // 2]
+        enough = (self.excess > CHAOTIC) & (late > LATE) & (late > FALLS * self.largest_fall)
+        return enough & (quarters > 0.0).all(axis=0) & (growth > margin)
 
     @property
     def verdicts(self) -> list[Verdict]:
         """Verdict on each orbit; there is none on orbits of less than ``LEAST_STEPS`` steps."""
-        N = int(self.n[-1])
-        half, tenth, excess = self.at(max(1, N // 2)), self.at(max(1, N // 10)), self.excess
-        late, last = self.logs[-1] - half, self.logs[-1] - tenth
-        found = []
-        for i in range(len(excess)):
+        excess, grows, falls = self.excess, self.grows, self.largest_fall
+        lowest = self.beyond[PARTS // 2 :].min(axis=0)
+        fell_back = (lowest < REGULAR) & (excess < REGULAR + falls)
+        settled = self.logs[-1] - self.even[PARTS // 8] < math.log(8.0) + 1.0
+        verdicts = []
+        for i, recurrence in enumerate(self.recurrences):
+            verdict = Verdict.UNDECIDED
             if not np.isfinite(excess[i]):
-                found.append(Verdict.BROKE_OFF)
-            elif N < LEAST_STEPS:
-                found.append(Verdict.UNDECIDED)
-            elif excess[i] > CHAOTIC and late[i] > LATE:
-                found.append(Verdict.CHAOTIC)
-            elif excess[i] < REGULAR or last[i] < math.log(10.0) + 1.0:
-                found.append(Verdict.REGULAR)
-            else:
-                found.append(Verdict.UNDECIDED)
-        return found
+                verdict = Verdict.BROKE_OFF
+            elif self.n[-1] < LEAST_STEPS:
+                pass
+            elif recurrence is Recurrence.AT_REST:
+                verdict = Verdict.EQUILIBRIUM
+            elif recurrence is not None and grows[i]:
+                verdict = OF_RECURRENCE.get(recurrence, Verdict.UNDECIDED)
+                verdict = Verdict.UNDECIDED if verdict is Verdict.CHAOTIC and falls[i] > DEEP else verdict
+            elif fell_back[i] or settled[i]:
+                verdict = Verdict.REGULAR
+            verdicts.append(verdict)
+        return verdicts
 
 
 def _mean(values: Array) -> Array:
@@ -155,16 +262,23 @@ def _units(top: Top, states: Array) -> Array:
         return np.where(units > SMALLEST * typical, units, np.where(typical > 0.0, typical, 1.0))
 
 
+def _slope(top: Top, y: Sequence[float], p: Floats) -> Sequence[float]:
+    """Right-hand side at a state; nan where it has no value."""
+    try:
+        return top.field(tuple(y), p)
+    except (ArithmeticError, ValueError):
+        return (math.nan,) * len(y)
+
+
 def _rates(top: Top, states: Array, units: Array) -> Array:
     """Typical |dy/dt|/|y| over the states (k, m, d) of each orbit (m,), all components in their ``units`` (m, d)."""
     p = top.constants()
+    slopes = np.array([[_slope(top, y, p) for y in row] for row in states.tolist()])
     with np.errstate(all="ignore"):
-        slopes = np.array([[top.field(tuple(y), p) for y in row] for row in states.tolist()])
-        speed = np.linalg.norm(slopes / units, axis=2) / np.linalg.norm(states / units, axis=2)
-        return _mean(speed)
+        return _mean(np.linalg.norm(slopes / units, axis=2) / np.linalg.norm(states / units, axis=2))
 
 
-def _taken(run: TangentRun | BlockRun, steps: int, every: int, stop: Callable[[], bool]) -> bool:
+def _advanced(run: TangentRun | BlockRun, steps: int, every: int, stop: Callable[[], bool]) -> bool:
     """Take ``steps`` steps with renormalisations every ``every``; False if asked to stop."""
     blocks = max(1, CALL_STEPS // (every * run.code.lanes))
     whole, rest = divmod(steps, every)
@@ -184,33 +298,48 @@ SMALLEST = 1e-8
 """Size of a component relative to that of all below which it is not a unit of its own."""
 
 
+def _judged(growth: Growth, states: Array) -> Growth:
+    """The growth with the recurrence of its orbits, from even ``states`` (PARTS + 1, m, d) in units of each component.
+
+    All vectors may be on a single orbit (PARTS + 1, 1, d).
+    """
+    with np.errstate(all="ignore"):
+        looked = at_rest(states) | growth.grows[: states.shape[1]]
+        n = even_points(int(growth.n[-1]))
+        kinds = [recurrence_of(states[:, i], n) if look else None for i, look in enumerate(looked.tolist())]
+    return replace(growth, recurrences=kinds * (len(growth.rate) // len(kinds)))
+
+
 def _tile_growth(
     code: TangentCode | BlockCode,
     top: Top,
     h: float,
-    points: NDArray[np.int64],
+    N: int,
     y: Array,
+    discard: int | None,
     seed: int,
     stop: Callable[[], bool],
-) -> tuple[Array, Array]:
-    """Growth (k, m) and rates (m,) of the orbits of a tile from ``y`` (m, d)."""
+) -> Growth:
+    """Growth along the orbits of a tile from ``y`` (m, d)."""
+    points, every, done = checkpoints(N - (discard or 0)), interval(h), 0
     # the same vector for all orbits, each in its own units, so that its growth does not depend on the others
-    first = np.random.default_rng(seed).normal(size=y.shape[1]) * _units(top, y[None])
-    every = interval(h, int(points[-1]))
-    run, states, done = code.run(h, y, first), [y], 0
-    logs, vectors = np.full((len(points), len(y)), np.nan), np.full((len(points), *y.shape), np.nan)
-    looked = set(np.linspace(0, len(points) - 1, STATES).round().astype(int).tolist())
-    for k, n in enumerate(points.tolist()):
-        if not _taken(run, n - done, every, stop):
+    run = code.run(h, y, np.random.default_rng(seed).normal(size=y.shape[1]) * _units(top, y[None]))
+    _advanced(run, discard or 0, every, stop)
+    shape = (len(points) + 1, *y.shape)
+    logs, vectors, states = np.full(shape[:2], np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
+    for k, n in enumerate([0, *points.tolist()]):
+        if not _advanced(run, n - done, every, stop):
             break
-        logs[k], vectors[k], done = run.growth, run.vectors, n
-        if k in looked:
-            states.append(run.states)
-    along = np.array(states)
-    units = _units(top, along)
+        logs[k], vectors[k], states[k], done = run.growth, run.vectors, run.states, n
+    even = states[np.searchsorted(points, even_points(int(points[-1])), side="right")]
+    units = _units(top, even[:: PARTS // STATES])
     with np.errstate(all="ignore"):
-        lengths = np.log(np.linalg.norm(vectors / units, axis=2)) - np.log(np.linalg.norm(first / units, axis=1))
-    return logs + lengths, _rates(top, along, units)
+        logs += np.log(np.linalg.norm(vectors / units, axis=2))
+        logs = logs[1:] - logs[0]
+    rate = _rates(top, even[:: PARTS // STATES], units)
+    growth = Growth(points, h, logs, rate, np.zeros(len(y), dtype=np.int64), [None] * len(y))
+    growth = growth if discard is not None else replace(growth, skipped=growth.transients)
+    return _judged(growth, even / units)
 
 
 def growth_of(
@@ -221,25 +350,29 @@ def growth_of(
     N: int,
     y0: Array,
     *,
+    discard: int | None = None,
     seed: int = SEED,
 ) -> Growth:
     """Growth of a tangent vector along each orbit of ``N`` steps from the states ``y0`` (m, d).
 
-    The orbits run side by side, on all processors; the growth along each does not depend on the others. Raises
-    UsageError for a method without a tangent map, StopAsked if the work is to stop.
+    The curves begin after ``discard`` steps; by default at the first, and the exponents leave out a transient. The
+    orbits run side by side, on all processors; the growth along each does not depend on the others. Raises UsageError
+    for a method without a tangent map, StopAsked if the work is to stop.
     """
     stop = stop_asked.get()
     code = tangent_code(scheme, top, method, 1 if len(y0) == 1 else tile_of(len(y0)))
-    points = checkpoints(N)
     starts = range(0, len(y0), code.lanes)
 
-    def tile(first: int) -> tuple[Array, Array]:
-        return _tile_growth(code, top, h, points, y0[first : first + code.lanes], seed, stop)
+    def tile(first: int) -> Growth:
+        return _tile_growth(code, top, h, N, y0[first : first + code.lanes], discard, seed, stop)
 
     with ThreadPoolExecutor(min(default_threads(), len(starts))) as pool:
-        found = list(pool.map(tile, starts))
+        tiles = list(pool.map(tile, starts))
     check_stop()
-    return Growth(points, h, np.concatenate([f[0] for f in found], axis=1), np.concatenate([f[1] for f in found]))
+    logs, rate, skipped = (
+        np.concatenate([getattr(tile, name) for tile in tiles], axis=-1) for name in ("logs", "rate", "skipped")
+    )
+    return Growth(tiles[0].n, h, logs, rate, skipped, [kind for tile in tiles for kind in tile.recurrences])
 
 
 WIDEST = 16.0
@@ -255,21 +388,23 @@ def spectrum_of(
     N: int,
     y0: Sequence[float],
     *,
+    discard: int | None = None,
     seed: int = SEED,
     watch: Callable[[int, int], None] = lambda done, total: None,
 ) -> Growth:
     """Growth of d orthogonal tangent vectors along one orbit: ``logs`` (k, d), the fastest first.
 
-    The vectors are made orthogonal as often as their growth demands. Raises UsageError for a method without a tangent
-    map, and for one of which a step alone stretches vectors too differently.
+    The vectors are made orthogonal as often as their growth demands. As in ``growth_of``, the curves begin after
+    ``discard`` steps. Raises UsageError for a method without a tangent map, and for one of which a step alone stretches
+    vectors too differently.
     """
-    d = len(y0)
+    d, begin = len(y0), discard or 0
     code = tangent_code(scheme, top, method, max(d, tile_of(d)))
-    points = checkpoints(N)
+    points = checkpoints(N - begin)
     y, vectors = np.array(y0, dtype=float), np.linalg.qr(np.random.default_rng(seed).normal(size=(d, d)))[0]
-    total, states, done, every = np.zeros(d), [y[None]], 0, 1
-    logs = np.full((len(points), d), np.nan)
-    for k, n in enumerate(points.tolist()):
+    total, states, done, every = np.zeros(d), np.full((len(points) + 1, 1, d), np.nan), 0, 1
+    logs = np.full((len(points) + 1, d), np.nan)
+    for k, n in enumerate([begin, *(begin + points).tolist()]):
         while done < n:
             steps = min(every, n - done)
             run = code.run(h, np.tile(y, (d, 1)), vectors)  # all vectors on the same orbit
@@ -282,7 +417,7 @@ def spectrum_of(
                 every = steps // 2
                 continue
             if not np.isfinite(run.vectors).all():
-                return Growth(points, h, logs, np.zeros(d))
+                return Growth(points, h, logs[1:], np.zeros(d), np.zeros(d, dtype=np.int64), [None] * d)
             if difference > WIDEST:
                 raise UsageError(
                     f"after one step at t = {done * h:g}, the growths of tangent vectors differ by a factor "
@@ -291,9 +426,14 @@ def spectrum_of(
             if difference < WIDEST / 4.0 and steps == every:
                 every = min(2 * every, MOST_STEPS)
             y, vectors, total, done = run.states[0], q.T, total + grown, done + steps
-        logs[k] = total
-        states.append(y[None])
+        logs[k], states[k, 0] = total, y
         watch(done, N)
-    largest_first = np.argsort(-logs[-1], kind="stable")
-    along = np.array(states)
-    return Growth(points, h, logs[:, largest_first], np.repeat(_rates(top, along, _units(top, along)), d))
+    logs = logs[1:]
+    logs = logs[:, np.argsort(-logs[-1], kind="stable")]
+    even = states[np.searchsorted(points, even_points(N - begin), side="right")]
+    units = _units(top, even[:: PARTS // STATES])
+    rate = np.repeat(_rates(top, even[:: PARTS // STATES], units), d)
+    growth = Growth(points, h, logs, rate, np.zeros(d, dtype=np.int64), [None] * d)
+    if discard is None:  # the same time for all, so that the exponents add up to the mean divergence
+        growth = replace(growth, skipped=np.repeat(growth.transients[:1], d))
+    return _judged(growth, even / units)

@@ -29,6 +29,9 @@ COLOURS = {
     Verdict.CHAOTIC: "#D55E00",
     Verdict.UNDECIDED: "#999999",
     Verdict.BROKE_OFF: "#000000",
+    Verdict.EQUILIBRIUM: "#009E73",
+    Verdict.UNSTABLE: "#CC79A7",
+    Verdict.ESCAPING: "#56B4E9",
 }
 ORBIT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
 MOST_SIZE, INK = 2.0, 3000.0

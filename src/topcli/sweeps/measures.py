@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from topcli.analysis.frequencies import agreement_digits, strongest_line
-from topcli.analysis.lyapunov import LEAST_STEPS, Verdict
+from topcli.analysis.lyapunov import LEAST_STEPS, shares_of_chaos
 from topcli.analysis.swings import first_swing_spacing as first_spacing_of
 from topcli.analysis.swings import minima_times
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
@@ -496,7 +496,7 @@ def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
     obstacle=_tangent_obstacle,
 )
 def lyapunov(batch: Batch) -> Array:
-    """Growth of a tangent vector over the whole run, divided by the time; nan for too few steps."""
+    """Growth of a tangent vector after a transient, divided by the time; nan for too few steps."""
     if batch.experiment.N < LEAST_STEPS:
         return np.full(len(batch), np.nan)
     return batch.growth.exponents
@@ -507,9 +507,8 @@ def lyapunov(batch: Batch) -> Array:
     obstacle=_tangent_obstacle,
 )
 def chaotic(batch: Batch) -> Array:
-    """Verdict on each run from the growth of a tangent vector."""
-    value = {Verdict.CHAOTIC: 1.0, Verdict.REGULAR: 0.0}
-    return np.array([value.get(verdict, np.nan) for verdict in batch.growth.verdicts])
+    """Verdict on each run from the growth of a tangent vector; nan if it is undecided."""
+    return shares_of_chaos(batch.growth.verdicts)
 
 
 @_measure("steps", of_failed=True)
