@@ -151,7 +151,7 @@ def test_vectors_that_all_grow_fast_are_not_lost() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("count", "scheme"), [(9, "rk4"), (12, "taylor"), (17, "taylor")])
+@pytest.mark.parametrize(("count", "scheme"), [(9, "rk4"), (12, "taylor"), (32, "rk4")])
 def test_systems_of_many_components(count: int, scheme: str) -> None:
     """Lorenz's ring of 1996, whose divergence is minus the number of its components."""
     field = {f"x{i}": f"(x{(i + 1) % count} - x{(i - 2) % count})*x{(i - 1) % count} - x{i} + 8" for i in range(count)}

@@ -35,7 +35,8 @@ def make(step, enter, leave):
         # returns the number of steps done, or minus the number of the first step whose result is not finite;
         # that result is left in work
         {set_p}
-        s = ({work_items})
+        begin = ({work_items})  # numba refuses more than 30 items for a variable with several values
+        s = begin
         k = 0
         left = until_record
         for i in range(steps):

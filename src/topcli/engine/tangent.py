@@ -35,8 +35,7 @@ def make(step, enter, leave):
                 {store}
         {advance}
         for j in range({lanes}):
-            s = ({load})
-            y = leave(s, h, p)
+            y = leave(({load}), h, p)
             {leave}
         return 1
 
@@ -52,7 +51,8 @@ _BLOCKS = """for b in range(blocks):
                     factor = 1.0 / size
                     {scale}"""
 _ALONE = """j = 0
-        s = ({load})
+        loaded = ({load})  # numba refuses more than 30 items for a variable with several values
+        s = loaded
         failed = 0.0
         {blocks}
         {store}
@@ -101,13 +101,14 @@ def _template(
     steps = "for i in range(every):\n                "
     if lanes == 1:
         steps += f"s = step(s, h, p)\n                failed += {test}"
-        lane_loop, scale = "if True:", f"s = ({scaled})"
+        lane_loop, scale = "if True:", f"scaled = ({scaled})\n                    s = scaled"
     else:
         indent = "\n" + " " * 20
         steps += (
             f"for j in range({lanes}):{indent}s = step(({load}), h, p){indent}{stored(20)}{indent}{failed} += {test}"
         )
-        lane_loop, scale = f"for j in range({lanes}):{indent}s = ({load})", f"s = ({scaled}){indent}{stored(20)}"
+        lane_loop = f"for j in range({lanes}):{indent}loaded = ({load}){indent}s = loaded"
+        scale = f"scaled = ({scaled}){indent}s = scaled{indent}{stored(20)}"
     blocks = _BLOCKS.format(
         steps=steps,
         lane_loop=lane_loop,
