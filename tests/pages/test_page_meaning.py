@@ -182,9 +182,9 @@ def test_time_is_time_without_a_column_of_times(columns: list[str], h: float, tm
 
 
 def test_verdicts_on_claims_have_their_colours() -> None:
-    keys = ("id", "origin", "statement", "source", "figure", "bound_text", "verdict")
+    keys = ("id", "statement", "source", "figure", "bound_text", "verdict")
     verdicts = {"holds": GREEN, "does not hold as stated": RED, "not tried": ""}
-    claims = [dict(zip(keys, (name, "paper", "s", "p", 1.0, 2.0, name), strict=True)) for name in verdicts]
+    claims = [dict(zip(keys, (name, "s", "p", 1.0, 2.0, name), strict=True)) for name in verdicts]
     page = shown(study_chapter(find_study("claims"), Result({"claims": claims, "controls": {}}), ""))
     table = page.all("table")[0]
     at = table.cells()[0].index("verdict")

@@ -421,18 +421,18 @@ def test_studies_of_another_form_say_what_is_missing(copied: Path, name: str) ->
 
 
 def test_claims_are_listed_with_figure_bound_and_verdict(tmp_path: Path) -> None:
-    header = ["id", "origin", "statement", "verdict", "measured", "bound", "source"]
-    keys = [*header[:4], "figure", "bound_text", "source"]
-    one = dict(zip(keys, ("hk.k_sq", "paper", "k² < kept", "holds", 1.25e-7, "≤ 1e-06", "(3.2)"), strict=True))
+    header = ["id", "statement", "verdict", "measured", "bound", "source"]
+    keys = [*header[:3], "figure", "bound_text", "source"]
+    one = dict(zip(keys, ("hk.k_sq", "k² < kept", "holds", 1.25e-7, "≤ 1e-06", "(3.2)"), strict=True))
     other = {**one, "id": "fig2", "verdict": "does not hold as stated", "figure": None, "bound_text": "≤ 2"}
     path = tmp_path / "claims.json"
-    path.write_text(json.dumps({"claims": [one, other, one, {**one, "origin": "ours"}], "verdicts": {}}))
+    path.write_text(json.dumps({"claims": [one, other, one], "verdicts": {}}))
     page = shown(tmp_path, "claims.json")
     cells = page.all("table")[0].cells()
     assert cells[0] == header
-    assert cells[1] == ["hk.k_sq", "paper", "k² < kept", "holds", "1.2e-07", "≤ 1e-06", "(3.2)"]
-    assert cells[2] == ["fig2", "paper", "k² < kept", "does not hold as stated", "–", "≤ 2", "(3.2)"]
-    assert "3 claims of the paper: 2 hold, 1 does not hold as stated; 1 finding of our own: 1 holds" in page.text
+    assert cells[1] == ["hk.k_sq", "k² < kept", "holds", "1.2e-07", "≤ 1e-06", "(3.2)"]
+    assert cells[2] == ["fig2", "k² < kept", "does not hold as stated", "–", "≤ 2", "(3.2)"]
+    assert "3 claims of the paper: 2 hold, 1 does not hold as stated" in page.text
     path.write_text(json.dumps({"claims": [{"id": "x"}]}))
     missing = [part.text for part in shown(tmp_path, "claims.json").with_class("missing")]
     assert any("claims: not of the form" in text for text in missing)

@@ -207,7 +207,7 @@ def test_return_defect_of_the_hybrid_is_that_of_plain_doubles() -> None:
     assert min(defects) > 1e-9
 
 
-# levels between swings, growth, pictures
+# levels between swings, pictures
 
 
 @dataclass(frozen=True)
@@ -252,17 +252,6 @@ def test_levels_between_swings(value: Any, rise: float, back: float) -> None:
     assert verdict("oscillation", returns) == (HOLDS if back <= 0.1 else FAILS)
 
 
-@pytest.mark.parametrize(
-    ("ratio", "stays", "grows"), [(1.0, HOLDS, FAILS), (1.4, HOLDS, FAILS), (1.6, FAILS, FAILS), (5.1, FAILS, HOLDS)]
-)
-def test_growth_over_a_run(ratio: float, stays: str, grows: str) -> None:
-    """An oscillation of range 2 in the first tenth, and of ``ratio`` times that at the end."""
-    scene: Any = MadeUp(lambda t: np.sin(2.0 * np.pi * t) * np.where(t < 40.0, 1.0, ratio))
-    measured = run_checks.growth(scene, "x")
-    assert measured.figure == pytest.approx(ratio, rel=1e-3)
-    assert (verdict("no growth", measured), verdict("growth", measured)) == (stays, grows)
-
-
 @pytest.mark.slow
 def test_distance_between_pictures() -> None:
     """Two horizontal lines 0.3 mm apart, and one with a bump of 2 mm."""
@@ -282,20 +271,7 @@ def test_rate_of_change_is_the_norm_of_the_jacobian() -> None:
     assert run_checks.rate_of_change(Euler(A=3.0, B=2.0, C=1.0), states) == pytest.approx(3.0, rel=1e-12)
 
 
-# drift and neighbours
-
-
-@pytest.mark.slow
-def test_the_hybrid_drifts_and_its_reversible_form_does_not() -> None:
-    """On a few of the 64 orbits of the finding, over a fifth of their time, which leaves more of an oscillation."""
-    random = {"count": 6, "seed": 1, "gamma": "sphere", "omega": {"energy": 5.0}}
-    orbits = {"h": 0.1, "N": 10000, "ensemble": {"random": random, "store": "trajectories"}}
-    measured = run_checks.slopes("hybrid", "hybrid-sym", orbits)
-    hybrid_slope, sym_slope = map(float, re.findall(r"(\d\.\de-\d+)", measured.note))
-    assert hybrid_slope == pytest.approx(4.6e-5, rel=0.05)
-    assert sym_slope < 1e-6
-    assert measured.figure > 100.0
-    assert run_checks.slopes("hybrid", "hybrid", orbits).figure == 1.0
+# orbits that end
 
 
 @pytest.mark.slow
@@ -314,19 +290,7 @@ def test_most_orbits_of_b_as_printed_end_at_the_pole() -> None:
     assert ended == 27
 
 
-# singular states and roots
-
-
-def test_singular_states_of_the_methods() -> None:
-    measured, _ = measure("abc-complete")
-    assert (measured.figure, measured.note) == (2.0, "(B) at γ₃ = -1; (C) at ω = 0")
-    w, c = np.array([0.7, -0.4, 1.3]), np.array([0.6, 0.48, 0.64])
-    h = exact_checks.H
-    for letter, order in (("A", 3), ("B", 2), ("C", 3)):  # one step of 0.01 against exp(h W) gamma, to the order
-        turned = c + h * np.cross(c, w) + 0.5 * h**2 * np.cross(np.cross(c, w), w)
-        new = exact_checks.METHODS[letter](exact(*w.tolist()), exact(*c.tolist())).astype(float)
-        assert np.abs(new - turned).max() < 5.0 * h**order, letter
-        assert np.dot(new, new) == pytest.approx(1.0, abs=1e-15)
+# roots
 
 
 def test_angles_modulo_two_pi_miss_one_root() -> None:

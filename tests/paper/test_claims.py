@@ -40,9 +40,9 @@ def test_json_has_one_list_of_claims(cli) -> None:
     for row, name in zip(rows, IDS, strict=True):
         claim = CLAIMS[name]
         assert (row["id"], row["kind"], row["measures"]) == (name, claim.check.name, claim.check.measures)
-        assert all(row[key] == getattr(claim, key) for key in ("statement", "source", "recorded", "origin", "slow"))
+        assert all(row[key] == getattr(claim, key) for key in ("statement", "source", "recorded", "slow"))
     assert [row["verdict"] for row in rows] == [HOLDS, MISPRINT, FAILS]
-    assert (document["verdicts"], document["findings"]) == ({FAILS: 1, HOLDS: 1, MISPRINT: 1}, {})
+    assert document["verdicts"] == {FAILS: 1, HOLDS: 1, MISPRINT: 1}
     assert (rows[1]["bound"], rows[1]["corrected"]) == ({"low": 0.0, "high": 0.0}, 0.0)
     reasons = ["the two sides of an identity are equal in rational numbers"] * 2 + ["rounding with 50 digits"]
     assert [row["bound_reason"] for row in rows] == reasons
@@ -57,7 +57,7 @@ def test_details_and_json_agree(cli) -> None:
     assert said.code == 0
     lines = dict(line.strip().split(": ", 1) for line in said.out.splitlines())
     assert lines["hk-heavy-small"] == row["verdict"]
-    for key in ("statement", "origin", "source", "experiment"):
+    for key in ("statement", "source", "experiment"):
         assert lines[key] == row[key]
     assert lines["measured"] == f"{row['figure']:.2g} ({row['measures']})"
     assert lines["bound"] == f"{row['bound_text']} ({row['bound_reason']})"
@@ -77,7 +77,7 @@ sections:
     claims:
       - {id: one, statement: <b>one</b> | x., source: section 1, check: rank, experiment: some,
          with: {integrals: kowalevski_laws, count: 4}, recorded: holds}
-      - {id: two, origin: ours, statement: <b>two</b> | x., source: section 1, check: near, experiment: some,
+      - {id: two, statement: <b>two</b> | x., source: section 1, check: near, experiment: some,
          with: {integrals: kowalevski_laws, count: 5}, recorded: holds within}
       - {id: three, statement: <b>three</b> | x., source: section 1, check: rank, experiment: some,
          with: {integrals: kowalevski_laws, count: 3}, recorded: does not hold as stated}
@@ -118,9 +118,7 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
 
 def test_table_shows_the_figures_of_each_claim(report) -> None:
     """Claims that do not hold come first; with details the others follow."""
-    summary = (
-        "2 claims of the paper: 1 holds, 1 does not hold as stated; 1 finding of our own: 1 holds within its bound"
-    )
+    summary = "3 claims of the paper: 1 holds, 1 holds within its bound, 1 does not hold as stated"
     code, out, err = report(small())
     assert (code, err) == (0, "")
     said, blank, title, header, *lines = out.splitlines()
@@ -129,12 +127,12 @@ def test_table_shows_the_figures_of_each_claim(report) -> None:
     rows = [re.split(r"\s{2,}", line.strip()) for line in lines]
     assert rows == [["three", "<b>three</b> | x.", "does not hold as stated", "4", "≤ 3"]]
     lines = report(small(), verbose=True)[1].splitlines()
-    header = ["id", "origin", "statement", "verdict", "measured", "bound", "source"]
+    header = ["id", "statement", "verdict", "measured", "bound", "source"]
     assert re.split(r"\s{2,}", lines[7].strip()) == header
     assert [re.split(r"\s{2,}", line.strip()) for line in (lines[4], *lines[8:])] == [
-        ["three", "paper", "<b>three</b> | x.", "does not hold as stated", "4", "≤ 3", "section 1"],
-        ["one", "paper", "<b>one</b> | x.", "holds", "4", "≤ 4", "section 1"],
-        ["two", "ours", "<b>two</b> | x.", "holds within 5 mm", "4", "≤ 5 mm", "section 1"],
+        ["three", "<b>three</b> | x.", "does not hold as stated", "4", "≤ 3", "section 1"],
+        ["one", "<b>one</b> | x.", "holds", "4", "≤ 4", "section 1"],
+        ["two", "<b>two</b> | x.", "holds within 5 mm", "4", "≤ 5 mm", "section 1"],
     ]
 
 
@@ -206,7 +204,7 @@ def test_progress_counts_claims_and_controls() -> None:
 def test_report_has_the_figures_of_each_claim() -> None:
     found = small()
     shown = StudyReport(STUDY, decided_result(found))
-    assert repr(shown).endswith("1 does not hold as stated; 1 finding of our own: 1 holds within its bound>")
+    assert repr(shown).endswith("3 claims of the paper: 1 holds, 1 holds within its bound, 1 does not hold as stated>")
     assert shown.table.loc["two", ["figure", "bound", "verdict"]].tolist() == [4.0, "≤ 5 mm", "holds within 5 mm"]
     assert "&lt;b&gt;one&lt;/b&gt;" in shown._repr_html_()
 

@@ -1,7 +1,6 @@
 """Figures of outcomes: schemes in the hard cases of their tops, and verdicts on the paper's claims.
 
-The shades of the stress study differ in grey too. The claims have a bar for each part of the paper, and one for the
-findings beyond it.
+The shades of the stress study differ in grey too. The claims have a bar for each part of the paper.
 """
 
 from __future__ import annotations

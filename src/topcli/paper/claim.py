@@ -15,14 +15,10 @@ MISPRINT = "misprint"
 NOT_TRIED = "not tried"
 
 
-def summary_of(claims: Mapping[str, int], findings: Mapping[str, int]) -> str:
-    """Number of claims of the paper and of our own findings, each with the number for each verdict."""
-    parts = []
-    for counts, noun, origin in ((claims, "claim", "of the paper"), (findings, "finding", "of our own")):
-        if counts:
-            verdicts = ", ".join(f"{count} {_predicate(verdict, count)}" for verdict, count in counts.items())
-            parts.append(f"{counted(sum(counts.values()), noun)} {origin}: {verdicts}")
-    return "; ".join(parts)
+def summary_of(counts: Mapping[str, int]) -> str:
+    """Number of claims, and the number for each verdict."""
+    verdicts = ", ".join(f"{count} {_predicate(verdict, count)}" for verdict, count in counts.items())
+    return f"{counted(sum(counts.values()), 'claim')} of the paper: {verdicts}"
 
 
 def _predicate(verdict: str, count: int) -> str:

@@ -87,7 +87,7 @@ class Decided(CheckResult):
         claim, measured, bound = self.claim, self.measurement, self.bound
         control = super().as_dict()
         return {
-            **{key: getattr(claim, key) for key in ("id", "origin", "statement", "source")},
+            **{key: getattr(claim, key) for key in ("id", "statement", "source")},
             "kind": self.check.name,
             "measures": self.check.measures,
             "experiment": claim.experiment_text.replace("`", ""),
@@ -104,14 +104,9 @@ class Decided(CheckResult):
         }
 
 
-def _count(verdicts: Sequence[str]) -> dict[str, int]:
-    """Number of times that each verdict occurs, most frequent first."""
-    return dict(sorted(Counter(verdicts).items(), key=lambda item: (-item[1], item[0])))
-
-
 @dataclass(frozen=True, repr=False)
 class Claims:
-    """Claims of the paper and findings beyond it, with their verdicts.
+    """Claims of the paper with their verdicts.
 
     Attributes
     ----------
@@ -132,18 +127,14 @@ class Claims:
 
     @property
     def summary(self) -> str:
-        """Number of claims of the paper and of findings of ours, each with the number for each verdict."""
-        return summary_of(self.counts, self.findings)
+        """Number of claims, and the number for each verdict."""
+        return summary_of(self.counts)
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of claims of the paper for each verdict, most frequent first."""
-        return _count([row.category for row in self.rows if not row.claim.ours])
-
-    @property
-    def findings(self) -> dict[str, int]:
-        """Number of findings of ours for each verdict, most frequent first."""
-        return _count([row.category for row in self.rows if row.claim.ours])
+        """Number of claims for each verdict, most frequent first."""
+        verdicts = Counter(row.category for row in self.rows)
+        return dict(sorted(verdicts.items(), key=lambda item: (-item[1], item[0])))
 
     @property
     def changed(self) -> tuple[str, ...]:
@@ -161,15 +152,11 @@ class Claims:
         return tuple(control.check.name for control in self.controls if not control.caught)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON: the list ``claims``, and ``controls`` and numbers of verdicts by name.
-
-        ``verdicts`` counts the claims of the paper, ``findings`` what is beyond it.
-        """
+        """Return plain data, ready for JSON: the list ``claims``, and ``controls`` and numbers of verdicts by name."""
         return {
             "claims": [row.as_dict() for row in self.rows],
             "controls": {control.check.name: control.as_dict() for control in self.controls},
             "verdicts": self.counts,
-            "findings": self.findings,
         }
 
 

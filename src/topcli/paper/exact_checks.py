@@ -19,7 +19,7 @@ from pydantic import BeforeValidator
 from topcli.engine.precise import longest
 from topcli.errors import counted
 from topcli.paper import identities, printed
-from topcli.paper.algebra import Draws, Numbers, arguments, dual, exact, largest, plane, rank, rates
+from topcli.paper.algebra import Draws, arguments, dual, exact, largest, rank, rates
 from topcli.paper.claim import Measurement
 from topcli.paper.scenes import DIGITS, OVERRIDES, ExactMap, LedgerScene, exact_map, exact_maps
 from topcli.runs.simulate import simulate_ensemble
@@ -321,44 +321,3 @@ def next_to_axis(h: float, count: int = 200) -> dict[str, Any]:
         omega2 = 0.5 * h * (omega3 * omega1 - gamma[2]) + h * h * draws.uniform(-1.0, 1.0)
         states.append({"omega": [omega1, omega2, omega3], "gamma": gamma.tolist()})
     return {"h": h, "N": 1, "scheme": SIGN, "ensemble": {"states": states, "store": "trajectories"}}
-
-
-H = 0.01
-
-
-def _method_a(w: Numbers, c: Numbers) -> Numbers:
-    """Solve (A), which is linear in the new gamma."""
-    turn = 0.5 * H * printed.hat(w).astype(float)
-    return np.linalg.solve(np.eye(3) - turn, (np.eye(3) + turn) @ c.astype(float))
-
-
-def _method_b(w: Numbers, c: Numbers) -> Numbers:
-    """Euler's rule for z of (B), and back."""
-    z = plane(c) / (1.0 + c[2])
-    z += H * printed.stereographic_rate(plane(w), w[2], z)
-    size = (z * z.bar).first
-    gamma = 2.0 * z / (1.0 + size)
-    return exact(gamma.first, gamma.second, (1.0 - size) / (1.0 + size))
-
-
-def _method_c(w: Numbers, c: Numbers) -> Numbers:
-    """The rotation (C) with n = theta/|theta|."""
-    size = math.hypot(*(H * w))
-    return printed.rotation(H * w / size, math.cos(size), math.sin(size)) @ c
-
-
-METHODS: Mapping[str, Callable[[Numbers, Numbers], Numbers]] = {"A": _method_a, "B": _method_b, "C": _method_c}
-"""New gamma from old omega and gamma by the printed formulas, with the step ``H``."""
-
-
-def undefined_steps(states: dict[str, tuple[list[float], list[float]]]) -> Measurement:
-    """Number of methods whose printed formulas divide by zero in the first step from one of the states."""
-    singular: dict[str, list[str]] = {}
-    for letter, method in METHODS.items():
-        for name, (w, c) in states.items():
-            try:
-                method(exact(*w), exact(*c))
-            except ZeroDivisionError:
-                singular.setdefault(letter, []).append(name)
-    note = "; ".join(f"({letter}) at {', '.join(names)}" for letter, names in singular.items())
-    return Measurement(float(len(singular)), note=note)

@@ -28,8 +28,6 @@ from topcli.paper.claim import Bound, Measurement
 from topcli.paper.scenes import AND_VARIED, LedgerScene
 
 FILE = "ledger.yaml"
-PAPER = "paper"
-OURS = "ours"
 
 
 class LedgerEntry(BaseModel):
@@ -122,14 +120,12 @@ def _known_check(name: Any, info: ValidationInfo) -> Check:
 class Claim(LedgerEntry):
     """A checkable statement and the experiment that decides it.
 
-    A claim of the paper is decided on the paper's own scope: its figure, initial state, window, step and symbols. A
-    statement that goes beyond the sentence is an entry of its own, with the origin ``ours``.
+    A claim is decided on the paper's own scope: its figure, initial state, window, step and symbols.
     """
 
     id: str = Field(pattern="^[a-z0-9]+(-[a-z0-9]+)*$", description="name on the command line")
-    origin: Literal["paper", "ours"] = PAPER
     statement: str = Field(pattern=r"\.$")
-    source: str = Field(pattern="^section", description="section and equation; of a finding, the place it goes beyond")
+    source: str = Field(pattern="^section", description="section and equation")
     check: Annotated[Check, BeforeValidator(_known_check)]
     parameters: dict[str, Any] = Field({}, alias="with", description="parameters of the check")
     experiment: str = Field("", description="one line; names of scenes and commands stand between backticks")
@@ -142,11 +138,6 @@ class Claim(LedgerEntry):
     def _parameters_fit(self) -> Claim:
         self.check.bind(self.parameters)
         return self
-
-    @property
-    def ours(self) -> bool:
-        """True for a finding of this project, which the paper does not state."""
-        return self.origin == OURS
 
     @property
     def experiment_text(self) -> str:
@@ -175,7 +166,7 @@ class PaperSection(LedgerEntry):
 
 
 class Ledger(LedgerEntry):
-    """Kinds of checks, claims in the order of the paper with findings beyond it, and what is left out."""
+    """Kinds of checks, claims in the order of the paper, and what is left out."""
 
     checks: tuple[Check, ...]
     sections: tuple[PaperSection, ...]

@@ -118,21 +118,7 @@ def quality(scenes: list[LedgerScene], invariants: list[str]) -> Measurement:
     return Measurement(max(ratios), note="; ".join(notes))
 
 
-def slopes(scheme: str, other: str, orbits: dict[str, Any]) -> Measurement:
-    """Median ratio of the slopes of E(t) under two schemes, over random orbits at E = 5."""
-    sizes = []
-    for name in (scheme, other):
-        runs = simulate_ensemble("kowalevski_hk", scheme=name, **orbits)
-        series = [runs.trajectory(index) for index in range(len(runs))]
-        sizes.append(np.array([abs(float(np.polyfit(run.t, run["energy"], 1)[0])) for run in series]))
-    note = f"median slope: {scheme} {np.median(sizes[0]):.1e}, {other} {np.median(sizes[1]):.1e}"
-    return Measurement(float(np.median(sizes[0] / sizes[1])), note=note)
-
-
-# levels between swings, growth
-
-TENTH = 10
-"""Part of a run, one over this number, with whose range that of the whole run is compared."""
+# levels between swings
 
 
 def levels_between_swings(run: Trajectory, column: str) -> tuple[Array, float]:
@@ -141,7 +127,7 @@ def levels_between_swings(run: Trajectory, column: str) -> tuple[Array, float]:
     A swing is a deep minimum of gamma_1 with time before it: one in the first tenth of the run belongs to the start.
     """
     swings = minima_times(run.t, run["gamma1"])
-    swings = swings[swings > run.t[-1] / TENTH]
+    swings = swings[swings > run.t[-1] / 10]
     at = np.concatenate([[0.0], 0.5 * (swings[1:] + swings[:-1]), [run.t[-1]]])
     return np.interp(at, run.t, run[column]), float(np.ptp(run[column]))
 
@@ -164,13 +150,6 @@ def rises(scene: LedgerScene, column: str) -> Measurement:
     """Smallest rise of a column from one level between swings to the next, in units of the mean rise of its range."""
     levels, size = levels_between_swings(scene.trajectory(), column)
     return Measurement(float(np.diff(levels).min()) * (len(levels) - 1) / size, note=_listed(levels))
-
-
-def growth(scene: LedgerScene, column: str) -> Measurement:
-    """Range of a column over a run, in units of that of the first tenth, and its extremes."""
-    values = scene.trajectory()[column]
-    figure = float(np.ptp(values) / np.ptp(values[: len(values) // TENTH]))
-    return Measurement(figure, note=f"{values.min():.8g} to {values.max():.8g}")
 
 
 # pictures
@@ -215,15 +194,11 @@ def pictures(scene: LedgerScene, others: list[LedgerScene]) -> Measurement:
     return Measurement(figure, LINE)
 
 
-def height(scenes: list[LedgerScene], column: str, axis: float | LedgerScene) -> Measurement:
-    """Largest height in print of the range of a column, on an axis that covers ``axis`` or the range of that scene."""
-    span = float(np.ptp(axis.trajectory()[column])) if isinstance(axis, LedgerScene) else axis
-    runs = [scene.trajectory() for scene in scenes]
-    heights = {run.scheme: float(np.ptp(run[column])) / span * HEIGHT for run in runs}
-    note = ", ".join(f"{scheme} {size:.2g}" for scheme, size in heights.items())
-    if not isinstance(axis, LedgerScene):
-        note = f"{runs[0][column].min():.6g} to {runs[0][column].max():.6g}"
-    return Measurement(max(heights.values()), LINE, note=note)
+def height(scene: LedgerScene, column: str, axis: float) -> Measurement:
+    """Height in print of the range of a column, on an axis that covers ``axis``."""
+    values = scene.trajectory()[column]
+    note = f"{values.min():.6g} to {values.max():.6g}"
+    return Measurement(float(np.ptp(values)) / axis * HEIGHT, LINE, note=note)
 
 
 def period(scenes: list[LedgerScene]) -> Measurement:

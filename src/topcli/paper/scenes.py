@@ -28,10 +28,9 @@ OVERRIDES = {
     "rational": ("precision=rational", "h=1/10"),
     "fifty": (f"precision={DIGITS}", "h=1/10"),
     "generic": ("initial.omega=[0.7, -0.4, 1.3]", "initial.gamma=[0.6, 0.48, 0.64]"),
-    "long": ("N=10000000", "output.every=1000"),
 }
 """Overrides by name: a run without rounding, whose initial state must be rational; a run with 50 digits; a state in
-general position, whose decimals are rational numbers; the paper's scene to t = 10000."""
+general position, whose decimals are rational numbers."""
 VARIED = 3
 """Variants of a scene, with random parameters, on which a general statement is tried beside the scene itself."""
 VARIED_STEPS = 3

@@ -1,4 +1,4 @@
-"""``topcli claims``: test the claims of the paper, and findings beyond it, by experiments."""
+"""``topcli claims``: test the claims of the paper by experiments."""
 
 from __future__ import annotations
 
@@ -32,9 +32,8 @@ def measure(
 ) -> Result:
     """Test the claims of the paper by experiments.
 
-    Findings of topcli that are not in the paper are tested too; their origin is given as "ours". Claims given by name
-    are shown with all details. The command exits with code 4 if the verdict on a claim differs from the recorded one,
-    or if a check accepts its control, a statement with a deliberate error.
+    Claims given by name are shown with all details. The command exits with code 4 if the verdict on a claim differs
+    from the recorded one, or if a check accepts its control, a statement with a deliberate error.
 
     Parameters
     ----------
@@ -48,13 +47,12 @@ def measure(
     Returns
     -------
     StudyReport
-        Report on the claims. ``table`` has a row for each claim, with its origin (paper or ours), statement, source,
-        experiment, measured number, bound and verdict. ``rows`` contains the tested claims. ``controls`` contains the
-        deliberate error that each kind of check must find. ``counts`` gives the number of claims of the paper with each
-        verdict, and ``findings`` gives the same numbers for our own findings. ``changed`` lists the claims whose
-        verdicts differ from the recorded ones, ``failed`` lists the claims that could not be tested, and ``uncaught``
-        lists the checks that missed their deliberate error. ``to_markdown()`` returns the documentation's page of
-        claims as Markdown.
+        Report on the claims. ``table`` has a row for each claim, with its statement, source, experiment, measured
+        number, bound and verdict. ``rows`` contains the tested claims. ``controls`` contains the deliberate error that
+        each kind of check must find. ``counts`` gives the number of claims with each verdict. ``changed`` lists the
+        claims whose verdicts differ from the recorded ones, ``failed`` lists the claims that could not be tested, and
+        ``uncaught`` lists the checks that missed their deliberate error. ``to_markdown()`` returns the documentation's
+        page of claims as Markdown.
 
     Raises
     ------
@@ -87,7 +85,6 @@ TABLE = Table(
     "claims",
     (
         Column("id", "id"),
-        Column("origin", "origin", detail=True),
         Column("statement", "statement"),
         *(Column("", key) for key in ("source", "experiment")),
         Column("verdict", "verdict", key=""),
@@ -151,18 +148,15 @@ def printed(
 
 def answer(data: Data) -> str:
     """Number of claims for each verdict."""
-    counts: dict[str, Counter[str]] = {"paper": Counter(), "ours": Counter()}
-    for row in data["claims"]:
-        counts[row["origin"]][category_of(row["verdict"])] += 1
-    paper, ours = (dict(counts[origin].most_common()) for origin in ("paper", "ours"))
-    return summary_of(paper, ours)
+    counts = Counter(category_of(row["verdict"]) for row in data["claims"])
+    return summary_of(dict(counts.most_common()))
 
 
 def _details(row: Decided) -> Iterator[str]:
     """Everything about one claim, a line each."""
     claim, measured = row.claim, row.measurement
     yield f"{claim.id}: {row.verdict}"
-    for label in ("statement", "origin", "source"):
+    for label in ("statement", "source"):
         yield f"  {label}: {getattr(claim, label)}"
     yield f"  experiment: {claim.experiment_text.replace('`', '')}"
     if measured is None or row.bound is None:
@@ -218,13 +212,13 @@ CLAIMS = Study(
     faults=faults,
     figure="topcli.figures.outcomes:loaded_claims",
     draws="",
-    captions=("statements with each verdict, by parts of the paper; findings beyond it apart",),
+    captions=("statements with each verdict, by parts of the paper",),
     unit="checks",
     known=lambda data: isinstance(data.get("claims"), list),
     extras={
         **{
             name: attrgetter(f"of.{name}")
-            for name in ("rows", "controls", "summary", "counts", "findings", "changed", "failed", "uncaught")
+            for name in ("rows", "controls", "summary", "counts", "changed", "failed", "uncaught")
         },
         "to_markdown": lambda result: partial(_page, result.of),
     },
