@@ -17,7 +17,7 @@ from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.studies.citations import Publication, works_in
 from topcli.studies.scheme_page import operations_of
-from topcli.tops import CATALOGUE, TOPS
+from topcli.tops import CATALOGUE, TOPS, gentle_scene
 
 NOTATION = {
     "'": "A prime marks a value after the step.",
@@ -380,10 +380,10 @@ def top_page(top: type[Top]) -> Page:
     lines += [f"*{capitalized(top.title)}.*", ""] if capitalized(top.title) not in (short, summary.rstrip(".")) else []
     lines += [prose(top.__doc__ or "").replace("\n    ", "\n"), ""]
     if top.form in CATALOGUE:
-        picture = f"![Motions of the gentle and the hard scene of this top](../../images/tops/{top.form}.png)"
-        scenes = " and ".join(f"`{top.form.replace('-', '_')}_{case}`" for case in ("gentle", "hard"))
+        picture = f"![A gentle and a hard motion of this top](../../images/tops/{top.form}.png)"
         degrees = "[shows whether the map is integrable](../../catalogue.md#what-is-known-about-their-hk-maps)"
-        lines += [picture, "", f"The figure shows the exact motions of the scenes (packaged experiments) {scenes}.", ""]
+        scene = f"The gentle motion is that of the scene (packaged experiment) `{gentle_scene(top.form)}`."
+        lines += [picture, "", scene, ""]
         lines += [
             "A step of the [HK](../../glossary.md) scheme, the HK map, is a rational function of the state, and so is "
             f"its n-th iterate. The growth of the degree of the iterates {degrees}."

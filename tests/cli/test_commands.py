@@ -202,8 +202,8 @@ def test_shell_completion(tmp_path: Path, words: str, expected: str) -> None:
 
 
 COMPLETED = """
-config kowalevski_hyb
-    kowalevski_hybrid kowalevski_hybrid_sym
+config kowalevski_generic
+    kowalevski_generic_hk kowalevski_generic_nodes
 top lagr
     lagrange lagrange/inertial
 figure work
@@ -308,14 +308,14 @@ def test_a_csv_file_is_analysed_and_drawn(cli: Callable[..., Any]) -> None:
 
 
 def test_what_the_tables_leave_out_is_said(cli: Callable[..., Any]) -> None:
-    cli("run", "euler_gamma", "--set", "N=50", "--name", "free", "--quiet")
+    cli("run", "euler_gamma_hk", "--set", "N=50", "--name", "free", "--quiet")
     said = cli("analyse", "results/free/series.parquet", "--config", "euler_hk")
     assert said.err == "not read: gamma1, gamma2, gamma3; the config's initial state has no such components\n"
-    cli("run", "heavy_rk4", "--set", "N=50", "--name", "heavy", "--quiet", "--format", "csv")
+    cli("run", "heavy_hk", "--set", "N=50", "--name", "heavy", "--quiet", "--format", "csv")
     names, *lines = [line.split(",") for line in Path("results/heavy/series.csv").read_text().splitlines()]
     lines[-1][names.index("omega2")] = "1e5"
     Path("left.csv").write_text("\n".join(map(",".join, [names, *lines])) + "\n")
-    said = cli("analyse", "left.csv", "--config", "heavy_rk4")
+    said = cli("analyse", "left.csv", "--config", "heavy_hk")
     t = float(lines[-1][names.index("t")])
     assert said.err == f"warning: left.csv: far off its energy surface at row 51 (t = {t:.6g})\n"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cases import cases_of, table_of
-from config_texts import CONFIGS, FILES, PLAIN, write
+from config_texts import FILES, PLAIN, write
 from conftest import ROOT
 from declared import SCHEMES
 from json_schema import fits
@@ -159,7 +159,7 @@ def test_init_for_every_top_and_scheme_loads(tmp_path: Path, form: str, name: st
         assert text.startswith("# yaml-language-server: $schema=schemas/top.json\n")
         assert fits(schema_of_configs(), parse_yaml(text, "starter")[0])
         if form == "kowalevski":
-            assert experiment == load_experiment(CONFIGS / f"kowalevski_{name.replace('-', '_')}.yaml")
+            assert experiment == load_experiment("kowalevski_hk", [f"scheme={name}", f"name={experiment.name}"])
         for key, value in experiment.resolved()["scheme"].items():
             assert f"  # {key}: " in text if value is None else f"  {key}: " in text
 

@@ -165,7 +165,7 @@ import topcli.engine.native as native
 native.sys = types.SimpleNamespace(platform="darwin", version=sys.version)
 assert "llvmlite" not in sys.modules
 from topcli.cli.app import app
-sys.argv = ["topcli", "run", "euler_taylor", "--set", "N=50", "--out", sys.argv[1], "--quiet"]
+sys.argv = ["topcli", "run", "euler_hk", "--set", "scheme=taylor", "--set", "N=50", "--out", sys.argv[1], "--quiet"]
 app(prog_name="topcli")
 """
 

@@ -197,11 +197,11 @@ def test_the_run_goes_on_and_says_so_everywhere(cli: Callable[..., Said], in_tmp
 
 
 def test_a_later_failure_keeps_its_outcome_and_mentions_it() -> None:
-    found = simulate("kowalevski_rk4", overrides=["h=2", "N=200"])
+    found = simulate("kowalevski_hk", overrides=["scheme=rk4", "h=2", "N=200"])
     assert (found.outcome, found.ending.left) == (Outcome.BLEW_UP, 8)
     assert found.ending.message.startswith("blew up at step 10 ")
     assert "left its energy surface at step 8 (t = 16)" in found.ending.message
-    assert "energy" not in simulate("kowalevski_rk4", N=100).ending.message
+    assert "energy" not in simulate("kowalevski_hk", scheme="rk4", N=100).ending.message
 
 
 @pytest.mark.slow

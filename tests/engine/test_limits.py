@@ -300,7 +300,7 @@ def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: Non
 
 def test_a_step_of_too_many_evaluations_does_not_converge(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rk2_rk4_dop853, "MAX_EVALUATIONS", 3000)
-    experiment = load_experiment(ROOT / "configs" / "heavy_dop853.yaml", ["h=100", "N=3"])
+    experiment = load_experiment("heavy_hk", ["scheme=dop853", "h=100", "N=3"])
     run = Run(experiment.top, experiment.method(), experiment.y0, 100.0, 3)
     for _ in run:
         pass

@@ -217,7 +217,7 @@ def test_a_dead_process_costs_time_only(folder: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.slow
 def test_the_report_shows_set_up_and_accuracy(folder: Path, cli: Callable[..., Said]) -> None:
-    config = ("run", "kowalevski_exact", "--set", "N=1000", "--name", "one")
+    config = ("run", "kowalevski_hk", "--set", "scheme=exact", "--set", "N=1000", "--name", "one")
     said = cli(*config, "--verbose")
     assert "round-off at most about 3e-15 (eps |omega|²/c in gamma)" in said.err
     (first,) = cli(*config, "--json").json()["runs"]

@@ -63,7 +63,7 @@ SCENES = {
     "fig2": "kowalevski_bohlin_a",
     "fig3": "kowalevski_bohlin_a",
     "fig4": "kowalevski_hybrid",
-    "modified": "euler_modified",
+    "modified": "euler_hk",
 }
 """Figures of the columns of one run."""
 SWINGING = ["hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor"]

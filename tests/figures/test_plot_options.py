@@ -138,8 +138,8 @@ def test_a_motion_without_exact_solution_is_refused() -> None:
     class Rough(Heavy):
         field = staticmethod(lambda y, p: (abs(y[0]), *Heavy.field(y, p)[1:]))
 
-    experiment = load_experiment("heavy_rk4").model_copy(update={"top": Rough()})
-    with pytest.raises(UsageError, match=r"heavy_rk4: no exact motion: .*polynomial.*, and there is no closed form"):
+    experiment = load_experiment("heavy_hk").model_copy(update={"top": Rough()})
+    with pytest.raises(UsageError, match=r"heavy_hk: no exact motion: .*polynomial.*, and there is no closed form"):
         overlay_columns(experiment)
 
 

@@ -92,7 +92,7 @@ def test_a_special_top_or_state_does_not_make_a_law(check: str, parameters: dict
 def test_rounding_of_an_exact_law_may_grow_with_the_steps() -> None:
     """A thousand roundings a step, each of half a unit in the last of the 169 bits that hold 50 digits."""
     for N in (2, 4):
-        scene = LedgerScene.read(f"euler_midpoint fifty N={N}")
+        scene = LedgerScene.read(f"euler_hk scheme=midpoint fifty N={N}")
         measured = exact_checks.conservation(scene, ["m_sq"], varied=False)
         assert measured.limit == pytest.approx(N * 1e3 * 2.0**-169, rel=1e-12)
 
@@ -171,7 +171,7 @@ def test_residual_of_the_trapezoidal_rule_is_its_leading_term() -> None:
     measured, _ = measure("trapezoidal")
     h = run_checks.LADDER[-1]
     y = topcli.simulate(
-        "kowalevski_exact", h=h, N=2000, initial={"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
+        "kowalevski_hk", scheme="exact", h=h, N=2000, initial={"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
     ).states.T
     xi = np.abs((y[0] + 1j * y[1]) ** 2 - (y[3] + 1j * y[4]))
     leading = float((xi * np.abs(y[5] * y[0] - y[3] * y[2])).max()) * h**3 / 12.0

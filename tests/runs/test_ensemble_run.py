@@ -224,7 +224,7 @@ def test_an_array_of_states() -> None:
 
 def test_a_grid_over_parameters_and_a_failure() -> None:
     grid = {"top.c0": [0.5, 2.0], "omega1": [0.5, 1e200]}
-    found = topcli.simulate_ensemble("kowalevski_rk2", ensemble={"grid": grid}, N=50, h=0.01)
+    found = topcli.simulate_ensemble("kowalevski_hk", scheme="rk2", ensemble={"grid": grid}, N=50, h=0.01)
     assert [top.model_dump()["c0"] for top in found.tops] == [0.5, 0.5, 2.0, 2.0]
     assert [ending.outcome.value for ending in found.endings] == ["completed", "blew_up"] * 2
     assert np.isnan(found.states[1, -1]).all()

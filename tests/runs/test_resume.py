@@ -70,13 +70,13 @@ def test_every_scheme_resumes_bit_for_bit(scheme: Scheme) -> None:
 
 RESUMED = """
 increments: kowalevski_hk parquet N=100
-carried phase: kowalevski_hybrid_xi csv N=100
-iterative with counters: kowalevski_hybrid_sym parquet N=100
-interpreted: kowalevski_dop853 csv N=70
-closed form: euler_exact parquet N=100
+carried phase: kowalevski_hk csv scheme=hybrid-xi N=100
+iterative with counters: kowalevski_hk parquet scheme=hybrid-sym N=100
+interpreted: kowalevski_hk csv scheme=dop853 N=70
+closed form: euler_gamma_hk parquet scheme=exact N=100
 chart: kowalevski_bohlin_a parquet N=100
 attitude: kowalevski_hk csv N=300 output.attitude=quaternion output.every=3
-attitude of a series: kowalevski_taylor parquet N=100 output.attitude=quaternion output.every=3
+attitude of a series: kowalevski_hk parquet scheme=taylor N=100 output.attitude=quaternion output.every=3
 digits: euler_hk csv N=24 h=1/10 precision=40 output.digits=20
 rational: euler_hk parquet N=24 h=1/10 precision=rational
 """

@@ -270,7 +270,7 @@ def test_a_reference_out_of_reach_leaves_the_rest(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["even", "uneven"])
 def test_a_motion_that_leaves_its_energy_surface_is_reported(tmp_path: Path, kind: str) -> None:
     """The limit is 100 times the sum of the terms: omega3^2 = 450 at most, beside 0.5."""
-    experiment = load_experiment("heavy_rk4")
+    experiment = load_experiment("heavy_hk")
     y0 = dict(zip(experiment.top.components, experiment.y0, strict=True))
     data = {"t": TIMES[kind][:50], **{name: np.full(50, value) for name, value in y0.items()}}
     assert analysed(tmp_path, data, experiment).data["left_motion"] is None

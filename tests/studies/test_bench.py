@@ -135,15 +135,15 @@ def test_bench_scenes_have_their_tops_and_durations() -> None:
 
 
 def test_a_config_is_a_scene(in_tmp: Path) -> None:
-    (problem,) = bench_problems((), ("heavy_rk4",), ("N=500",), 10)
-    assert problem.name == "heavy_rk4"
+    (problem,) = bench_problems((), ("heavy_hk",), ("N=500",), 10)
+    assert problem.name == "heavy_hk"
     assert problem.duration == problem.experiment.h * 500
 
 
 @pytest.mark.parametrize(
     ("scenes", "configs", "sets", "message"),
     table_of("""
-()                    ("heavy_rk4",)  ("h=-0.01",)  runs backwards
+()                    ("heavy_hk",)  ("h=-0.01",)  runs backwards
 ("euler", "EULER")    ()              ()            named twice
 ()                    ()              ("h=1",)      none is given
 ("lagrnge",)          ()              ()            did you mean 'lagrange'

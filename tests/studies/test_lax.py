@@ -254,7 +254,7 @@ def test_discrete_lax_pair(c0: float) -> None:
 @pytest.mark.slow
 def test_command_reports_each_form(cli) -> None:
     """Sizes, carried integrals and drifts of the spectrum; typical defects are 3e-17 to 9e-15 for what is exact."""
-    said = cli("lax", "kowalevski", "midpoint", "--config", "kowalevski_midpoint", "--set", "N=2000", "--json")
+    said = cli("lax", "kowalevski", "midpoint", "--config", "kowalevski_hk", "--set", "N=2000", "--json")
     found = said.json()
     assert (said.code, [run["scheme"] for run in found["runs"]]) == (0, ["exact flow", "midpoint"])
     kowalevski, block = found["forms"]

@@ -58,8 +58,8 @@ def test_command(cli) -> None:
 @pytest.mark.parametrize(
     ("config", "overrides", "words"),
     [
-        ("kowalevski_exact", [], "scheme 'exact' is a solution in closed form"),
-        ("heavy_dop853", [], "scheme 'dop853' calls library functions"),
+        ("kowalevski_hk", ["scheme=exact"], "scheme 'exact' is a solution in closed form"),
+        ("heavy_hk", ["scheme=dop853"], "scheme 'dop853' calls library functions"),
         ("kowalevski_hk", ["N=999"], "N = 999: too few steps for an exponent; take at least 1000"),
         ("kowalevski_ensemble", [], "a single trajectory is needed"),
     ],
@@ -137,7 +137,7 @@ def test_a_row_of_too_few_steps_has_no_measure(tmp_path: Path) -> None:
 
 
 def test_a_measure_that_does_not_fit_is_refused(tmp_path: Path) -> None:
-    sweep = {"base": {"config": "kowalevski_exact"}, "grid": {"h": [0.1]}, "measure": ["lyapunov"]}
+    sweep = {"base": {"config": "kowalevski_torus"}, "grid": {"h": [0.1]}, "measure": ["lyapunov"]}
     with pytest.raises(TopcliError):
         topcli.sweep(sweep, tmp_path)
 

@@ -193,7 +193,7 @@ def test_experiments_are_chosen() -> None:
     assert roundoff_experiment("hk+kahan-li8", "lagrange_hk").scheme.name == "hk+kahan-li8"
     assert roundoff_experiment("bs", None).top.form == "lagrange/inertial"
     assert roundoff_experiment("bs-implicit", None).top.kind == "euler"
-    assert roundoff_experiment("hybrid", None).name == "kowalevski_hybrid_xi"
+    assert roundoff_experiment("hybrid", None).name == "kowalevski_hk"
     resolved = roundoff_experiment("hybrid-xi", None, ["scheme.compensated=true"])
     assert [one.options.model_dump()["compensated"] for one in forms_of(resolved).values()] == [False, True]
 
@@ -220,7 +220,7 @@ def test_command_reports_both_forms(cli, tmp_path: Path) -> None:
     rows = [line.split()[:2] for line in said.out.splitlines()[-4:]]
     assert rows == [[symbol, form] for symbol in ("γ²", "k²") for form in ("plain", "compensated")]
     assert sorted(path.suffix for path in (tmp_path / "f").iterdir()) == [".parquet", ".pdf", ".png"]
-    drawn = pq.read_table(tmp_path / "f" / "roundoff_hybrid-xi_kowalevski_hybrid_xi.parquet")
+    drawn = pq.read_table(tmp_path / "f" / "roundoff_hybrid-xi_kowalevski_hk.parquet")
     report = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--json").json()
     assert (report["command"], report["copies"], report["violations"]) == ("roundoff", 2, [])
     assert report["forms"][1]["options"] == {"branch": "nearest", "compensated": True}
@@ -267,7 +267,7 @@ def test_tolerances_judge_the_compensated_form(cli) -> None:
 hybird                2  did you mean 'hybrid'
 hybrid --steps 0      2  --steps 0: must be a whole number
 hybrid --steps 1.5e0  2  --steps 1.5e0: must be a whole number
-rk4 --config heavy_rk4 --set h=4 --steps 1e6 --copies 2  1  error: rk4 with plain sums: blew up at step
+rk4 --config heavy_hk --set h=4 --steps 1e6 --copies 2  1  error: rk4 with plain sums: blew up at step
 """),
 )
 def test_command_names_what_is_wrong(cli, arguments: str, code: int, message: str) -> None:
@@ -307,7 +307,7 @@ def test_the_figures_curves() -> None:
 @pytest.mark.slow
 def test_compensation_of_an_iteration_has_no_bias() -> None:
     """With only the errors of the changes left, an iteration that stops early would show."""
-    study = roundoff_study(roundoff_experiment("midpoint", "euler_gamma"), 1_000_000, 2)
+    study = roundoff_study(roundoff_experiment("midpoint", "euler_gamma_hk"), 1_000_000, 2)
     better = study["forms"][1]["invariants"]
     assert {row["verdict"] for row in better} <= {"flat", "random walk"}
     assert max(row["max_drift"] / row["scale"] for row in better) < 1e-14

@@ -58,7 +58,7 @@ def drawn_from(name: str, folder: Path, changes: Mapping[str, list[str]] | list[
 
 def series_of(folder: Path, scene: str) -> dict[str, np.ndarray]:
     """The columns of a run, read without the help of topcli."""
-    return columns_of(folder / "r" / scene / "series.parquet")
+    return columns_of(next((folder / "r").glob(f"{scene}*/series.parquet")))
 
 
 def columns_of(path: Path) -> dict[str, np.ndarray]:

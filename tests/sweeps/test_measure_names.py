@@ -89,7 +89,7 @@ def test_what_does_not_fit_is_named_with_the_reason() -> None:
 
 @pytest.mark.slow
 def test_every_measure_that_is_listed_for_a_top_can_be_resolved_and_evaluated() -> None:
-    for form, scene in (("kowalevski", "kowalevski_midpoint"), ("euler", "euler_hk"), ("lagrange", "lagrange_hk")):
+    for form, scene in (("kowalevski", "kowalevski_hk"), ("euler", "euler_hk"), ("lagrange", "lagrange_hk")):
         overrides = ["h=0.1", "N=4000"]  # some oscillations, so that all have frequencies
         if form != "euler":  # far from a separatrix, so that there is a verdict
             overrides.append("initial.gamma=[0.6, 0.48, 0.64]")
@@ -142,7 +142,7 @@ def test_measures_from_a_file(tmp_path: Path, own_registry: None) -> None:
     path.write_text(FILE)
     load(path)
     assert MEASURES["omega1.top"].origin == str(path)
-    experiment = load_experiment("kowalevski_rk4", ["N=200", "h=0.01"])
+    experiment = load_experiment("kowalevski_hk", ["N=200", "h=0.01"])
     found = measured(experiment, ["omega1.top", "last.gamma2", "last.omega3"])
     assert found["omega1.top"][0] == max(found.batch.states[0, :, 0])
     assert (found["last.gamma2"][0], found["last.omega3"][0]) == tuple(found.batch.last[0, [4, 2]])
@@ -166,7 +166,7 @@ def max_error(experiment: Experiment) -> float:
 
 
 def kowalevski(scheme: str, h: float, N: int) -> Experiment:
-    return load_experiment("kowalevski_rk4", [f"scheme={scheme}", f"h={h!r}", f"N={N}"])
+    return load_experiment("kowalevski_hk", [f"scheme={scheme}", f"h={h!r}", f"N={N}"])
 
 
 @pytest.mark.slow
@@ -223,7 +223,7 @@ def test_the_references_that_are_kept_are_bounded(monkeypatch: pytest.MonkeyPatc
 
 def test_a_motion_that_cannot_be_followed_is_named_and_spoils_only_its_error(monkeypatch: pytest.MonkeyPatch) -> None:
     shared(monkeypatch)
-    experiment = load_experiment("kowalevski_rk4", ["N=20", "h=1e7"])
+    experiment = load_experiment("kowalevski_hk", ["N=20", "h=1e7"])
     states = [experiment.y0, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)]
     found = measured(experiment, ["max_error", "final_error", "steps"], states)
     assert np.isnan(found["max_error"]).all()
@@ -233,7 +233,7 @@ def test_a_motion_that_cannot_be_followed_is_named_and_spoils_only_its_error(mon
 
 
 def test_too_many_rows_for_the_memory_are_refused_with_a_way_out() -> None:
-    experiment = load_experiment("kowalevski_rk4", ["N=1e9", "h=1e-3"])
+    experiment = load_experiment("kowalevski_hk", ["N=1e9", "h=1e-3"])
     measures = resolve_measures(["swings", "max_error"], experiment.top, experiment.scheme)
     with pytest.raises(UsageError) as caught:
         measured(experiment, ["swings", "max_error"])
@@ -241,12 +241,12 @@ def test_too_many_rows_for_the_memory_are_refused_with_a_way_out() -> None:
         "output.every: 1000000001 recorded rows do not fit in memory for swings, max_error; "
         "record fewer with output.every: 34 or more"
     )
-    sparse = load_experiment("kowalevski_rk4", ["N=1e9", "h=1e-3", "output.every=34"])
+    sparse = load_experiment("kowalevski_hk", ["N=1e9", "h=1e-3", "output.every=34"])
     assert bytes_per_run(sparse, measures) <= 1 << 31
 
 
 def test_the_size_of_a_batch_follows_from_its_memory() -> None:
-    experiment = load_experiment("kowalevski_rk4", ["N=999", "h=1e-3"])
+    experiment = load_experiment("kowalevski_hk", ["N=999", "h=1e-3"])
     swings = resolve_measures(["swings"], experiment.top, experiment.scheme)
     per_run = 1000 * 2 * 8 + 16 * 6 * 8  # the times, the column, and room for the probes
     assert batch_size(experiment, swings, 10 * per_run) == 10

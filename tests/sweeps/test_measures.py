@@ -257,7 +257,7 @@ def test_options_and_parameters_have_their_own_code() -> None:
     """One after the other in one process, each equal to its run elsewhere."""
     values = []
     for overrides in (["scheme.tol=1e-6"], ["scheme.tol=1e-10"], ["top.c0=0.5"]):
-        experiment = load_experiment("kowalevski_taylor", ["N=200", "h=0.25", *overrides])
+        experiment = load_experiment("kowalevski_hk", ["scheme=taylor", "N=200", "h=0.25", *overrides])
         run = topcli.simulate(experiment.resolved())
         values.append(one(experiment, "max_deviation.two_l"))
         assert values[-1] == np.abs(run["two_l"] - run["two_l"][0]).max(), overrides
@@ -312,8 +312,8 @@ def nearby(y0: Sequence[float], count: int, top: Any) -> Array:
     ("scene", "overrides"),
     table_of("""
 kowalevski_hybrid    ['h=0.02', 'output.every=7']
-kowalevski_midpoint  ['h=-0.05']
-euler_exact          ['h=0.1']
+kowalevski_hk        ['scheme=midpoint', 'h=-0.05']
+euler_gamma_hk       ['scheme=exact', 'h=0.1']
 lagrange_bs          ['h=0.03']
 """),
 )

@@ -125,7 +125,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             STUDY,
             (
                 "topcli discover results/euler_hk",
-                "topcli discover results/euler_hk results/euler_midpoint --degree 3",
+                "topcli discover results/euler_hk results/euler_bs --degree 3",
             ),
         ),
         "lyapunov": Entry(

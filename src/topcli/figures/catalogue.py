@@ -88,7 +88,7 @@ FIGURES: dict[str, Figure] = {
         scene_figure(
             "modified",
             "Euler top, HK scheme: deviations of an integral and of modified integrals that HK conserves",
-            "euler_modified",
+            "euler_hk",
             (
                 Panel((Line("m_sq"), Line("modified_m_sq")), title="(a)"),
                 Panel(
@@ -101,6 +101,7 @@ FIGURES: dict[str, Figure] = {
                 ),
             ),
             Grid(figsize=(7.0, 2.9), heading="{top}, {scheme}, $h = {h}$"),
+            sets=("h=0.1", "N=1000", "output.columns=[t, m_sq, modified_m_sq, modified_k12]"),
         ),
         scene_figure(
             "sphere",

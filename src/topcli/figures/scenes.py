@@ -50,13 +50,17 @@ def scene_figure(
     layout: Grid,
     others: Sequence[str] = (),
     rank: int = 2,
+    sets: Sequence[str] = (),
 ) -> Figure:
-    """A figure of columns of the run of ``scene``; ``other:name`` is a column of the run of a scene in ``others``."""
+    """A figure of columns of the run of ``scene``; ``other:name`` is a column of the run of a scene in ``others``.
+
+    ``sets`` are overrides of ``scene``.
+    """
     return Figure(
         name,
         title,
         scene,
-        partial(_load, name, {"": scene} | {other: other for other in others}, tuple(panels), layout),
+        partial(_load, name, {"": scene} | {other: other for other in others}, sets, tuple(panels), layout),
         needs=(scene, *others),
         rank=rank,
         takes_overrides=True,
@@ -64,11 +68,18 @@ def scene_figure(
     )
 
 
-def _load(name: str, scenes: Mapping[str, str], panels: Sequence[RunPanel], layout: Grid, request: Request) -> Loaded:
+def _load(
+    name: str,
+    scenes: Mapping[str, str],
+    sets: Sequence[str],
+    panels: Sequence[RunPanel],
+    layout: Grid,
+    request: Request,
+) -> Loaded:
     """Load panels and columns of the runs, which are carried out if missing. Raises UsageError and RunError."""
     drawn: dict[str, DrawnRun] = {}
     for key, scene in scenes.items():
-        drawn[key] = drawn[scene] = _run(name, scene, request)
+        drawn[key] = drawn[scene] = _run(name, scene, () if key else sets, request)
     runs = Runs(drawn, request.overlay)
     completed = tuple(panel.of_runs(runs) for panel in panels)
     heading = described(layout.heading, drawn[""].experiment)
@@ -85,22 +96,21 @@ def _load(name: str, scenes: Mapping[str, str], panels: Sequence[RunPanel], layo
     )
 
 
-def _run(name: str, scene: str, request: Request) -> DrawnRun:
-    """Completed run of ``scene``. Raises UsageError and RunError."""
+def _run(name: str, scene: str, sets: Sequence[str], request: Request) -> DrawnRun:
+    """Completed run of ``scene`` with the overrides ``sets``. Raises UsageError and RunError."""
     from topcli.runs.decision import RunOptions
     from topcli.runs.run import run_experiment
 
     config = scene_config(scene, request.configs)
-    experiment = load_experiment(config, request.overrides)
-    changed = bool(request.overrides) and experiment.digest != load_experiment(config).digest
-    if changed:
-        experiment = experiment.renamed(load_named(config, request.overrides).name)
+    overrides = [*sets, *request.overrides]
+    experiment = load_experiment(config, overrides).renamed(load_named(config, overrides).name)
+    changed = experiment.digest != load_experiment(config, sets).digest
     run = run_experiment(experiment, request.results, RunOptions(force=request.force, on_progress=request.on_progress))
     if run.set_aside:
         request.on_message(run.set_aside_message)
     if run.outcome is not Outcome.COMPLETED:
         raise RunError(f"{name}: the run {run.stored.folder} {run.report['message']}")
-    packaged = load_experiment(scene)
+    packaged = load_experiment(scene, sets)
     as_packaged = (experiment.top, experiment.y0) == (packaged.top, packaged.y0)
     return DrawnRun(
         experiment, as_packaged, experiment.digest[:6] if changed else "", run.stored.manifest, run.stored.series

@@ -63,8 +63,8 @@ def measure(
     Examples
     --------
     >>> import topcli
-    >>> report = topcli.frequencies("euler_exact", component=["omega2"])
-    >>> abs(report.study["columns"][0]["frequency"] / topcli.motion("euler_exact")["frequency"] - 1) < 1e-6
+    >>> report = topcli.frequencies("euler_attitude", component=["omega2"], overrides=["N=10000"])
+    >>> abs(report.study["columns"][0]["frequency"] / topcli.motion("euler_attitude")["frequency"] - 1) < 1e-6
     True
     """
     import numpy as np

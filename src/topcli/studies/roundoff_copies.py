@@ -30,11 +30,11 @@ from topcli.schemes.registry import all_schemes
 from topcli.studies.entries import under_scheme
 
 SCENES = {
-    "kowalevski": "kowalevski_hybrid_xi",
+    "kowalevski": "kowalevski_hk",
     "lagrange": "lagrange_hk",
     "lagrange/inertial": "lagrange_bs",
     "euler": "euler_hk",
-    "euler+gamma": "euler_gamma",
+    "euler+gamma": "euler_gamma_hk",
     "heavy": "heavy_hk",
 }
 """Default scene for each form of a top."""
