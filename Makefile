@@ -8,7 +8,7 @@
 # make attack    hostile files, damaged results, kills: tens of minutes, and nothing may be found (ARGS='damage --seed 7')
 # make claims    decide the paper's claims: a quarter of a minute
 # make bench     speed against error, ours and other people's integrators: the table and the figure
-# make bench-steps  what single steps, start-up and storage cost (ratios against named baselines)
+# make bench-steps  what single steps, start-up, storage, ensembles and sweeps cost (ratios against named baselines)
 # make clean     remove what was built; results/ stays
 
 PYTHON ?= python3
@@ -84,16 +84,10 @@ bench: $(VENV)/.installed-peers
 
 bench-steps: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/steps.py
-	$(BIN)/python benchmarks/steps_euler.py
-	$(BIN)/python benchmarks/steps_lagrange.py
-	$(BIN)/python benchmarks/steps_more.py
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/store.py
 	$(BIN)/python benchmarks/long_runs.py
-	$(BIN)/python benchmarks/compose.py
-	$(BIN)/python benchmarks/beyond.py
 	$(BIN)/python benchmarks/ensemble.py
-	$(BIN)/python benchmarks/large_ensembles.py
 	$(BIN)/python benchmarks/sweeps.py
 
 clean:

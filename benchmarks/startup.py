@@ -1,78 +1,45 @@
-"""Fresh processes, everything cached and warm: how long a command takes against a named baseline.
+"""Time of commands in a new process, with everything cached, over that of importing packages that they need.
 
-The commands run in turn with their baselines, and the ratios are formed pair by pair, so that a machine whose
-speed drifts still gives a fair ratio.
+    python benchmarks/startup.py [--pairs 11]
+
+A command and its baseline run in turn; the ratio is the median over the pairs, with its range. The bar is 1.8.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-HYBRID = str(ROOT / "configs" / "kowalevski_hybrid.yaml")
+RUN = ["run", "kowalevski_hybrid", "--force", "--quiet", "--out"]
 
 
-def _seconds(command: list[str]) -> float:
+def seconds(*arguments: str) -> float:
+    """Time of a new Python process."""
     start = time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=ROOT)
+    subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - start
-
-
-def _cases(out: str) -> list[tuple[str, list[str], str, float]]:
-    python = sys.executable
-    run = [python, "-m", "topcli", "run", HYBRID, "--force", "--out", out]
-    return [
-        ("topcli run, 50000 steps, Parquet, reports", run, "import numpy, numba", 1.8),
-        ("topcli --help", [python, "-m", "topcli", "--help"], "import typer, rich", 1.8),
-    ]
-
-
-def measure(pairs: int) -> list[dict[str, object]]:
-    """For each case: median seconds, the baseline's, the median of the paired ratios and their range."""
-    results = []
-    with tempfile.TemporaryDirectory() as out:
-        for name, command, baseline, bar in _cases(out):
-            base_command = [sys.executable, "-c", baseline]
-            _seconds(command), _seconds(base_command)
-            timed = [(_seconds(command), _seconds(base_command)) for _ in range(pairs)]
-            ratios = sorted(a / b for a, b in timed)
-            results.append(
-                {
-                    "case": name,
-                    "seconds": statistics.median(a for a, _ in timed),
-                    "baseline": f'python -c "{baseline}"',
-                    "baseline_seconds": statistics.median(b for _, b in timed),
-                    "ratio": statistics.median(ratios),
-                    "ratio_range": [ratios[0], ratios[-1]],
-                    "bar": bar,
-                }
-            )
-    return results
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pairs", type=int, default=11)
-    parser.add_argument("--json", action="store_true")
-    arguments = parser.parse_args()
-    results = measure(arguments.pairs)
-    if arguments.json:
-        print(json.dumps({"schema_version": 1, "startup": results}, indent=1))
-        return
-    for r in results:
-        low, high = r["ratio_range"]  # type: ignore[misc]
-        print(
-            f"{r['case']}: {r['seconds']:.3f} s = {r['ratio']:.2f} ({low:.2f} to {high:.2f}) "
-            f"times {r['baseline']} ({r['baseline_seconds']:.3f} s); bar {r['bar']}"
-        )
+    pairs = parser.parse_args().pairs
+    with tempfile.TemporaryDirectory() as out:
+        for title, arguments, baseline in (
+            ("topcli run, 50000 steps, Parquet, report", [*RUN, out], "import numpy, numba"),
+            ("topcli --help", ["--help"], "import typer, rich"),
+        ):
+            timed = [(seconds("-m", "topcli", *arguments), seconds("-c", baseline)) for _ in range(pairs + 1)][1:]
+            ratios = sorted(a / b for a, b in timed)
+            print(
+                f"{title}: {statistics.median(a for a, _ in timed):.3f} s = {statistics.median(ratios):.2f} "
+                f'({ratios[0]:.2f} to {ratios[-1]:.2f}) times python -c "{baseline}"'
+            )
 
 
 if __name__ == "__main__":

@@ -1,218 +1,148 @@
-"""One step of HK and of the hybrid: against their straightforward forms, against C, and their round-off.
+"""Time of a single step of each scheme, against HK by straightforward block elimination.
 
-    python benchmarks/steps.py [--json] [--repetitions 41] [--round-off]
+    python benchmarks/steps.py [--repetitions 21] [--tangents] [SCHEME[/TOP]...]
 
-All forms go through the engine's own loop and compiler. The repetitions are interleaved, and every figure is the
-median over them of the time divided by the baseline's of the same repetition, with the quartiles. ``--round-off``
-adds the growth of gamma²'s round-off; it takes a minute or two.
-
-HK does not conserve gamma², which oscillates by far more than round-off. A weighted mean over a long window, with
-a weight that vanishes with all its derivatives at both ends, removes a quasi-periodic oscillation down to round-off;
-the rest is the drift, whose root mean square over a lag of N steps is fitted by a power of N.
+All steps run in topcli's time loop. A scheme and the baseline are timed in turn; the ratio is the median over the
+repetitions, with quartiles; times are processor times, which other work on the machine stretches less. With
+--tangents, a column has the time of a step with a tangent vector over that of the step. Compositions are named as in
+`hk+yoshida4`. Compare the results of two versions of topcli on an idle machine only.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import sys
-import tempfile
+import statistics
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from c_peer import compiled
-from plain_steps import hk_block, hybrid_cmath, hybrid_polar
-from ratios import ratio_rows, show_rows
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / part) for part in ("tests", "tests/support", "src")]
+from topcli.contracts import Method, Sampler, Scheme, Stepper, Top
+from topcli.engine.loop import loop_of
+from topcli.engine.tangent import tangent_code
+from topcli.errors import UsageError
+from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.tops import CATALOGUE, TOPS
+from topcli.tops.kowalevski import Kowalevski
 
-from topcli.contracts import Stepper  # noqa: E402
-from topcli.engine.loop import loop_of  # noqa: E402
-from topcli.engine.native import native  # noqa: E402
-from topcli.schemes.registry import find_scheme  # noqa: E402
-from topcli.tops.kowalevski import Kowalevski  # noqa: E402
-
-GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
-H, STEPS = 0.01, 100_000
-
-Run = Callable[[np.ndarray, float, int], None]
-"""Advances a state in place by a number of steps of size h, with c = 1."""
+GENERIC = np.array([0.7, -0.4, 1.3, 0.6, 0.48, 0.64])
+H, STEPS, RENORMALISED = 0.01, 64_000, 64
 
 
-def in_engine(stepper: Stepper) -> Run:
-    """The engine's loop, nothing recorded."""
-    loop = loop_of(stepper, 6, 1)
-    work, out, params = np.zeros(loop.width), np.empty(6), np.ones(1)
-
-    def run(y: np.ndarray, h: float, n: int) -> None:
-        loop.enter(y, work, params, h)
-        if loop.drive(work, out, params, h, n, n + 1, n + 1) != n:
-            raise RuntimeError("blew up")
-        y[:] = work[:6]
-
-    return run
-
-
-BEGUN = {  # a state and its counters, by the number of both
-    6: lambda y: (y[0], y[1], y[2], y[3], y[4], y[5]),
-    7: lambda y: (y[0], y[1], y[2], y[3], y[4], y[5], 0.0),
-    8: lambda y: (y[0], y[1], y[2], y[3], y[4], y[5], 0.0, 0.0),
-}
-
-
-def without_check(stepper: Stepper) -> Run:
-    """A bare loop: what the engine's finite check and recording cost."""
-    step, begun = stepper.step, BEGUN[stepper.width]
-
-    def loop(y, params, h, n):
-        s = begun(y)
-        p = (params[0],)
-        for _ in range(n):
-            s = step(s, h, p)
-        y[0], y[1], y[2], y[3], y[4], y[5] = s[:6]
-        return 0
-
-    compiled, params = native(loop, "ppdq"), np.ones(1)
-    return lambda y, h, n: compiled(y, params, h, n) and None
-
-
-def in_c(folder: Path) -> tuple[dict[tuple[str, str], Run], str | None]:
-    """The forms of steps.c by (scheme, compiler), or the reason why there are none."""
-    calls, reason = compiled("steps.c", ("hk", "hybrid"), "pddq", folder)
-    return {key: lambda y, h, n, call=call: call(y.ctypes.data, h, 1.0, n) for key, call in calls.items()}, reason
+def hk_block(state, h, p):
+    """HK step of the Kowalevski top: gamma' = P + Q omega' by Cayley's inverse, then Cramer's rule for omega'."""
+    w1, w2, w3, g1, g2, g3 = state
+    c = p[0]
+    d = 0.5 * h
+    a1, a2, a3 = d * w1, d * w2, d * w3
+    n = 1.0 / (1.0 + a1 * a1 + a2 * a2 + a3 * a3)
+    i11, i12, i13 = (1.0 + a1 * a1) * n, (a1 * a2 + a3) * n, (a1 * a3 - a2) * n
+    i21, i22, i23 = (a1 * a2 - a3) * n, (1.0 + a2 * a2) * n, (a2 * a3 + a1) * n
+    i31, i32, i33 = (a1 * a3 + a2) * n, (a2 * a3 - a1) * n, (1.0 + a3 * a3) * n
+    p1 = i11 * g1 + i12 * g2 + i13 * g3
+    p2 = i21 * g1 + i22 * g2 + i23 * g3
+    p3 = i31 * g1 + i32 * g2 + i33 * g3
+    q11, q12, q13 = d * (i12 * g3 - i13 * g2), d * (i13 * g1 - i11 * g3), d * (i11 * g2 - i12 * g1)
+    q21, q22, q23 = d * (i22 * g3 - i23 * g2), d * (i23 * g1 - i21 * g3), d * (i21 * g2 - i22 * g1)
+    q31, q32, q33 = d * (i32 * g3 - i33 * g2), d * (i33 * g1 - i31 * g3), d * (i31 * g2 - i32 * g1)
+    f = d * c
+    k = 0.5 * f
+    e = 0.5 * d
+    m12, m13 = -e * w3, -e * w2
+    m21, m22, m23 = e * w3 - k * q31, 1.0 - k * q32, e * w1 - k * q33
+    m31, m32, m33 = f * q21, f * q22, 1.0 + f * q23
+    r1, r2, r3 = w1, w2 + k * (g3 + p3), w3 - f * (g2 + p2)
+    c1 = m22 * m33 - m23 * m32
+    c2 = m23 * m31 - m21 * m33
+    c3 = m21 * m32 - m22 * m31
+    det = c1 + m12 * c2 + m13 * c3
+    x1 = (r1 * c1 + m12 * (m23 * r3 - r2 * m33) + m13 * (r2 * m32 - m22 * r3)) / det
+    x2 = ((r2 * m33 - m23 * r3) + r1 * c2 + m13 * (m21 * r3 - r2 * m31)) / det
+    x3 = ((m22 * r3 - r2 * m32) + m12 * (r2 * m31 - m21 * r3) + r1 * c3) / det
+    return (
+        x1,
+        x2,
+        x3,
+        p1 + q11 * x1 + q12 * x2 + q13 * x3,
+        p2 + q21 * x1 + q22 * x2 + q23 * x3,
+        p3 + q31 * x1 + q32 * x2 + q33 * x3,
+    )
 
 
-def last(run: Run, h: float, n: int) -> np.ndarray:
-    y = np.array(GEN)
-    run(y, h, n)
-    return y
+def stepping(top: Top, method: Method) -> Callable[[], float]:
+    """Function that measures the nanoseconds per step of one trajectory."""
+    p, d = np.array(top.constants()), len(top.components)
+    loop, out = loop_of(method, d, len(p)), np.empty(d)
+    start = np.zeros(loop.width)
+    loop.enter(np.resize(GENERIC, d), start, p, H)
+
+    def measured() -> float:
+        work = start.copy()
+        begin = time.thread_time_ns()
+        if loop.drive(work, out, p, H, STEPS, STEPS + 1, STEPS + 1) != STEPS:
+            raise RuntimeError(f"{top.form}: a step failed")
+        return (time.thread_time_ns() - begin) / STEPS
+
+    return measured
 
 
-def timed(forms: dict[str, Run], repetitions: int) -> dict[str, list[float]]:
-    """Nanoseconds per step of every form in every repetition, in an order that rotates."""
-    names, spent = list(forms), {name: [] for name in forms}
-    for repetition in range(repetitions + 1):
-        for name in names[repetition % len(names) :] + names[: repetition % len(names)]:
-            y = np.array(GEN)
-            start = time.perf_counter_ns()
-            forms[name](y, H, STEPS)
-            spent[name].append((time.perf_counter_ns() - start) / STEPS)
-    return {name: values[1:] for name, values in spent.items()}  # the first repetition warms up
+def with_tangent(top: Top, scheme: Scheme, method: Method) -> Callable[[], float]:
+    """Function that measures the nanoseconds per step with a tangent vector."""
+    d = len(top.components)
+    run = tangent_code(scheme, top, method, 1).run(H, np.resize(GENERIC, (1, d)), np.ones((1, d)))
+
+    def measured() -> float:
+        begin = time.thread_time_ns()
+        run.advance(STEPS // RENORMALISED, RENORMALISED)
+        return (time.thread_time_ns() - begin) / STEPS
+
+    return measured
 
 
-def compare(
-    scheme: str, twins: dict[str, Any], c_forms: dict[tuple[str, str], Run], repetitions: int
-) -> dict[str, Any]:
-    """Times of the scheme and of its other forms; ratios are the scheme's time over theirs."""
-    top = Kowalevski()
-    found = find_scheme(scheme, top.kind)
-    stepper = found.build(top, found.options())
-    forms = {scheme: in_engine(stepper), "without the finite check": without_check(stepper)}
-    forms |= {name: in_engine(Stepper(step, 6)) for name, step in twins.items()}
-    forms |= {name: run for (which, name), run in c_forms.items() if which == scheme}
-    ends = {name: last(run, 0.1, 20) for name, run in forms.items()}
-    for name, end in ends.items():
-        exact = name == "without the finite check" or name.endswith("contract=off")
-        if not (np.array_equal(end, ends[scheme]) if exact else np.allclose(end, ends[scheme], rtol=0, atol=1e-12)):
-            raise RuntimeError(f"{scheme}: {name} computes something else: {end} against {ends[scheme]}")
-    spent = timed(forms, repetitions)
-    return {"scheme": scheme, "baseline": next(iter(twins)), "forms": ratio_rows(spent, scheme)}
+def straightforward() -> Callable[[], float]:
+    """Function that measures the baseline."""
+    return stepping(Kowalevski(), Stepper(hk_block, 6))
 
 
-def window_means(stepper: Stepper, y0: np.ndarray, h: float, windows: int, length: int) -> np.ndarray:
-    """Weighted means of gamma² - 1 over consecutive windows of ``length`` steps."""
-    drive = loop_of(stepper, 6, 1).drive
-    x = (np.arange(length) + 1) / (length + 1)
-    weight = np.exp(-1.0 / (x * (1.0 - x)))
-    weight /= weight.sum()
-    work, out, params, means = y0.copy(), np.empty((length, 6)), np.ones(1), np.empty(windows)
-    for i in range(windows):
-        drive(work, out.reshape(-1), params, h, length, 1, 1)
-        means[i] = np.sum(weight * (np.square(out[:, 3:]).sum(axis=1) - 1.0))
-    return means
+def ratio(times: Sequence[float], others: Sequence[float]) -> str:
+    """Median of the ratios, with quartiles."""
+    low, middle, high = statistics.quantiles([a / b for a, b in zip(times, others, strict=True)], n=4)
+    return f"{middle:.3f} ({low:.3f} to {high:.3f})"
 
 
-def growth(stepper: Stepper, h: float, orbits: int, windows: int, duration: float) -> dict[str, Any]:
-    """Growth of the round-off of gamma²: rms over lags, median over random orbits, exponent of the fitted power."""
-    random = np.random.default_rng(2)
-    length = round(duration / h)
-    lags = np.unique(np.geomspace(1, windows // 4, 8).astype(int))
-    rms = []
-    for _ in range(orbits):
-        gamma = random.normal(size=3)
-        y0 = np.concatenate([random.normal(size=3), gamma / np.linalg.norm(gamma)])
-        means = window_means(stepper, y0, h, windows, length)
-        rms.append([np.sqrt(np.mean((means[k:] - means[:-k]) ** 2)) for k in lags])
-    middle = np.median(rms, axis=0)
-    exponent = np.polyfit(np.log(lags), np.log(middle), 1)[0]
-    return {
-        "h": h,
-        "steps": windows * length,
-        "orbits": orbits,
-        "lag_steps": [int(k * length) for k in lags],
-        "rms": [float(x) for x in middle],
-        "exponent": float(exponent),
-    }
-
-
-def round_off() -> list[dict[str, Any]]:
-    """Growth for HK and for its twin at several step sizes."""
-    found = find_scheme("hk", "kowalevski")
-    fast, twin = found.build(Kowalevski(), found.options()), Stepper(hk_block, 6)
-    return [
-        {"form": name} | growth(stepper, h, 9, 64, 4000.0)
-        for h in (0.04, 0.02, 0.01)
-        for name, stepper in (("hk", fast), ("block elimination", twin))
-    ]
-
-
-def show(results: dict[str, Any]) -> None:
-    """The table."""
-    for name in results["skipped"]:
-        print(f"skipped: {name}")
-    for table in results["steps"]:
-        print(f"\n{table['scheme']:<28}{'ns/step':>9}   {table['scheme']}'s time over this (quartiles)")
-        show_rows(table["forms"])
-    for row in results["round_off"]:
-        print(
-            f"round-off of gamma², {row['form']}, h = {row['h']}: {row['rms'][0]:.1e} after {row['lag_steps'][0]:.0e} "
-            f"steps, {row['rms'][-1]:.1e} after {row['lag_steps'][-1]:.0e}; grows as N^{row['exponent']:.2f}"
-        )
+def show(name: str, baseline: Callable[[], float], repetitions: int, tangents: bool) -> None:
+    """Time one scheme and print its row."""
+    scheme_name, _, form = name.partition("/")
+    scheme, top = find_scheme(scheme_name, form or "kowalevski"), TOPS[form or "kowalevski"].new()
+    method = scheme.build(top, scheme.options())
+    if isinstance(method, Sampler):  # a closed form takes no steps
+        return
+    timed = [baseline, stepping(top, method)]
+    if tangents:
+        try:
+            timed.append(with_tangent(top, scheme, method))
+        except UsageError:
+            tangents = False
+    rows = [[measured() for measured in timed] for _ in range(repetitions + 1)][1:]  # the first repetition warms up
+    base, own, *derived = zip(*rows, strict=True)
+    last = ratio(derived[0], own) if tangents else ""
+    print(f"{name:<32}{statistics.median(own):>10.1f}   {ratio(own, base):<28}{last}", flush=True)
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repetitions", type=int, default=41)
-    parser.add_argument("--round-off", action="store_true")
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("names", nargs="*", metavar="SCHEME[/TOP]", help="default: every scheme of the paper's tops")
+    parser.add_argument("--repetitions", type=int, default=21)
+    parser.add_argument("--tangents", action="store_true")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["NUMBA_CACHE_DIR"] = folder  # compiled again; the user's cache is not touched
-        c_forms, reason = in_c(Path(folder))
-        results = {
-            "schema_version": 1,
-            "skipped": [reason] if reason else [],
-            "steps": [
-                compare("hk", {"block elimination": hk_block}, c_forms, arguments.repetitions),
-                compare(
-                    "hybrid",
-                    {"polar form, libm": hybrid_polar, "cmath form": hybrid_cmath},
-                    c_forms,
-                    arguments.repetitions,
-                ),
-            ],
-            "round_off": round_off() if arguments.round_off else [],
-        }
-    if arguments.json:
-        print(json.dumps(results, indent=1))
-    else:
-        show(results)
+    names = arguments.names or [
+        f"{scheme.name}/{scheme.top}" for scheme in all_schemes() if not scheme.adaptive and scheme.top not in CATALOGUE
+    ]
+    print(f"{'':<32}{'ns/step':>10}   {'to straightforward HK':<28}{'with tangent' * arguments.tangents}")
+    baseline = straightforward()
+    for name in names:
+        show(name, baseline, arguments.repetitions, arguments.tangents)
 
 
 if __name__ == "__main__":
