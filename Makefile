@@ -5,7 +5,7 @@
 # make check     make lint and make test
 # make docs      the documentation as HTML in docs/_build/html
 # make docs-images  the pictures in docs/images, with a summary of their data
-# make attack    hostile files, damaged results, kills: tens of minutes, and nothing may be found (ARGS='damage --seed 7')
+# make attack    a hundred times as many wrong configs, damaged files and kills, others at every run: an hour
 # make claims    decide the paper's claims: a quarter of a minute
 # make bench     speed against error, ours and other people's integrators: the table and the figure
 # make bench-steps  what single steps, start-up, storage, ensembles and sweeps cost (ratios against named baselines)
@@ -68,7 +68,7 @@ claims: $(VENV)/.installed
 	@$(BIN)/topcli claims
 
 attack: $(VENV)/.installed-dev
-	PYTHONPATH=tests:tests/support $(BIN)/python -m attack $(ARGS)
+	HYPOTHESIS_PROFILE=attack $(BIN)/python -m pytest -n auto tests/fuzz tests/config/test_config_hypothesis.py tests/runs/test_run_folder.py
 
 # a peer that cannot be installed is left out: the bench names it
 $(VENV)/.installed-peers: $(VENV)/.installed-dev

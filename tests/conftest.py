@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by numpy; its threads
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".pytest_cache" / "kernels"))
@@ -27,6 +27,20 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".pytest_cache" / "kernels")
 settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI"):
     settings.load_profile("ci")
+
+ATTACK = os.environ.get("HYPOTHESIS_PROFILE") == "attack"
+"""True for `make attack`, which tries other examples at every run, and a hundred times as many."""
+
+
+def examples(count: int) -> settings:
+    """Settings of a test of hypothesis that takes long."""
+    return settings(
+        max_examples=100 * count if ATTACK else count,
+        derandomize=not ATTACK,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
+
 
 GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
 """A generic state of the Kowalevski top, far from every special orbit."""
@@ -42,8 +56,8 @@ def random_states(count: int, seed: int) -> np.ndarray:
     return np.hstack([random.normal(size=(count, 3)), gamma])
 
 
-LIMIT = 600.0
-"""Seconds after which a test that waits for something fails; the longest takes one tenth of them."""
+LIMIT = 0.0 if ATTACK else 600.0
+"""Seconds after which a test that waits for something fails, 0: never; the longest takes one tenth of them."""
 
 
 @contextmanager

@@ -79,7 +79,7 @@ def plus_minus(value: float, error: float) -> str:
 
 
 def rounded_up(value: float) -> float:
-    """Next number with two digits that is not smaller than a positive ``value``."""
+    """Next number with two digits that is not smaller than a positive ``value``; 0 and infinity as they are."""
     if not 0.0 < value < math.inf:
         return value
     unit = max(10.0 ** (math.floor(math.log10(value)) - 1), 5e-324)

@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from attack.faults import Disk
 from cases import table_of
 from conftest import ROOT
+from faults import Disk
 from injected import command_in_fork, python_process, signal_to_self, topcli_process
 from topcli.cli.output import ProgressDisplay, spell_seconds
 from topcli.store.manifest import stored_runs

@@ -13,10 +13,11 @@ from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, reject, settings
+from hypothesis import example, given, reject
 from hypothesis import strategies as st
 
 from config_texts import CONFIGS, PLAIN
+from conftest import examples
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.files import parse_override, read_document
 from topcli.config.load import load, load_experiment
@@ -26,10 +27,7 @@ from topcli.contracts import Stepper
 from topcli.errors import ConfigError, StepTooLongError, TopcliError
 from topcli.schemes.registry import all_schemes
 
-settings.register_profile(
-    "config", deadline=None, max_examples=150, suppress_health_check=[HealthCheck.too_slow], derandomize=True
-)
-CONFIG = settings.get_profile("config")
+CONFIG = examples(150)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +84,7 @@ def loads_or_refuses(path: Path, content: bytes) -> None:
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(content=ANYTHING | pieces(YAML_PIECES).map(str.encode) | spliced(HYBRID).map(str.encode))
 @example(content=b"a: &a\n  b: &a *a\n")
 @example(content=b"\xff\xfe\x00")
@@ -99,14 +97,14 @@ def test_any_yaml_text_loads_or_is_refused(folder: Path, content: bytes) -> None
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(content=ANYTHING | pieces(TOML_PIECES).map(str.encode) | spliced(GENERIC).map(str.encode))
 def test_any_toml_text_loads_or_is_refused(folder: Path, content: bytes) -> None:
     loads_or_refuses(folder / "any.toml", content)
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(text=st.text(max_size=40) | pieces(YAML_PIECES).map(lambda text: "h=" + text))
 def test_any_override_loads_or_is_refused(text: str) -> None:
     message = refusal(lambda: parse_override(text))
@@ -121,7 +119,7 @@ PLAIN_DATA = st.recursive(
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(key=st.sampled_from(["name", "top", "initial", "scheme", "h", "N", "output"]), value=PLAIN_DATA)
 def test_any_value_of_a_key_loads_or_is_refused(key: str, value: object) -> None:
     data: dict[str, Any] = load_experiment(CONFIGS / "kowalevski_hybrid.yaml").resolved() | {key: value}
@@ -192,7 +190,7 @@ def test_numbers_of_any_size_give_an_experiment_or_are_refused(data: dict[str, A
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(text=pieces(TOML_PIECES) | spliced(GENERIC))
 def test_toml_lines_hold_their_keys(text: str) -> None:
     try:
@@ -249,7 +247,7 @@ def bits(values: tuple[float, ...]) -> bytes:
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(data=experiments())
 def test_valid_experiments_round_trip(folder: Path, data: dict[str, Any]) -> None:
     try:
@@ -267,7 +265,7 @@ def test_valid_experiments_round_trip(folder: Path, data: dict[str, Any]) -> Non
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(others=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), place=st.integers(0, 2), sign=st.sampled_from("+-"))
 def test_auto_gives_a_unit_vector(others: tuple[float, float], place: int, sign: str) -> None:
     data: dict[str, Any] = load_experiment(CONFIGS / "kowalevski_hk.yaml").resolved()
@@ -299,7 +297,7 @@ SECTIONS = {
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(section=st.sampled_from(list(SECTIONS)).flatmap(lambda name: st.fixed_dictionaries({name: SECTIONS[name]})))
 def test_any_section_of_an_ensemble_is_refused_or_round_trips(section: dict[str, Any]) -> None:
     data = {**PLAIN, "ensemble": section}
@@ -326,7 +324,7 @@ SECTION_VALUES = st.recursive(
 
 
 @pytest.mark.slow
-@settings(CONFIG)
+@CONFIG
 @given(data=st.dictionaries(TEXT, SECTION_VALUES, min_size=1, max_size=4))
 @example(data={"texts": ["no", "true", "1e3", "", 'a "b" \\ #', "ä\x85\u2028\ufeff🌀", "-", "x: y"], "with space": {}})
 @example(data={"numbers": [1e-5, 1e22, -0.0, 5e-324, 1.7976931348623157e308, 3, True, None], "deep": {"a": [[], [{}]]}})

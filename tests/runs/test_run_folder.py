@@ -18,6 +18,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from conftest import examples
 from resuming import FILES, NAME, after, small
 from topcli.config.load import load, load_experiment
 from topcli.contracts import Outcome
@@ -370,5 +371,5 @@ class ResultsMachine(RuleBasedStateMachine):
         assert all((part / CHECKPOINT).exists() for part in self.out.glob(".*"))
 
 
-ResultsMachine.TestCase.settings = settings(max_examples=10, stateful_step_count=15, deadline=None)
+ResultsMachine.TestCase.settings = settings(examples(10), stateful_step_count=15)
 TestResults = pytest.mark.slow(pytest.mark.usefixtures("small_chunks")(ResultsMachine.TestCase))

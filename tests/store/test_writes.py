@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import topcli
-from attack.faults import Disk
+from faults import Disk
 from injected import in_fork
 from resuming import HK, NAME, content, killed, small
 from stored_results import store_comparison, store_ensemble, store_sweep

@@ -6,15 +6,30 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from attack.command import Said, call, fork
-from attack.faults import Disk
+from conftest import Said
+from faults import Disk
 
 LIMIT = 120
 """Seconds after which a fork is ended; a fork takes one or two."""
+
+
+def fork(work: Callable[[], int]) -> int:
+    """Run ``work`` in a process of its own, which exits with the code that it returns; return the process number."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    pid = os.fork()
+    if not pid:
+        try:
+            os._exit(work())
+        except BaseException as error:
+            print(repr(error), file=sys.stderr, flush=True)
+            os._exit(99)
+    return pid
 
 
 def in_fork(work: Callable[[], object]) -> int:
@@ -22,8 +37,8 @@ def in_fork(work: Callable[[], object]) -> int:
 
     def limited() -> int:
         signal.alarm(LIMIT)
-        work()
-        return 0
+        code = work()
+        return code if isinstance(code, int) else 0
 
     code = os.waitstatus_to_exitcode(os.waitpid(fork(limited), 0)[1])
     assert code != -signal.SIGALRM, f"a fork did not end within {LIMIT} s"
@@ -32,10 +47,30 @@ def in_fork(work: Callable[[], object]) -> int:
 
 def command_in_fork(argv: Sequence[str], cwd: Path, disk: Disk) -> Said:
     """Call the command in a fork with the faults of ``disk``. Fails if it does not end in time."""
-    said = call(argv, cwd, [cwd], limit=LIMIT, prepare=disk.install)
-    assert said.code is not None, f"topcli {' '.join(argv)} did not end within {LIMIT} s"
-    assert not said.slow, f"topcli {' '.join(argv)} took more than {LIMIT} s"
-    return said
+    from topcli.__main__ import main
+
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+
+        def work() -> int:
+            os.chdir(cwd)
+            os.dup2(out.fileno(), 1)
+            os.dup2(err.fileno(), 2)
+            sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 (for the whole process)
+            sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+            sys.argv = ["topcli", *argv]
+            disk.install()
+            try:
+                main()
+            except SystemExit as leaving:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                return leaving.code if isinstance(leaving.code, int) else 0
+            return 0
+
+        code = in_fork(work)
+        out.seek(0)
+        err.seek(0)
+        return Said(code, out.read().decode(), err.read().decode())
 
 
 def signal_to_self(number: signal.Signals) -> Callable[[], None]:

@@ -15,9 +15,8 @@ from typing import Any
 
 import pytest
 
-from attack.command import fork
-from attack.faults import Disk
-from injected import in_fork
+from faults import Disk
+from injected import fork, in_fork
 from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
