@@ -380,10 +380,9 @@ def top_page(top: type[Top]) -> Page:
     lines += [f"*{capitalized(top.title)}.*", ""] if capitalized(top.title) not in (short, summary.rstrip(".")) else []
     lines += [prose(top.__doc__ or "").replace("\n    ", "\n"), ""]
     if top.form in CATALOGUE:
-        picture = f"![A gentle and a hard motion of this top](../../images/tops/{top.form}.png)"
         degrees = "[shows whether the map is integrable](../../catalogue.md#what-is-known-about-their-hk-maps)"
         scene = f"The gentle motion is that of the scene (packaged experiment) `{gentle_scene(top.form)}`."
-        lines += [picture, "", scene, ""]
+        lines += [scene, ""]
         lines += [
             "A step of the [HK](../../glossary.md) scheme, the HK map, is a rational function of the state, and so is "
             f"its n-th iterate. The growth of the degree of the iterates {degrees}."

@@ -1,8 +1,8 @@
 """Draw the pictures of the documentation into docs/images, with a summary of the data behind them.
 
-    python docs/draw_images.py [PICTURE...] [--results results]
+    python docs/draw_images.py [PICTURE...] [--folder .]
 
-Experiments that are finished in the folder of results are not repeated. ``work-precision`` is drawn from the
+Experiments that are finished in the folder's ``results`` are not repeated. ``work-precision`` is drawn from the
 measurements of ``topcli bench`` and skipped where there are none, unless it is named.
 """
 
@@ -20,39 +20,37 @@ import numpy as np
 IMAGES = Path(__file__).resolve().parent / "images"
 SUMMARY = IMAGES / "data.json"
 
-COMPARED = ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")
+SWINGS = "kowalevski_swings --set name=swings --set grid.h=[0.01] --set grid.scheme=[hk,bohlin-a,hybrid,taylor]"
+OF_CATALOGUE = (
+    *("fig1", "polhodes", "nutation", "bifurcation", "body", "period", "long-energy", "torus-points", "chaos"),
+    "work-precision",
+)
 PICTURES: dict[str, tuple[str, ...]] = {
-    "fig1": ("plot", "fig1", "--format", "png"),
-    "overlay": ("plot", "fig2", "--overlay", "exact", "--format", "png"),
-    "polhodes": ("plot", "polhodes", "--format", "png"),
-    "nutation": ("plot", "nutation", "--format", "png"),
-    "catalogue": ("plot", "catalogue", "--format", "png"),
-    "bifurcation": ("plot", "bifurcation", "--format", "png"),
-    "torus": ("plot", "torus", "--format", "png"),
-    "body": ("plot", "body", "--format", "png"),
-    "compare": ("compare", *COMPARED, "--plot", "--force"),
-    "period": ("plot", "period", "--format", "png"),
-    "swings": ("plot", "swings", "--format", "png"),
-    "integrable": ("plot", "integrable", "--format", "png"),
-    "torus-points": ("plot", "torus-points", "--format", "png"),
-    "chaos": ("plot", "chaos", "--format", "png"),
-    "error-and-cost": ("plot", "error-and-cost", "--format", "png"),
-    "stress": ("plot", "stress", "--format", "png"),
-    "work-precision": ("plot", "work-precision", "--format", "png"),
+    **{name: (f"plot {name} --format png",) for name in OF_CATALOGUE},
+    "compare": ("compare hk bohlin-a bohlin-b bohlin-c hybrid --plot --force",),
+    "stress": ("stress --plot --force",),
+    "swings": (
+        f"sweep {SWINGS}",
+        "plot sweep swings --x initial.gamma3 --y first_swing_spacing --by scheme --format png",
+    ),
 }
-"""The pictures, each with the command that draws it."""
-FILES = {"compare": "compare_kowalevski_hk", "overlay": "fig2"}
+"""The pictures, each with the commands that draw it."""
+FILES = {
+    "compare": "compare_kowalevski_hk",
+    "stress": "stress_all",
+    "swings": "swings_first_swing_spacing_over_initial.gamma3_by_scheme",
+}
 """File names of figures that are not called as their pictures are."""
-TIMES = ("work-precision", "error-and-cost")
-"""Pictures of times, which no other machine repeats: their data have no summary."""
+TIMES = "work-precision"
+"""Picture of times, which no other machine repeats: its data have no summary."""
 
 
-def draw(name: str, results: Path) -> Path:
-    """Run the command that draws the picture ``name``; the PNG file."""
-    folder = results / "figures"
-    where = ("--out", str(folder)) + (("--results", str(results)) if PICTURES[name][0] == "plot" else ())
-    subprocess.run([sys.executable, "-m", "topcli", *PICTURES[name], *where], check=True, stdout=subprocess.DEVNULL)
-    return folder / f"{FILES.get(name, name)}.png"
+def draw(name: str, folder: Path) -> Path:
+    """Run the commands that draw the picture ``name`` in a folder; the PNG file."""
+    for command in PICTURES[name]:
+        words = [sys.executable, "-m", "topcli", *command.split()]
+        subprocess.run(words, check=True, stdout=subprocess.DEVNULL, cwd=folder)
+    return folder / "results" / "figures" / f"{FILES.get(name, name)}.png"
 
 
 def summary(data: Path) -> dict[str, Any]:
@@ -80,28 +78,6 @@ def breaks(study: Path) -> dict[str, list[str]]:
     return found
 
 
-def draw_portraits(data: Path) -> None:
-    """Draw the panels of the picture of the catalogue one by one, for the pages of its tops."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    from topcli.figures.portraits import PLANES, Portrait
-    from topcli.figures.style import STYLE
-    from topcli.store.series import read_series
-
-    columns, folder = read_series(data), IMAGES / "tops"
-    folder.mkdir(exist_ok=True)
-    for form, plane in PLANES.items():
-        with mpl.rc_context(fname=STYLE):
-            figure = Figure(figsize=(3.6, 2.8), layout="constrained")
-            axes = figure.add_subplot()
-            Portrait(form, plane).paint(axes, columns, None)
-            figure.legend(loc="outside lower center", ncols=3)
-            figure.savefig(folder / f"{form}.drawn.png", dpi=200)
-        _copy_small(folder / f"{form}.drawn.png", folder / f"{form}.png")
-        (folder / f"{form}.drawn.png").unlink()
-
-
 def _copy_small(source: Path, target: Path) -> None:
     """Copy a picture for print as one for a page: half as many pixels each way, 256 colours."""
     from PIL import Image
@@ -124,23 +100,21 @@ def main() -> None:
     """Draw the pictures that are named, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pictures", nargs="*", metavar="PICTURE", help=f"one of {', '.join(PICTURES)}; all by default")
-    parser.add_argument("--results", type=Path, default=Path("results"))
+    parser.add_argument("--folder", type=Path, default=Path())
     arguments = parser.parse_args()
     unknown = set(arguments.pictures) - set(PICTURES)
     if unknown:
         parser.error(f"unknown picture {', '.join(sorted(unknown))}; choose from {', '.join(PICTURES)}")
     known = json.loads(SUMMARY.read_text(encoding="utf-8")) if SUMMARY.is_file() else {}
     for name in arguments.pictures or PICTURES:
-        if name == TIMES[0] and not arguments.pictures and not (arguments.results / "bench").is_dir():
-            print(f"{name}: skipped: nothing measured in {arguments.results / 'bench'}; run make bench first")
+        if name == TIMES and not arguments.pictures and not (arguments.folder / "results" / "bench").is_dir():
+            print(f"{name}: skipped: nothing measured in results/bench; run make bench first")
             continue
-        picture = draw(name, arguments.results)
+        picture = draw(name, arguments.folder)
         _copy_small(picture, IMAGES / f"{name}.png")
-        if name == "catalogue":
-            draw_portraits(picture.with_suffix(".parquet"))
         if name == "stress":
-            known[name] = breaks(arguments.results / "stress" / "stress.json")
-        elif name not in TIMES:
+            known[name] = breaks(arguments.folder / "results" / "stress" / "stress.json")
+        elif name != TIMES:
             known[name] = summary(picture.with_suffix(".parquet"))
         print(IMAGES / f"{name}.png")
     SUMMARY.write_text(_listing(known), encoding="utf-8")

@@ -10,15 +10,11 @@ import pytest
 
 from conftest import ROOT
 from shown import cells_of
-from topcli.errors import RunError
-from topcli.figures.catalogue import FIGURES
-from topcli.figures.figure import MadeFigure, NothingMeasuredError, Request, make_figure
-from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes
-from topcli.store.files import stored_study, write_study
+from topcli.store.files import write_study
 from topcli.studies.scheme_page import schemes_page
 from topcli.studies.stress.study import FILE
-from topcli.studies.stress.trials import SCHEMA_VERSION, stress, stress_data, stress_source
+from topcli.studies.stress.trials import stress, stress_data
 
 SCHEME = '''
 import topcli
@@ -133,54 +129,21 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 
 def test_the_study_is_stored_whole(study: dict, tmp_path: Path) -> None:
-    path = tmp_path / FILE
-    assert stored_study(path, SCHEMA_VERSION, "topcli stress") is None
-    write_study(path, study, "abc")
-    again = stored_study(path, SCHEMA_VERSION, "topcli stress")
-    assert again is not None
-    assert again["trials"] == study["trials"]
-    assert again["source"] == "abc"
+    path = write_study(tmp_path / FILE, study)
+    assert json.loads(path.read_text(encoding="utf-8"))["trials"] == study["trials"]
     assert [entry.name for entry in path.parent.iterdir()] == ["stress.json"]
-    path.write_text(path.read_text()[:-100])
-    with pytest.raises(RunError, match="run topcli stress again"):
-        stored_study(path, SCHEMA_VERSION, "topcli stress")
 
 
 @pytest.mark.slow
-def test_the_stored_study_is_drawn_and_not_run_again(
-    study: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def never(**options: object) -> None:
-        raise AssertionError("run again")
+def test_the_stored_study_is_drawn_and_again_when_it_changes(study: dict, cli) -> None:
+    def status() -> str:
+        return cli("plot", "results/stress/stress.json", "--format", "png", "--json").json()["figures"][0]["status"]
 
-    def made(**options: bool) -> MadeFigure:
-        return make_figure(FIGURES["stress"], Request(tmp_path, **options), tmp_path / "figures", ["png"])
-
-    monkeypatch.setattr("topcli.studies.stress.trials.stress", never)
-    with pytest.raises(NothingMeasuredError, match=r"no stress study in .*; topcli plot stress makes one"):
-        made(stored_only=True)
-    write_study(tmp_path / FILE, study, stress_source())
-    assert made(stored_only=True).status == "drawn"
-    assert made().status == "up to date"
-    assert made(stored_only=True, force=True).status == "drawn"
-    with pytest.raises(AssertionError, match="run again"):
-        made(force=True)
-    table = pq.read_table(tmp_path / "figures" / "stress.parquet")
+    write_study(Path("results") / FILE, study)
+    assert [status(), status()] == ["drawn", "up to date"]
+    table = pq.read_table("results/figures/stress_all.parquet")
     names = json.loads(table.schema.metadata[b"topcli.names"])
     outcomes = [names["outcome"][int(value)] for value in table.column("outcome").to_numpy()]
     assert outcomes == [one["outcome"] for one in study["trials"]]
-    write_study(tmp_path / FILE, study, "other code")
-    with pytest.raises(NothingMeasuredError, match="only a stress study made by other code"):
-        made(stored_only=True)
-    with pytest.raises(AssertionError, match="run again"):
-        made()
-
-
-@pytest.mark.slow
-def test_the_source_of_the_study_does_not_depend_on_the_order_of_imports() -> None:
-    """Schemes are imported when a config first names them; the stored study stays up to date whichever came first."""
-    before = stress_source()
-    schemes = registry.registry.schemes
-    entry = next(iter(schemes))
-    schemes[entry] = schemes.pop(entry)
-    assert stress_source() == before
+    write_study(Path("results") / FILE, {**study, "trials": study["trials"][:-1]})
+    assert status() == "drawn"

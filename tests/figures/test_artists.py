@@ -9,40 +9,30 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from matplotlib.axes import Axes
 from matplotlib.colors import same_color, to_rgb
 from matplotlib.figure import Figure
 
 from cases import table_of
-from conftest import ROOT
 from drawn_artists import data_of, drawn, drawn_from, explained, in_sight, labelled, look, name_of, series_of
 from figure_studies import (
-    ORDERED,
     OURS,
     PEERS,
-    POWERS,
     SET_UP,
-    SIZES,
-    STEPS,
     TIMES,
     TITLES,
     benched,
     energies,
     figure_named,
-    measured,
-    size,
     spacings,
 )
 from seen_colours import pattern
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_analysis, loaded_comparison
-from topcli.figures.curves import OTHER
-from topcli.figures.errors import loaded_study
-from topcli.figures.figure import Request
+from topcli.figures.growth import loaded_roundoff
+from topcli.figures.outcomes import loaded_stress
 from topcli.figures.picture import number_text
-from topcli.figures.style import looks, styled
-from topcli.schemes.display import display_name
+from topcli.figures.style import styled
 from topcli.studies.study import Result
 
 Points = tuple[Any, Any]
@@ -66,13 +56,10 @@ SCENES = {
     "modified": "euler_hk",
 }
 """Figures of the columns of one run."""
-SWINGING = ["hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor"]
 ENERGIES = {
-    "kowalevski_generic_hk": ["splitting", "dmv", "hk", "midpoint4", "rk4"],
+    "kowalevski_generic_hk": ["splitting", "dmv", "hk", "midpoint", "rk4"],
     "euler_hk": ["splitting", "dmv", "hk", "midpoint", "rk4"],
 }
-MEASURED_H = np.array([0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2])
-LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
 
 
 def law(eps: Any) -> Any:
@@ -114,59 +101,14 @@ def of_run(name: str, series: dict[str, np.ndarray]) -> list[Shown]:
     ]
 
 
-STUDY: dict[str, Any] = {
-    "duration": 100.0,
-    "schemes": [
-        {
-            "scheme": "hk",
-            "points": [
-                {"h": 0.5, "error": 7.0, "seconds": 1e-7},
-                {"h": 0.25, "error": 0.5, "seconds": 2e-7},
-                {"h": 0.125, "error": 0.125, "seconds": 4e-7},
-                {"h": 0.0625, "error": None, "seconds": 8e-7},
-            ],
-        },
-        {"scheme": "backlund", "points": [{"h": 0.5, "error": 0.25, "seconds": 3e-7}]},
-        {"scheme": "midpoint4", "points": []},
-    ],
-}
-
-
-def over_step(measure: str, schemes: list[str]) -> dict[str, Points]:
-    return {name: (MEASURED_H, [measured(measure, name, h) for h in MEASURED_H]) for name in schemes}
-
-
 STUDIES: dict[str, list[Shown]] = {
-    "integrable": [
+    "long-energy": [
         Shown(
             ("time $t$", "largest relative energy error so far"),
             LOG,
             {name: (TIMES, energies(scene, name)) for name in names},
         )
         for scene, names in ENERGIES.items()
-    ],
-    "order": [
-        Shown(
-            ("step size $h$", r"largest error, $0 \leq t \leq 10$"),
-            LOG,
-            {name: (SIZES, [size(name, h) for h in SIZES]) for name in ORDERED},
-        )
-    ],
-    "swings": [
-        Shown(
-            (r"distance $\epsilon = \gamma_3(0)$ from the homoclinic orbit", "time between swings"),
-            ("log", "linear"),
-            {name: (eps, [measured("first_swing_spacing", name, 0.01)] * 8) for name in SWINGING}
-            | {LAW: (eps, law(eps))},
-        )
-        for eps in [10.0 ** np.arange(-8.0, 0.0)]
-    ]
-    + [
-        Shown(
-            ("step size $h$", "time between swings"),
-            ("log", "linear"),
-            {name: (x[:-1], y[:-1]) for name, (x, y) in over_step("first_swing_spacing", SWINGING).items()},
-        )
     ],
     "work-precision": [
         Shown(
@@ -178,17 +120,6 @@ STUDIES: dict[str, list[Shown]] = {
             },
         )
         for _ in TITLES
-    ],
-    "error-and-cost": [
-        Shown(
-            (label, "largest error"),
-            LOG,
-            {"hk": (hk, [0.5, 0.125]), "backlund": ([backlund], [0.25])},
-        )
-        for label, hk, backlund in (
-            ("step size $h$", [0.25, 0.125], 0.5),
-            ("CPU time per unit of time, µs", [0.2, 0.4], 0.3),
-        )
     ],
 }  # fmt: skip
 
@@ -221,18 +152,15 @@ def test_lines_are_the_numbers_that_they_name(name: str, tmp_path: Path, monkeyp
         figure = drawn_from(name, tmp_path, ["N=900"])
         expected = of_run(name, series_of(tmp_path, SCENES[name]))
     else:
-        figure = (
-            drawn(loaded_study(STUDY, "")) if name == "error-and-cost" else figure_named(name, tmp_path, monkeypatch)
-        )
+        figure = figure_named(name, tmp_path, monkeypatch)
         expected = STUDIES[name]
     assert_shown(figure.axes, expected)
 
 
 def test_every_figure_of_the_catalogue_is_inspected() -> None:
-    here = {"errors", "period", "roundoff", "stress", "compare", "heavy-drift"}
     spatial = {"sphere", "nutation", "polhodes", "body", "traces"}
-    motions = {"chaos", "bifurcation", "torus", "torus-points", "catalogue"}
-    assert set(FIGURES) == {*SCENES, *STUDIES, *here, *spatial, *motions}
+    motions = {"period", "chaos", "bifurcation", "torus-points"}
+    assert set(FIGURES) == {*SCENES, *STUDIES, *spatial, *motions}
 
 
 def test_changes_of_the_integrals_have_an_inset_of_their_values(tmp_path: Path) -> None:
@@ -271,52 +199,31 @@ def leads_to(text: Any, line: Any, last: int) -> bool:
         return joined and same_color(text.arrow_patch.get_edgecolor(), line.get_color())
 
 
-def test_errors_are_named_at_the_ends_of_their_curves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every scheme of the sweep, the finest step on the right; one of each kind has the colour of its family."""
-    figure = figure_named("errors", tmp_path, monkeypatch)
-    schemes = yaml.safe_load((ROOT / "configs" / "sweeps" / "kowalevski_errors.yaml").read_text())["grid"]["scheme"]
-    coloured = {"hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor"}
-    figure.canvas.draw()
-    for axes, measure in zip(figure.axes, ("max_error", "max_deviation.energy"), strict=True):
-        assert axes.get_xlim()[0] > axes.get_xlim()[1]
-        texts = {text.get_text().partition(": ")[0]: text for text in axes.texts}
-        lines = {line.get_gid(): line for line in axes.lines if line.get_gid()}
-        assert set(texts) == set(lines) == {display_name(scheme) for scheme in schemes}
-        for scheme in schemes:
-            line, name = lines[display_name(scheme)], display_name(scheme)
-            finest = MEASURED_H[0]
-            assert data_of(line)[0] == pytest.approx([finest, measured(measure, scheme, finest)], rel=1e-12)
-            assert leads_to(texts[name], line, last=0)
-            with styled():
-                own = looks([scheme], markers=True)[scheme]["color"]
-            assert same_color(line.get_color(), own if scheme in coloured else OTHER["color"])
-        ends = sorted(lines, key=lambda name: data_of(lines[name])[0, 1])
-        heights = [texts[name].xyann[1] for name in ends]  # type: ignore[attr-defined]
-        assert heights == sorted(heights)
+STEPS = 2.0 ** np.arange(10, 19)
+POWERS = {"plain": (6e-17, 0.5), "compensated": (2e-18, 0.4)}
 
 
-def test_growth_is_drawn_with_its_labels_at_the_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    labels = {"matrix × axis": "a_sq:matrix", "axis + change": "a_sq:plain", "compensated": "a_sq:compensated"}
-    others = {r"$\xi$ recomputed": "k_sq:hybrid", r"$\xi$ carried": "k_sq:hybrid-xi"}
-    figure = figure_named("roundoff", tmp_path, monkeypatch)
-    for axes, columns in zip(figure.axes, (labels, others), strict=True):
-        assert (axes.get_xscale(), axes.get_yscale()) == LOG
-        own = [line for line in axes.lines if line.get_marker() in "os^"]
-        named = {text.get_text(): text for text in axes.texts}
-        assert (
-            len({to_rgb(line.get_color()) for line in own}) == len({line.get_marker() for line in own}) == len(columns)
-        )
-        for line, (label, column) in zip(own, columns.items(), strict=True):
-            least, power = POWERS[column]
-            np.testing.assert_allclose(data_of(line), np.column_stack([STEPS, least * STEPS**power]), rtol=1e-12)
-            assert in_sight(axes, line)
-            assert leads_to(named[label], line, last=-1)
-        ends = sorted(columns, key=lambda label: POWERS[columns[label]][0] * STEPS[-1] ** POWERS[columns[label]][1])
-        heights = [named[label].xyann[1] for label in ends]  # type: ignore[attr-defined]
-        assert heights == sorted(heights)
-        root, linear = (data_of(line) for line in axes.lines if line not in own)
-        np.testing.assert_allclose(root[:, 1], 2.0**-52 * np.sqrt(STEPS), rtol=1e-12)
-        np.testing.assert_allclose(linear[:, 1], root[0, 1] * STEPS / STEPS[0], rtol=1e-12)
+def test_growth_is_drawn_with_its_labels_at_the_ends() -> None:
+    """Forms of one invariant differ in colour and marker; the guides grow as the square root and linearly."""
+    forms = [
+        {"form": form, "scheme": "bs", "outcome": "completed", "invariants": [
+            {"name": "a_sq", "symbol": "a²", "steps": STEPS.tolist(), "rms": (least * STEPS**power).tolist()}]}
+        for form, (least, power) in POWERS.items()
+    ]  # fmt: skip
+    study = {"config": {}, "steps": 1 << 18, "copies": 4, "h": 0.01, "forms": forms}
+    (axes,) = drawn(loaded_roundoff(Result(study))).axes
+    assert (axes.get_xscale(), axes.get_yscale()) == LOG
+    own = [line for line in axes.lines if line.get_marker() in "os^"]
+    named = {text.get_text(): text for text in axes.texts}
+    assert len({to_rgb(line.get_color()) for line in own}) == len({line.get_marker() for line in own}) == len(POWERS)
+    for line, (form, (least, power)) in zip(own, POWERS.items(), strict=True):
+        np.testing.assert_allclose(data_of(line), np.column_stack([STEPS, least * STEPS**power]), rtol=1e-12)
+        assert in_sight(axes, line)
+        assert leads_to(named[f"a², {form}"], line, last=-1)
+    assert named["a², plain"].xyann[1] > named["a², compensated"].xyann[1]  # type: ignore[attr-defined]
+    root, linear = (data_of(line) for line in axes.lines if line not in own)
+    np.testing.assert_allclose(root[:, 1], 2.0**-52 * np.sqrt(STEPS), rtol=1e-12)
+    np.testing.assert_allclose(linear[:, 1], root[0, 1] * STEPS / STEPS[0], rtol=1e-12)
 
 
 def test_the_period_is_drawn_over_the_step_and_the_motions_in_rows(
@@ -416,22 +323,6 @@ def test_much_smaller_errors_at_the_start_are_below_the_scale(power: int, clippe
     assert (bottom > first) == clipped
 
 
-def test_orders_are_beside_the_curves_of_the_compositions() -> None:
-    """At the point of the error nearest to 1e-8, on the outer side of each curve."""
-    errors = {"backlund+suzuki4": 4, "backlund+kahan-li6": 6, "backlund+kahan-li8": 8}
-    rows = [
-        {"scheme": name, "points": [{"h": h, "error": h**order, "seconds": 1e-6 / h} for h in 10.0 ** -np.arange(3.0)]}
-        for name, order in errors.items()
-    ]
-    figure = drawn(loaded_study({"duration": 100.0, "schemes": rows}, ""))
-    assert figure.get_suptitle() == r"Kowalevski top, generic motion, $0 \leq t \leq 100$"
-    for axes, sides in zip(figure.axes, (("right", "right", "left"), ("left", "left", "right")), strict=True):
-        texts = {text.get_text(): text for text in axes.texts}
-        assert [text.get_ha() for text in texts.values()] == list(sides)
-        assert list(texts) == ["order 4", "6", "8"]
-        assert [text.xy[1] for text in texts.values()] == pytest.approx([1e-8, 1e-6, 1e-8])  # type: ignore[attr-defined]
-
-
 @pytest.mark.parametrize(("swings", "start"), [(6, 0.0), (7, 8.0 * math.pi)])
 def test_a_long_comparison_shows_the_last_swings(swings: int, start: float) -> None:
     """Three swings, from the middle between two, if there are more than six."""
@@ -471,7 +362,7 @@ def test_an_analysis_draws_errors_swings_and_deviations(reference: bool, directi
 
 
 @pytest.mark.slow
-def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell() -> None:
     outcomes = {
         ("hk", "a"): ("held", None, "ok"),
         ("hk", "b"): ("degraded", None, "ok"),
@@ -484,8 +375,7 @@ def test_the_grid_of_hard_cases_has_each_outcome_in_its_cell(tmp_path: Path, mon
         {"top": "euler", "scheme": scheme, "case": case, "outcome": outcome, "step": step, "verdict": verdict}
         for (scheme, case), (outcome, step, verdict) in outcomes.items()
     ]
-    monkeypatch.setattr("topcli.figures.outcomes.current_study", lambda *arguments: {"trials": trials})
-    figure = drawn(FIGURES["stress"].load(Request(tmp_path)))
+    figure = drawn(loaded_stress(Result({"trials": trials})))
     (axes,) = figure.axes
     assert axes.get_xlabel() == "euler"
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["HK", "RK4", "BS"]

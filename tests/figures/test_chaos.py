@@ -39,21 +39,21 @@ def test_panels_draw_their_columns() -> None:
         "map:h": np.repeat(h, size),
         "map:omega": np.tile(omega, size),
         "map:exponent": exponent,
-        "angle": np.append([0.0, 45.0, 90.0], np.full(9, np.nan)),
-        "share:one": np.array([0.0, 0.2, 0.1]),
-        "error:one": np.array([0.01, 0.02, 0.03]),
+        "h": np.append([0.1, 0.3, 0.6], np.full(9, np.nan)),
     }
-    panels = (chaos.ChaosMap("map"), chaos.SharePanel("angle", ["one"], "angle", "shares"))
+    for label in (label for _, _, label in chaos.MAPS):
+        columns |= {f"share:{label}": np.array([0.0, 0.2, 0.1]), f"error:{label}": np.array([0.01, 0.02, 0.03])}
+    panels = (chaos.ChaosMap("map"), chaos.SharePanel("shares"))
     figure = draw(panels, columns, Grid(figsize=(7.0, 3.0)))
     plane, shares = figure.axes[:2]
     chaotic, regular = (mesh.get_array().filled(np.nan).ravel() for mesh in plane.collections)
     assert np.array_equal(np.isfinite(chaotic), exponent > 0.0)
     assert np.array_equal(chaotic[np.isfinite(chaotic)], exponent[exponent > 0.0])
     assert np.array_equal(np.isfinite(regular), exponent == 0.0)
-    (container,) = shares.containers
-    line, _, (bars,) = container
-    assert line.get_xydata().tolist() == [[0.0, 0.0], [45.0, 20.0], [90.0, 10.0]]
-    assert [path.vertices[:, 1].tolist() for path in bars.get_paths()] == [[-1.0, 1.0], [18.0, 22.0], [7.0, 13.0]]
+    assert len(shares.containers) == 3
+    for line, _, (bars,) in shares.containers:
+        assert line.get_xydata().tolist() == [[0.1, 0.0], [0.3, 20.0], [0.6, 10.0]]
+        assert [path.vertices[:, 1].tolist() for path in bars.get_paths()] == [[-1.0, 1.0], [18.0, 22.0], [7.0, 13.0]]
 
 
 def test_random_orbits() -> None:

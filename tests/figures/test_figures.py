@@ -26,16 +26,14 @@ from sweep_rows import write_rows
 from topcli.analysis import lyapunov
 from topcli.cli.options import complete_figure
 from topcli.config.load import load_experiment
-from topcli.errors import RunError, UsageError
-from topcli.figures import chaos, errors, growth, period, torus
-from topcli.figures.catalogue import FIGURES, find_figure
+from topcli.errors import RunError, UnknownNameError, UsageError
+from topcli.figures import chaos, growth, period, torus
+from topcli.figures.catalogue import FIGURES, GONE, find_figure
 from topcli.figures.figure import Figure, Loaded, NothingMeasuredError, Request, _source, make_figure
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.scenes import scene_figure
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.runs.run import run_experiment
-from topcli.studies import order_ladders
-from topcli.studies.stress import trials
 from topcli.sweeps.rows import read_rows
 
 
@@ -195,13 +193,19 @@ def wave(name: str = "wave", version: int = 1, measured: bool = True) -> Figure:
     """A figure from elsewhere."""
 
     def load(request: Request) -> Loaded:
-        if request.stored_only and not measured:
+        if not measured:
             raise NothingMeasuredError("nothing measured")
         x = np.linspace(0.0, 1.0, 20)
         panel = Panel((Line("x", "long"), Line("y", "short")), "x")
         return Loaded((panel,), lambda: {"t": x, "x": np.sin(x), "y": x[:5]}, {"version": version})
 
     return Figure(name, "A wave", "none", load)
+
+
+@pytest.mark.parametrize("name", GONE)
+def test_a_figure_of_an_earlier_version_names_its_successor(name: str) -> None:
+    with pytest.raises(UnknownNameError, match=f"unknown figure {name!r}; use {re.escape(GONE[name])}"):
+        find_figure(name)
 
 
 @pytest.mark.slow
@@ -217,7 +221,7 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
     assert listed == [{"name": name, "title": "A wave", "scene": "none", "origin": "topcli"} for name in figures]
     assert complete_figure("w") == ["wave"]
     assert status("wave") == {"wave": "drawn"}
-    assert status("wave", "slow") == {"wave": "up to date", "slow": "drawn"}
+    assert status("wave") == {"wave": "up to date"}
     said = cli("plot", "--all", "--jobs", "1")
     assert said.out.startswith("wave: up to date: ")
     assert said.err == "slow: skipped: nothing measured\n"
@@ -231,26 +235,7 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
 
 HK_STEP = "schemes.kowalevski.hk.hk_kowalevski_change"
 SOURCES: dict[str, tuple[Callable[[], str], str]] = {
-    "order": (
-        lambda: order_ladders.order_source(order_ladders.ladders(["hk", "rk4"])),
-        "studies.order_ladders.order_study studies.order_ladders._Ladder.rungs analysis.order.convergence "
-        "studies.bench.measure.explore studies.bench.measure.SchemeCompetitor.run analysis.reference.reference_states",
-    ),
-    "stress": (
-        trials.stress_source,
-        "studies.stress.trials.verdict_of studies.stress.checks.keeps_order studies.stress.checks.claim_violated",
-    ),
-    "error-and-cost": (
-        errors.study_source,
-        "figures.errors.error_and_cost studies.bench.measure.time_all studies.bench.measure.as_rows",
-    ),
-    "roundoff": (
-        growth.growth_code,
-        "figures.growth.turned_step figures.growth.bs_change studies.roundoff_copies.sampling_of "
-        "studies.roundoff_copies.copies_followed analysis.roundoff.BlockMeans.add analysis.roundoff.block_weights "
-        "analysis.roundoff.doubling_lags analysis.roundoff.structure",
-    ),
-    "integrable": (growth.energy_code, "figures.growth._energy_errors figures.growth.ends_of_parts"),
+    "long-energy": (growth.energy_code, "figures.growth._energy_errors figures.growth.ends_of_parts"),
     "period": (period.period_code, "analysis.swings.first_swing_spacing analysis.swings.minima_times"),
     "torus-points": (torus.torus_code, "figures.torus.orbit figures.torus.crossings"),
     "chaos": (
@@ -262,13 +247,9 @@ SOURCES: dict[str, tuple[Callable[[], str], str]] = {
 }
 """Digest of what each study depends on, and functions of topcli whose results are in its data."""
 CONSTANTS: dict[str, list[tuple[Any, str, Any]]] = {
-    "order": [
-        (order_ladders, name, value) for name, value in (("SECONDS", 6.0), ("INTERVALS", 21), ("DURATION", 11.0))
-    ],
-    "roundoff": [(growth, "STEPS", 1 << 18)],
-    "integrable": [(growth, "ENERGY_H", 0.06), (growth, "ENERGY_STEPS", 1 << 19)],
+    "long-energy": [(growth, "ENERGY_H", 0.06), (growth, "ENERGY_STEPS", 1 << 19)],
     "torus-points": [(torus, "THICKNESS", 0.02)],
-    "chaos": [(chaos, "ORBITS", 64), (chaos, "ANGLE_H", 0.04), (lyapunov, "CHAOTIC", 5.0)],
+    "chaos": [(chaos, "ORBITS", 64), (lyapunov, "CHAOTIC", 5.0)],
 }
 """Settings of studies that are constants of a module."""
 
@@ -298,12 +279,7 @@ def test_the_source_of_a_study_names_everything_behind_its_numbers(name: str) ->
 
 
 DRAWING = {
-    "order": "figures.errors.order_data figures.curves.CurvePanel._curve figures.picture.draw",
-    "stress": "figures.outcomes.figure_data figures.outcomes._step_text figures.outcomes.StressGrid.annotate",
-    "work-precision": "figures.comparison._curves studies.bench.result.pareto_front",
-    "compare": f"figures.comparison.ErrorsOverTime.paint analysis.reference.distances {HK_STEP}",
-    "errors": "figures.picture.label_ends figures.curves.CurvePanel._name_ends",
-    "swings": "figures.sweep._points sweeps.table.summary figures.picture.Grid.annotate",
+    "work-precision": "figures.comparison._curves studies.bench.result.pareto_front figures.picture.draw",
 }
 """Functions between the results of a study and its picture."""
 
@@ -349,6 +325,8 @@ def test_a_figure_of_a_sweep_is_drawn_again_for_other_rows_choices_and_code(tmp_
     for function, one in (
         ("sweeps.table.summary", choice),
         ("figures.sweep.scale_of", choice),
+        ("figures.curves.CurvePanel._curve", choice),
+        ("figures.picture.label_ends", choice),
         ("figures.curves.HeatPanel._norm", heat),
     ):
         with pytest.MonkeyPatch.context() as patch:

@@ -35,7 +35,6 @@ from topcli.store.series import write_parquet
 from topcli.studies.stress.trials import chosen
 from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
-from topcli.tops import CATALOGUE
 from topcli.tops.kowalevski import Kowalevski
 
 IMAGES = ROOT / "docs" / "images"
@@ -73,7 +72,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 DRAWN = [(name, overlay) for name, one in FIGURES.items() for overlay in (False, True)[: 1 + one.takes_overlay]]
-PICTURES = {(name, False): name for name in set(STORED) - set(PREPARE)} | {(images.FILES["overlay"], True): "overlay"}
+PICTURES = {(name, False): name for name in set(STORED) - set(PREPARE)}
 
 
 @pytest.mark.slow
@@ -92,7 +91,7 @@ def test_texts_are_legible_and_apart_and_lines_differ_without_colour(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in STORED if name in PREPARE and name != "stress"])
+@pytest.mark.parametrize("name", [name for name in STORED if name in PREPARE])
 def test_studies_behind_pictures_are_those_of_the_code(name: str, tmp_path: Path) -> None:
     assert_stored(name, FIGURES[name].load(Request(tmp_path)).data(), tmp_path)
 
@@ -102,8 +101,7 @@ def test_every_picture_is_drawn_by_the_target_and_shown_on_a_page() -> None:
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     text = "".join(path.read_text(encoding="utf-8") for path in pages)
     assert pictures == set(images.PICTURES) == {name for name in pictures if f"images/{name}.png)" in text}
-    assert set(STORED) == pictures - set(images.TIMES)
-    assert {path.stem for path in (IMAGES / "tops").glob("*.png")} == set(CATALOGUE)
+    assert set(STORED) == pictures - {images.TIMES}
 
 
 def test_the_picture_of_hard_cases_shows_the_declared_limits() -> None:
@@ -126,7 +124,7 @@ def test_the_target_draws_a_picture_and_keeps_what_is_known_of_others(
     monkeypatch.setattr(images, "SUMMARY", tmp_path / "data.json")
     known = {name: rows for name, rows in STORED.items() if name != "fig1"}
     (tmp_path / "data.json").write_text(json.dumps(known), encoding="utf-8")
-    monkeypatch.setattr("sys.argv", ["draw_images.py", "fig1", "--results", str(tmp_path / "results")])
+    monkeypatch.setattr("sys.argv", ["draw_images.py", "fig1", "--folder", str(tmp_path)])
     images.main()
     assert (tmp_path / "data.json").read_text(encoding="utf-8") == (IMAGES / "data.json").read_text(encoding="utf-8")
     assert (tmp_path / "fig1.png").read_bytes()[:4] == b"\x89PNG"

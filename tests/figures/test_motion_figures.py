@@ -7,27 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.colors import same_color
 from matplotlib.figure import Figure
-from scipy.integrate import solve_ivp
-from scipy.spatial import cKDTree
 
 from conftest import GEN, PAPER, ROOT
-from drawn_artists import arrows, drawn, explained, labelled, look, seen_from
-from seen_colours import lightness
+from drawn_artists import drawn, explained, labelled, look
 from topcli.analysis.motion.diagram import branches, regions
-from topcli.analysis.motion.torus import Torus
-from topcli.analysis.reference import reference_states
-from topcli.config.load import load_experiment
-from topcli.contracts import Top
 from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request
-from topcli.figures.picture import component_symbol
-from topcli.figures.portraits import HARD
-from topcli.figures.torus import _closing_count
-from topcli.tops import CATALOGUE, gentle_scene
-from topcli.tops.kowalevski import Kowalevski
 
 TORUS = (-0.4, 0.2, 0.0, -0.28, 0.0, 0.96)
 """Initial state of the scene kowalevski_torus."""
@@ -122,144 +109,9 @@ def test_bifurcation_diagrams_show_scenes_curves_and_tori() -> None:
         assert all(look(line) == look(key[label]) for label, line in labelled(axes).items())
 
 
-@pytest.mark.slow
-def test_flows_on_the_torus() -> None:
-    """The flow of E is the motion; that of k² is its Hamiltonian vector field in the bracket of e(3)."""
-    y = np.array(GEN)
-    torus = Torus.of(GEN, 1.0)
-
-    def along(rates: tuple[float, float], time: float) -> np.ndarray:
-        return torus.states(*(np.array(begin + rate * time) for begin, rate in zip(torus.start, rates, strict=True)))
-
-    for time in (1.0, 20.0):
-        expected = reference_states(Kowalevski(), list(GEN), np.array([time]))[0]
-        np.testing.assert_allclose(along(torus.energy_rates, time), expected, atol=1e-13)
-    w, g = y[:3], y[3:]
-    xi = complex(w[0], w[1]) ** 2 - complex(g[0], g[1])
-    x = complex(w[0], w[1])
-    slope_w = np.array([(4 * xi.conjugate() * x).real, (4 * xi.conjugate() * x * 1j).real, 0.0])  # of |xi|²
-    slope_g = np.array([-2 * xi.real, -2 * xi.imag, 0.0])
-    moments = np.array([2.0, 2.0, 1.0])
-    by_m = slope_w / moments
-    expected = np.hstack([(np.cross(moments * w, by_m) + np.cross(g, slope_g)) / moments, np.cross(g, by_m)])
-    step = 1e-4
-    found = (along(torus.k_sq_rates, step) - along(torus.k_sq_rates, -step)) / (2 * step)
-    np.testing.assert_allclose(found, expected, atol=1e-6)
-    for shift in ((torus.periods[0], 0.0), (0.0, torus.periods[1])):
-        there = torus.states(np.array(torus.start[0] + shift[0]), np.array(torus.start[1] + shift[1]))
-        np.testing.assert_allclose(there, y, atol=1e-13)
-
-
-COORDINATES = np.array([[2, 0, 0, 0, 0, 0], [0, 1, 0.5, 0, 0, 0], [0, 0, 0, 0, -1, 1]])
-
-
-def seen(states: np.ndarray) -> np.ndarray:
-    """Points (m, 3) of the picture of states: right, up, towards the viewer."""
-    return seen_from(32.0, 165.0, states @ COORDINATES.T)
-
-
-@pytest.mark.slow
-def test_the_torus_is_drawn_with_its_flows() -> None:
-    experiment = load_experiment("kowalevski_torus")
-    assert experiment.y0 == TORUS
-    (axes,) = figure_of("torus").axes
-    lines = labelled(axes)
-    assert list(lines) == ["flow of $E$", "flow of $k^2$", "the motion", "initial state"]
-    key = explained(axes.figure)
-    assert all(same_color(key[name].get_color(), line.get_color()) for name, line in lines.items())
-    np.testing.assert_allclose(lines["initial state"].get_xydata()[0], seen(np.array([TORUS]))[0, :2], atol=1e-12)
-    # the motion is the orbit, at equal times; hidden points are left out
-    path = lines["the motion"].get_xydata()
-    span = 1.6 / Torus.of(TORUS, 1.0).energy_rates[1]
-    t = np.linspace(0.0, span, len(path))
-    orbit = seen(reference_states(Kowalevski(), list(TORUS), t))
-    kept = np.isfinite(path[:, 0])
-    assert kept.mean() == pytest.approx(0.334, abs=0.02)
-    np.testing.assert_allclose(path[kept], orbit[kept, :2], atol=1e-11)
-    # every arrow on it points the way of the motion
-    pointing = arrows(axes)
-    assert len(pointing) > 3  # three belong to the coordinates
-    for foot, head in pointing[:-3]:
-        at = int(np.nanargmin(np.linalg.norm(path - foot, axis=1)))
-        way = orbit[at + 3, :2] - orbit[at, :2]
-        assert way @ (head - foot) > 0.95 * np.linalg.norm(way) * np.linalg.norm(head - foot)
-    for (foot, head), axis in zip(pointing[-3:], np.linalg.pinv(COORDINATES).T, strict=True):
-        expected = seen(axis[None])[0, :2]
-        assert (head - foot) @ expected == pytest.approx(
-            np.linalg.norm(head - foot) * np.linalg.norm(expected), rel=1e-9
-        )
-
-
-@pytest.mark.parametrize(("axis", "count"), [(0, 11), (1, 16)])
-def test_lines_on_the_torus_have_no_seam(axis: int, count: int) -> None:
-    """Each line ends where another begins, and its direction is that of the flow to a hundredth."""
-    torus = Torus.of(TORUS, 1.0)
-    assert _closing_count(torus, axis) == count
-    lines = (torus.k_sq_lines, torus.energy_lines)[axis](count, 7)
-    first, last = lines[:, 0] @ COORDINATES.T, lines[:, -1] @ COORDINATES.T
-    assert np.linalg.norm(first[:, None] - last[None], axis=2).min(axis=0).max() < 1e-9
-    rates = (torus.k_sq_rates, torus.energy_rates)[axis]
-    turn = rates[1 - axis] / rates[axis] * torus.periods[axis] / torus.periods[1 - axis]
-    assert round(count * turn) / count == pytest.approx(turn, rel=0.01)
-
-
-@pytest.mark.slow
-def test_points_behind_the_torus_are_hidden() -> None:
-    """A point of a line is shown if no point of the surface is in front of it; nearly all, but for a thin margin."""
-    torus = Torus.of(TORUS, 1.0)
-    surface = seen(torus.surface(250, 500).reshape(-1, 6))
-    (axes,) = figure_of("torus").axes
-    points = seen(torus.k_sq_lines(11, 361).reshape(-1, 6))
-    drawn_points = labelled(axes)["flow of $k^2$"].get_xydata()
-    kept = np.isfinite(drawn_points[:, 0]).tolist()
-    kept = np.array([flag for i, flag in enumerate([*kept, False]) if i % 362 != 361])
-    size = np.ptp(surface, axis=0).max()
-    near = cKDTree(surface[:, :2]).query_ball_point(points[:, :2], 0.006 * size)
-    front = np.array([surface[some, 2].max() if some else -np.inf for some in near]) - points[:, 2]
-    assert (kept[front > 0.05 * size]).mean() < 0.015
-    assert (~kept[front < 0.004 * size]).mean() < 0.05
-
-
-@pytest.mark.parametrize("name", ["bifurcation", "torus"])
-def test_scenes_of_another_top_are_refused(name: str, tmp_path: Path) -> None:
+def test_scenes_of_another_top_are_refused(tmp_path: Path) -> None:
     text = (ROOT / "configs" / "euler_hk.yaml").read_text(encoding="utf-8")
     for scene in ("kowalevski_torus", "kowalevski_generic_hk"):
         (tmp_path / f"{scene}.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(UsageError, match=f"{name}: euler_hk is of the top euler, not kowalevski"):
-        FIGURES[name].load(Request(configs=tmp_path))
-
-
-@pytest.mark.slow
-def test_a_motion_on_a_separatrix_has_no_torus() -> None:
-    with pytest.raises(ValueError, match="not on a torus"):
-        Torus.of((0.5, 0.25, 0.0, 0.0, 0.0, 1.0), 1.0)
-
-
-def integrated(top: Top, y0: tuple[float, ...], t: np.ndarray) -> np.ndarray:
-    """States (m, d) by an integrator of SciPy."""
-    p = top.constants()
-    found = solve_ivp(lambda t, y: type(top).field(tuple(y), p), t[[0, -1]], y0, "DOP853", t, rtol=1e-11, atol=1e-12)
-    return found.y.T
-
-
-def test_portraits_are_exact_motions() -> None:
-    """Both curves of every top against another integrator, over the first few units of time."""
-    figure = figure_of("catalogue")
-    panels = dict(zip(CATALOGUE, figure.axes, strict=True))
-    for form, axes in panels.items():
-        assert axes.get_title(loc="left") == form
-        lines = {line.get_label(): line for line in axes.lines if len(line.get_xdata()) > 1}
-        assert [*lines] == ["gentle", "hard"]
-        gentle, hard = (lightness(line.get_color()) for line in lines.values())
-        assert gentle > hard + 15.0
-        assert lines["gentle"].get_linewidth() < 0.85 * lines["hard"].get_linewidth()
-        for (case, line), duration in zip(lines.items(), (40.0, 80.0), strict=True):
-            scene = load_experiment(gentle_scene(form), HARD[form] if case == "hard" else ())
-            t = np.linspace(0.0, duration, 1501)[:61]
-            moved = integrated(scene.top, scene.y0, t)
-            shown = np.column_stack([line.get_xdata(), line.get_ydata()])[:61]
-            plane = [
-                next(i for i, name in enumerate(scene.top.components) if component_symbol(name) == label)
-                for label in (axes.get_xlabel(), axes.get_ylabel())
-            ]
-            np.testing.assert_allclose(shown, moved[:, plane], rtol=0.0, atol=1e-7)
+    with pytest.raises(UsageError, match="bifurcation: euler_hk is of the top euler, not kowalevski"):
+        FIGURES["bifurcation"].load(Request(configs=tmp_path))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import re
 import statistics
@@ -20,14 +19,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cases import table_of
-from drawn_artists import data_of, drawn, explained, labelled
+from drawn_artists import SHOWN, data_of, drawn, explained, labelled
 from sweep_rows import write_rows
 from topcli.errors import UsageError
-from topcli.figures.catalogue import FIGURES
 from topcli.figures.curves import cell_edges, symlog_ticks
+from topcli.figures.errors import loaded_order
 from topcli.figures.figure import Request
-from topcli.figures.sweep import Choice, scale_of, sweep_figure, sweep_notes
+from topcli.figures.style import styled
+from topcli.figures.sweep import MOST_KEYS, Choice, scale_of, sweep_figure, sweep_notes
 from topcli.studies.order_ladders import SCHEMA_VERSION
+from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 from topcli.sweeps.run import SWEEP_FILE
 
@@ -342,7 +343,7 @@ sweep                  name one folder
 sweep a b              name one folder
 sweep nowhere --x h    no such file or folder
 fig1 --x h             --x is only for sweeps
-order --where h=1      --where is only for sweeps
+fig1 --where h=1       --where is only for sweeps
 --all --aggregate max  --aggregate is only for sweeps
 """),
 )
@@ -378,24 +379,8 @@ def study() -> dict[str, Any]:
     return {"schema_version": SCHEMA_VERSION, "name": "mine", "top": "A top", "duration": 7.5, "schemes": rows}
 
 
-@pytest.mark.slow
-def test_the_figure_of_orders_is_drawn_from_the_stored_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is run again for other code or by force; errors that cannot be drawn are marked at the edges."""
-    runs, code = [], ["code"]
-
-    def measured(what: object, on_progress: object) -> dict[str, Any]:
-        runs.append(what)
-        return study()
-
-    monkeypatch.setattr("topcli.studies.order_ladders.order_study", measured)
-    monkeypatch.setattr("topcli.studies.order_ladders.order_source", lambda what: code[-1])
-    for force, other, count in ((False, "code", 1), (False, "code", 1), (False, "other", 2), (True, "other", 3)):
-        code.append(other)
-        loaded = FIGURES["order"].load(Request(tmp_path, force=force))
-        assert len(runs) == count
-        stored = json.loads((tmp_path / "order" / "order.json").read_text())
-        assert (stored["schemes"], stored["source"]) == (study()["schemes"], other)
-    (axes,) = drawn(loaded).axes
+def test_errors_of_orders_that_cannot_be_drawn_are_marked_at_the_edges() -> None:
+    (axes,) = drawn(loaded_order(Result(study()))).axes
     for scheme, line in labelled(axes).items():
         assert sorted(points(line)) == [
             (h, error_of(scheme, h, 1)) for h in sorted(SIZES) if h < SIZES[0] or scheme == "rk4"
@@ -426,3 +411,26 @@ def test_notes_say_what_cannot_be_drawn(tmp_path: Path) -> None:
         "1 of 3 values are zero and cannot be shown on a logarithmic scale",
         "rows without a number for h are not drawn",
     ]
+
+
+def test_names_of_many_curves_are_at_their_ends_with_their_slopes(tmp_path: Path) -> None:
+    """The finest step is on the right; a scheme that chooses its own steps and one below round-off have no slope."""
+    orders = dict.fromkeys(SHOWN, 2) | {"rk4": 3}
+    assert len(orders) > MOST_KEYS
+    rows = list(itertools.product(orders, SIZES))
+    keys = {"scheme": [scheme for scheme, _ in rows], "h": [h for _, h in rows]}
+    errors = [(i + 1.0) * h ** orders[scheme] for i, (scheme, h) in enumerate(rows)]
+    (axes,) = figure_of(write_rows(tmp_path / "x", keys, {"v": errors}, log=["h"]), Choice("h", "v", "scheme")).axes
+    axes.figure.canvas.draw()
+    assert axes.get_xlim()[0] > axes.get_xlim()[1]
+    texts = {text.get_text().partition(": ")[0]: text for text in axes.texts}
+    lines = {str(line.get_gid()): line for line in axes.lines if line.get_gid()}
+    assert set(texts) == set(lines) == set(SHOWN.values())
+    for scheme, name in SHOWN.items():
+        assert (": " in texts[name].get_text()) == (scheme != "taylor")
+        assert texts[name].xy == pytest.approx(points(lines[name])[0])  # type: ignore[attr-defined]
+        with styled():
+            assert to_rgb(lines[name].get_color()) == to_rgb(texts[name].arrow_patch.get_edgecolor())  # type: ignore[attr-defined]
+    ends = sorted(lines, key=lambda name: points(lines[name])[0][1])
+    heights = [texts[name].xyann[1] for name in ends]  # type: ignore[attr-defined]
+    assert heights == sorted(heights)

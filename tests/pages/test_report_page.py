@@ -540,7 +540,7 @@ def test_a_page_shows_nothing_through_a_link(tmp_path: Path, name: str) -> None:
 def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
     from topcli.studies.health import check_all
 
-    path = write_study(tmp_path / "comparison.json", {"command": "compare", "x": 0.375}, None)
+    path = write_study(tmp_path / "comparison.json", {"command": "compare", "x": 0.375})
     assert not check_all(str(path), tmp_path)[0].damaged
     whole = path.read_bytes()
     for place in range(len(whole)):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import subprocess
@@ -26,7 +25,7 @@ from topcli.errors import UsageError
 from topcli.schemes import registry
 from topcli.schemes.registry import find_scheme
 from topcli.studies.order import FALSE
-from topcli.studies.order_ladders import DEFAULT, ladders, order_source, order_study
+from topcli.studies.order_ladders import DEFAULT, ladders, order_study
 from topcli.studies.scheme_page import operations_of
 from topcli.tops.kowalevski import Kowalevski
 
@@ -132,22 +131,6 @@ def test_a_ladder_ends_at_the_number_of_steps() -> None:
     assert (row["plateau"], row["onset"]) == (None, None)
 
 
-def test_the_source_names_everything_that_a_study_depends_on() -> None:
-    first = ladders(["hk", "rk4"])
-    others = [
-        ladders(["hk"]),
-        ladders(["rk4", "hk"]),
-        ladders(["hk", "rk4"], duration=9.0),
-        ladders(["hk", "rk4"], steps=100),
-        ladders(["hk", "rk4"], sizes=[0.1]),
-        ladders(["hk", "rk4"], config="kowalevski_hk", duration=10.0),
-        dataclasses.replace(first, problem=dataclasses.replace(first.problem, intervals=10)),
-    ]
-    sources = [order_source(what) for what in (first, *others)]
-    assert len(set(sources)) == len(sources)
-    assert order_source(ladders(["hk", "rk4"])) == sources[0]
-
-
 def fake_study(*arguments: object) -> dict[str, Any]:
     points = [{"h": 0.1 / 2**k, "error": 0.01 / 4**k, "final_error": 0.1} for k in range(4)]
     row = {"scheme": "hk", "declared_order": 2, "order": 2.0, "fitted": [0.0125, 0.025, 0.05], "plateau": None}
@@ -166,12 +149,6 @@ def test_only_the_default_study_is_stored(cli: Callable[..., Any], monkeypatch: 
     assert said.err == "wrote results/order/order.json\n"
     stored = json.loads(Path("results/order/order.json").read_text())
     assert stored["schemes"] == fake_study()["schemes"]
-    assert stored["source"] == order_source(ladders(()))
-    Path("results/order/order.json").write_text("{")
-    damaged = cli("plot", "order")
-    assert damaged.code == 1
-    assert "order.json: cannot be read" in damaged.err
-    assert "run topcli order again" in damaged.err
 
 
 def test_failures_and_changed_sizes_are_reported(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, g
 from topcli.config.models import Experiment
 from topcli.contracts import Ending, Floats, Invariant, Outcome, StepFunction, Stepper
 from topcli.errors import UsageError
-from topcli.figures.growth import growth_columns, growth_data, loaded_roundoff
+from topcli.figures.growth import growth_data, loaded_roundoff
 from topcli.figures.picture import draw
 from topcli.figures.style import styled
 from topcli.studies.roundoff_copies import Copies, Sampling, _rows, forms_of, roundoff_experiment, roundoff_study
@@ -285,23 +285,6 @@ def test_picture_leaves_out_what_never_changed() -> None:
     assert {"steps", "m_axis:plain", "modified_energy:compensated"} <= set(data)
     assert "m_axis:plain" not in [column for column, _ in lines]
     assert len(lines) == 6
-
-
-@pytest.mark.slow
-def test_the_figures_curves() -> None:
-    """A biased algebra, a random walk, a smaller one, and nothing that grows: the picture shows what it says."""
-    columns = growth_columns()
-
-    def exponent(name: str) -> float:
-        return float(np.polyfit(np.log(columns["steps"]), np.log(columns[name]), 1)[0])
-
-    assert exponent("a_sq:matrix") > 0.9
-    assert 0.35 < exponent("a_sq:plain") < 0.65
-    assert exponent("a_sq:compensated") < 0.65
-    assert columns["a_sq:compensated"][-1] < 0.2 * columns["a_sq:plain"][-1]
-    assert columns["a_sq:plain"][-1] < 0.1 * columns["a_sq:matrix"][-1]
-    assert exponent("k_sq:hybrid") > 0.35
-    assert abs(exponent("k_sq:hybrid-xi")) < 0.1
 
 
 @pytest.mark.slow

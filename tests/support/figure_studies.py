@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -12,24 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from matplotlib.figure import Figure
 
 from conftest import ROOT
 from drawn_artists import drawn
-from sweep_rows import write_rows
 from topcli.figures import period
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.growth import SCHEMES
-from topcli.studies.stress.cases import CASES
-from topcli.studies.stress.trials import chosen
 
 ORDERS = {"bohlin-a": 1, "bohlin-b": 1, "bohlin-c": 1, "rk4": 4, "hk+kahan-li6": 6, "hk+kahan-li8": 8}
-
-
-ORDERED = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
-SIZES = [0.5 * 2.0**-k for k in range(18)]
 
 
 def size(scheme: str, h: float) -> float:
@@ -37,56 +27,6 @@ def size(scheme: str, h: float) -> float:
     exact = scheme in ("taylor", "exact", "dop853")
     factor = 1.0 + zlib.crc32(scheme.encode()) % 1009 / 60.0
     return max(0.0 if exact else factor * h ** ORDERS.get(scheme, 2), 1e-15 * factor)
-
-
-def measured(measure: str, scheme: str, h: float) -> float:
-    """A value of a measure, different for each measure and scheme."""
-    value = size(scheme, h) * (1.0 + 0.01 * len(measure))
-    return 20.0 + 3.0 * math.log10(value) if "swing" in measure else value
-
-
-def _orders(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    def study(what: Any, on_progress: object) -> dict[str, Any]:
-        rows = [
-            {"scheme": name, "points": [{"h": h, "error": size(name, h)} for h in SIZES], "declared_order": 2}
-            for name in ORDERED
-        ]
-        return {
-            "schema_version": 1,
-            "name": "kowalevski_generic_hk",
-            "top": "Kowalevski top (A)",
-            "duration": 10.0,
-            "schemes": rows,
-        }
-
-    patch.setattr("topcli.studies.order_ladders.order_study", study)
-
-
-def _spaced(values: Any) -> list[Any]:
-    """Values of a key of a sweep; those of a range as powers of ten."""
-    if isinstance(values, list):
-        return values
-    ends = np.log10([float(values["from"]), float(values["to"])])
-    return [float(f"{10.0**power:.6g}") for power in np.linspace(*ends, values["count"])]
-
-
-def _sweep(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
-    def prepare(patch: pytest.MonkeyPatch, folder: Path) -> None:
-        sweep = yaml.safe_load((ROOT / "configs" / "sweeps" / f"{name}.yaml").read_text(encoding="utf-8"))
-        grid = {key: _spaced(values) for key, values in sweep["grid"].items()}
-        grid |= {"random": [1, 2, 3, 4]} if "random" in sweep else {}
-        rows = list(itertools.product(*grid.values()))
-        keys = {key: [row[i] for row in rows] for i, key in enumerate(grid)}
-        keys |= {key: [float(value) for value in keys[key]] for key in keys if key != "scheme"}
-        entries = list(zip(keys["scheme"], keys.get("h", [0.01] * len(rows)), strict=True))
-        measures = {one: [measured(one, *entry) for entry in entries] for one in sweep["measure"]}
-        for one in (name for name in measures if "drift" in name and "random" in sweep):
-            measures[one] = [value if i % 3 else -value for i, value in enumerate(measures[one])]
-        written = write_rows(folder / name, keys, measures, log=["h"])
-        result = SimpleNamespace(folder=written, outcomes={"completed": len(rows)})
-        patch.setattr("topcli.sweeps.run.run_sweep", lambda *arguments, **options: result)
-
-    return prepare
 
 
 TIMES = 0.1 * 2.0 ** np.arange(20)
@@ -101,16 +41,6 @@ def _energies(patch: pytest.MonkeyPatch, folder: Path) -> None:
     data = {f"t:{scene}": TIMES for scene in SCHEMES}
     data |= {f"{scene}:{name}": energies(scene, name) for scene, names in SCHEMES.items() for name in names}
     patch.setattr("topcli.figures.growth.energy_columns", lambda: data)
-
-
-STEPS = 2.0 ** np.arange(10, 19)
-POWERS = {"a_sq:matrix": (1e-16, 1.0), "a_sq:plain": (6e-17, 0.5), "a_sq:compensated": (2e-18, 0.4)}
-POWERS |= {"k_sq:hybrid": (3e-16, 0.5), "k_sq:hybrid-xi": (2e-16, 0.0)}
-
-
-def _growth(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    data = {"steps": STEPS} | {name: least * STEPS**power for name, (least, power) in POWERS.items()}
-    patch.setattr("topcli.figures.growth.growth_columns", lambda: data)
 
 
 PEERS = ("scipy dop853", "scipy dop853 numba", "heyoka", "heyoka high-accuracy", "diffrax Dopri8", "diffrax Tsit5")
@@ -145,25 +75,6 @@ def _benches(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.setattr("topcli.figures.comparison.stored_benches", lambda out: [(run, one) for one in reports])
 
 
-def _stress(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    """All schemes in all cases: those of their limits broke, some others were degraded or not tried."""
-    schemes, _ = chosen((), (), None)
-    trials = [
-        {
-            "top": scheme.top,
-            "scheme": scheme.name,
-            "case": case.name,
-            "outcome": "broke" if case.name in scheme.limits else ("not tried" if case.name == "drift" else "held"),
-            "step": 10 ** (len(scheme.name) % 6),
-            "verdict": "ok",
-        }
-        for scheme in schemes
-        for case in CASES
-        if case.form == scheme.top
-    ]
-    patch.setattr("topcli.figures.outcomes.current_study", lambda *arguments: {"trials": trials})
-
-
 def spacings(name: str, sizes: np.ndarray) -> np.ndarray:
     """Times between swings for step ``sizes``, other ones for each scheme."""
     slope = 1.4 if name == "bohlin-a" else 0.1 + 0.001 * len(name)
@@ -186,15 +97,9 @@ def _period(patch: pytest.MonkeyPatch, folder: Path) -> None:
 
 
 PREPARE: dict[str, Callable[[pytest.MonkeyPatch, Path], None]] = {
-    "order": _orders,
-    "swings": _sweep("kowalevski_swings"),
-    "errors": _sweep("kowalevski_errors"),
-    "heavy-drift": _sweep("heavy_drift"),
     "period": _period,
-    "integrable": _energies,
-    "roundoff": _growth,
+    "long-energy": _energies,
     "work-precision": _benches,
-    "stress": _stress,
 }
 """How the results of figures are made up. Figures without an entry are made from their own results."""
 

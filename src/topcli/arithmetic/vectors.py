@@ -46,22 +46,6 @@ def cayley_rotated(a1: float, a2: float, a3: float, g1: float, g2: float, g3: fl
     return (fma(r, x1, g1), fma(r, x2, g2), fma(r, x3, g3))
 
 
-def cayley_matrix_product(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
-    """Rotated vector g + ``cayley_increment`` as a product of matrix and vector; it drifts and serves for comparison.
-
-    The obvious formula ((1 - a.a) g + 2 a (a.g) + 2 g x a)/(1 + a.a) rounds 1 - a.a and 1 + a.a separately. If a.a
-    hardly changes from step to step, the errors hardly change either, and they accumulate.
-    """
-    r = 1.0 / (1.0 + a1 * a1 + a2 * a2 + a3 * a3)
-    t = 1.0 - a1 * a1 - a2 * a2 - a3 * a3
-    k = 2.0 * (a1 * g1 + a2 * g2 + a3 * g3)
-    return (
-        r * (t * g1 + (k * a1 + 2.0 * (g2 * a3 - g3 * a2))),
-        r * (t * g2 + (k * a2 + 2.0 * (g3 * a1 - g1 * a3))),
-        r * (t * g3 + (k * a3 + 2.0 * (g1 * a2 - g2 * a1))),
-    )
-
-
 def sinc_cosc_polynomials(t: float) -> Pair:
     """``sinc_cosc`` for t up to SMALL_ANGLE_SQ, by the polynomials of fdlibm; exactly 1 and 1/2 at 0.
 

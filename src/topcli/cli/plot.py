@@ -205,11 +205,11 @@ def _require_options(names: list[str], every: bool, overlay: str | None, configs
 
 
 def _draw(
-    figures: list[Figure], request: Request, out: Path, formats: tuple[str, ...], jobs: int, quiet: bool
+    figures: list[Figure], every: bool, request: Request, out: Path, formats: tuple[str, ...], jobs: int, quiet: bool
 ) -> tuple[list[MadeFigure], list[TopcliError]]:
     """Draw figures and report on each; the files of those that were drawn, in the order given, and the errors.
 
-    Raises the error of a single figure. Of all figures, those without stored results are skipped.
+    Raises the error of a single figure. If ``every`` figure is drawn, those without stored results are skipped.
     """
     from topcli.errors import TopcliError
     from topcli.figures.figure import NothingMeasuredError, make_figures
@@ -221,7 +221,7 @@ def _draw(
         outcomes = stack.enter_context(contextlib.closing(make_figures(figures, request, out, formats, jobs, watch)))
         for figure, outcome in outcomes:
             watch.end(figure.name)
-            if isinstance(outcome, NothingMeasuredError) and request.stored_only:
+            if isinstance(outcome, NothingMeasuredError) and every:
                 print_message(f"{figure.name}: skipped: {outcome}")
             elif isinstance(outcome, TopcliError):
                 if len(figures) == 1:
@@ -285,13 +285,14 @@ def plot(
         results=results,
         configs=configs or Path("configs"),
         force=force,
-        stored_only=every,
         on_message=messages(quiet),
         overrides=tuple(sets or ()),
         overlay=overlay is not None,
         style=looks,
     )
-    drawn, failed = _draw(figures, request, out, chosen, jobs or (default_threads() if every else 1), as_json or quiet)
+    drawn, failed = _draw(
+        figures, every, request, out, chosen, jobs or (default_threads() if every else 1), as_json or quiet
+    )
     if as_json:
         items = [
             {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn

@@ -144,11 +144,10 @@ def command(study: Study) -> Callable[..., None]:
             _print(study, result, verbose, {flag.name: given[flag.name] for flag in flags})
         files = list(map(str, _saved(study, result, save, force))) if save is not None else []
         files += _written(study, result, out, force, look)
-        drawn = str(out / result.file) if out and result.file else ""
         if as_json:
             print_json(study.name, {**result.data, "files": files} if out else result.data)
         for file in files if not (as_json or quiet) else ():
-            print_message(f"wrote {file}{study.hint if file == drawn else ''}")
+            print_message(f"wrote {file}")
         report_faults(study, result, quiet)
 
     helps = _helps(study.measure.__doc__) | (_helps(study.printed.__doc__) if study.printed else {})
@@ -225,7 +224,7 @@ def _written(study: Study, result: Result, out: Path | None, force: bool, look: 
         path = out / result.file
         if not force and not is_study(path):
             require_new(path, force)
-        files.append(write_study(path, result.data, result.source()))
+        files.append(write_study(path, result.data))
     if out is not None and look:
         from topcli.figures.figure import write_figure
 

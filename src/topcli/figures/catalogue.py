@@ -7,13 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from topcli.analysis.swings import spacing_law
 from topcli.errors import SchemeCodeError, UnknownNameError, nearest, quoted
 from topcli.figures.figure import Figure, Loaded, Request, deferred
 from topcli.figures.picture import Grid, Line, Panel
 from topcli.figures.scene3d import Polhodes, Sphere
 from topcli.figures.scenes import BACK, BodyPanel, VectorPanel, scene_figure
-from topcli.figures.sweep import LAW, Choice, View, sweep_views
 from topcli.schemes.plugins import failed_plugin, known_failures, origin_of, plugin_failures, plugin_table
 
 Load = Callable[[Request], Loaded]
@@ -47,22 +45,6 @@ def _spheres() -> tuple[Sphere, Sphere]:
         Sphere("(b) generic", _components("kowalevski_generic_hk:gamma"), width=0.5, **alike),
     )
 
-
-_TO_100 = "$0 \\leq t \\leq 100$"
-_GENERIC = f"Kowalevski top, generic motion, {_TO_100}"
-_HEAVY = f"100 random heavy tops, $h = 0.01$, {_TO_100}: medians and quartiles"
-_SPACING = "first_swing_spacing"
-
-
-def _schemes(*names: str) -> tuple[str, ...]:
-    """Conditions of a view that shows the rows of these schemes."""
-    return tuple(f"scheme={name}" for name in names)
-
-
-_SWINGING = _schemes("hk", "bohlin-a", "hybrid", "hybrid-sym", "hk-projected", "dg4", "taylor")
-"""Schemes of the figure of swings: one of each kind."""
-_ERRING = ("hk", "bohlin-a", "hybrid", "hk-projected", "splitting", "backlund", "rk4", "taylor")
-"""Schemes that the figure of errors shows in colour: one of each kind."""
 
 FIGURES: dict[str, Figure] = {
     figure.name: figure
@@ -139,18 +121,6 @@ FIGURES: dict[str, Figure] = {
             "kowalevski_hk",
             deferred("motion:load_bifurcation"),
         ),
-        Figure(
-            "catalogue",
-            "Tops of the catalogue: a gentle and a hard motion of each top",
-            "volterra_gentle",
-            deferred("portraits:load_portraits"),
-        ),
-        Figure(
-            "torus",
-            "Kowalevski top: an invariant torus with lines of the flows of E and k²",
-            "kowalevski_torus",
-            deferred("torus:load_torus"),
-        ),
         scene_figure(
             "body",
             "Euler, Lagrange and Kowalevski tops: the bodies in space with the traces of their axes",
@@ -178,98 +148,13 @@ FIGURES: dict[str, Figure] = {
             Grid(figsize=(7.0, 3.7), heading="Euler top", ncols=4, first=(r"$\boldsymbol{\omega}$", BACK)),
         ),
         Figure(
-            "roundoff",
-            "Round-off in invariants: linear growth by a bias, a random walk, compensated sums, and no growth",
-            "lagrange_bs",
-            deferred("growth:load_growth"),
-            rank=1,
-        ),
-        Figure(
-            "compare",
-            "Kowalevski top: errors and swings (falls and rises) under five schemes",
-            "kowalevski_hk",
-            deferred("comparison:load_comparison"),
-            takes_overrides=True,
-        ),
-        Figure(
             "period",
             "Kowalevski top: why the period in Figure 2 differs from that in Figure 1",
             "kowalevski_hk",
             deferred("period:load_period"),
         ),
         Figure(
-            "order",
-            "Kowalevski top, generic motion: errors against h, observed orders and the plateau of round-off",
-            "topcli order",
-            deferred("errors:load_order"),
-        ),
-        sweep_views(
-            "swings",
-            "Kowalevski top: time between swings against h and the distance eps from the homoclinic orbit",
-            "kowalevski_swings",
-            (
-                View(
-                    "$h = 0.01$",
-                    Choice("initial.gamma3", _SPACING, "scheme"),
-                    (*_SWINGING, "h=0.01"),
-                    "distance $\\epsilon = \\gamma_3(0)$ from the homoclinic orbit",
-                    "time between swings",
-                    law=spacing_law,
-                    law_label=LAW,
-                ),
-                View(
-                    "$\\epsilon = 10^{-8}$",
-                    Choice("h", _SPACING, "scheme"),
-                    (*_SWINGING, "initial.gamma3=1e-8"),
-                    "step size $h$",
-                    "time between swings",
-                    xlog=True,
-                ),
-            ),
-            Grid(figsize=(7.0, 3.9), ncols=4, title="scheme", heading="Kowalevski top near the homoclinic orbit"),
-        ),
-        sweep_views(
-            "errors",
-            "Kowalevski top, generic motion: error and energy deviation of all schemes against h",
-            "kowalevski_errors",
-            (
-                View(
-                    "error and its order in $h$",
-                    Choice("h", "max_error", "scheme"),
-                    xlabel="step size $h$; finer →",
-                    ylabel="largest error",
-                    coloured=_ERRING,
-                ),
-                View(
-                    "energy and its order in $h$",
-                    Choice("h", "max_deviation.energy", "scheme"),
-                    xlabel="step size $h$; finer →",
-                    ylabel="largest deviation of the energy $E$",
-                    coloured=_ERRING,
-                ),
-            ),
-            Grid(figsize=(7.0, 4.8), ncols=4, heading=_GENERIC),
-        ),
-        sweep_views(
-            "heavy-drift",
-            "100 random heavy tops: deviation and drift of the energy under five schemes",
-            "heavy_drift",
-            (
-                View(
-                    "",
-                    Choice("scheme", "max_deviation.energy", aggregate="median"),
-                    ylabel="deviation of the energy $E$",
-                ),
-                View(
-                    "",
-                    Choice("scheme", "drift.energy", aggregate="median", magnitude=True),
-                    ylabel="|drift| of $E$ per unit of time",
-                ),
-            ),
-            Grid(figsize=(7.0, 3.4), heading=_HEAVY, ncols=3, title="sign of the drift between the quartiles, in (b)"),
-        ),
-        Figure(
-            "integrable",
+            "long-energy",
             "Kowalevski and Euler tops: long-time energy errors under integrable, canonical and other schemes",
             "euler_hk",
             deferred("growth:load_long_energy"),
@@ -277,21 +162,14 @@ FIGURES: dict[str, Figure] = {
         ),
         Figure(
             "chaos",
-            "Chaotic orbits under HK against the step size, the centre of gravity and the strength of a rotor",
+            "Chaotic orbits of the HK scheme of the Kowalevski top against the step size",
             "kowalevski_generic_hk",
             deferred("chaos:load_chaos"),
             rank=1,
         ),
         Figure(
-            "error-and-cost",
-            "Kowalevski top, generic motion: errors of an integrable map and other schemes against h and CPU time",
-            "kowalevski_generic_hk",
-            deferred("errors:load_error_and_cost"),
-            rank=1,
-        ),
-        Figure(
             "torus-points",
-            "Kowalevski top: a million points on a torus, under an integrable map at h = 1 and under HK",
+            "Kowalevski top: section of a torus with points of an integrable map at h = 1 and of HK",
             "kowalevski_generic_backlund",
             deferred("torus:load_torus_points"),
             rank=1,
@@ -302,18 +180,26 @@ FIGURES: dict[str, Figure] = {
             "topcli bench",
             deferred("comparison:load_work_precision"),
         ),
-        Figure(
-            "stress",
-            "Results of the schemes in the hard cases of each top: held, degraded or broke",
-            "topcli stress",
-            deferred("outcomes:load_stress"),
-            rank=1,
-        ),
     )
 }
 
 
 plugin_table(FIGURES)
+
+GONE = {
+    "catalogue": "topcli report for the run of a scene",
+    "compare": "topcli compare hk bohlin-a bohlin-b bohlin-c hybrid --plot",
+    "error-and-cost": "topcli order backlund backlund+suzuki4 --plot",
+    "errors": "topcli plot sweep kowalevski_errors --x h --y max_error --by scheme",
+    "heavy-drift": "topcli plot sweep heavy_drift --x scheme --y drift.energy --aggregate median",
+    "integrable": "topcli plot long-energy",
+    "order": "topcli order --plot",
+    "roundoff": "topcli roundoff SCHEME --plot",
+    "stress": "topcli stress --plot",
+    "swings": "topcli plot sweep kowalevski_swings --x h --y first_swing_spacing --by scheme",
+    "torus": "topcli plot torus-points",
+}
+"""What to use instead of figures of earlier versions."""
 
 
 def figure(name: str, *, title: str, scene: str = "") -> Callable[[Load], Load]:
@@ -365,4 +251,5 @@ def find_figure(name: str) -> Figure:
         return FIGURES[wanted]
     except KeyError:
         failures = map(str, known_failures()[:2])
-        raise UnknownNameError(f"unknown figure {quoted(name)}; {nearest(name, FIGURES)}", *failures) from None
+        hint = f"use {GONE[wanted]}" if wanted in GONE else nearest(name, FIGURES)
+        raise UnknownNameError(f"unknown figure {quoted(name)}; {hint}", *failures) from None

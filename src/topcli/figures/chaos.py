@@ -1,15 +1,13 @@
 """Figure ``chaos``: Lyapunov exponents of an orbit, and the share of chaotic orbits of several maps.
 
 The HK scheme of Kowalevski's top is not an integrable map: with the step size, chaotic orbits appear and spread. That
-of Lagrange's top is integrable, and so is ``backlund``. A symmetric heavy top is integrable if its centre of gravity
-lies on the axis of symmetry, and chaotic motions appear as it is moved away. A gyrostat is integrable with any rotor,
-but its HK scheme with one on a principal axis only.
+of Lagrange's top is integrable, and so is ``backlund``.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,12 +62,6 @@ MAPS = (
     ("hk", "lagrange", "HK, Lagrange"),
     ("backlund", "kowalevski", "Bäcklund, Kowalevski"),
 )
-ANGLES = tuple(np.linspace(0.0, 90.0, 10).tolist())
-"""Angles between the axis of symmetry and the direction to the centre of gravity, in degrees."""
-ANGLE_H = 0.05
-ROTORS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.2)
-"""Strengths of a second rotor of a gyrostat, beside one on the first axis."""
-ROTOR_H, ROTOR_ORBITS = 0.5, 4096
 
 
 def random_orbits(count: int, seed: int = 7) -> Array:
@@ -79,9 +71,9 @@ def random_orbits(count: int, seed: int = 7) -> Array:
     return y
 
 
-def growth_under(name: str, form: str, h: float, steps: int, y: Array, **parameters: float) -> Growth:
+def growth_under(name: str, form: str, h: float, steps: int, y: Array) -> Growth:
     """Growth of tangent vectors along the orbits of a scheme from the states ``y`` (m, d)."""
-    top, scheme = TOPS[form](**parameters), find_scheme(name, form)
+    top, scheme = TOPS[form].new(), find_scheme(name, form)
     return growth_of(top, scheme, scheme.build(top, scheme.options()), h, steps, y)
 
 
@@ -112,25 +104,17 @@ def _map_columns() -> Iterator[tuple[str, Array]]:
 def chaos_columns() -> Mapping[str, Array]:
     """Columns of the figure: those of the map, and shares of chaotic orbits with their errors."""
     columns, y = dict(_map_columns()), random_orbits(ORBITS)
-    columns["h"], columns["angle"], columns["rotor"] = map(np.array, (STEP_SIZES, ANGLES, ROTORS))
+    columns["h"] = np.array(STEP_SIZES)
     for name, form, label in MAPS:
         shares = [chaotic_share(growth_under(name, form, h, STEPS, y)) for h in STEP_SIZES]
         columns[f"share:{label}"], columns[f"error:{label}"] = map(np.array, zip(*shares, strict=True))
-    shares = []
-    for angle in np.radians(ANGLES).tolist():
-        tilted = {"A": 1.0, "B": 1.0, "C": 0.6, "x0": float(np.sin(angle)), "y0": 0.0, "z0": float(np.cos(angle))}
-        shares.append(chaotic_share(growth_under("hk", "heavy", ANGLE_H, STEPS, y, **tilted)))
-    columns["share:angle"], columns["error:angle"] = map(np.array, zip(*shares, strict=True))
-    y = random_orbits(ROTOR_ORBITS)[:, :3]
-    shares = [chaotic_share(growth_under("hk", "volterra", ROTOR_H, STEPS, y, b2=b)) for b in ROTORS]
-    columns["share:rotor"], columns["error:rotor"] = map(np.array, zip(*shares, strict=True))
     return columns
 
 
 def chaos_code() -> str:
     """Digest of everything that the columns depend on; equal digests mean equal columns."""
     codes = [fingerprint(chaos_columns, compiled=False)]
-    for name, form in (*(each[:2] for each in MAPS), ("hk", "heavy"), ("hk", "volterra")):
+    for name, form, _ in MAPS:
         top, scheme = TOPS[form].new(), find_scheme(name, form)
         method = scheme.build(top, scheme.options())
         codes += [method_fingerprint(method), fingerprint(getattr(method, "tangent", None), compiled=False)]
@@ -160,36 +144,23 @@ class ChaosMap:
 
 @dataclass(frozen=True)
 class SharePanel:
-    """Shares of chaotic orbits with error bars: columns ``share:LABEL`` over the column ``x``."""
+    """Shares of chaotic orbits of the maps over the step size, with error bars."""
 
-    x: str
-    labels: Sequence[str]
-    xlabel: str
     title: str
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the shares in percent."""
-        x = data[self.x]
-        x = x[np.isfinite(x)]
-        for i, label in enumerate(self.labels):
-            share, error = (100.0 * data[f"{kind}:{label}"][: len(x)] for kind in ("share", "error"))
-            scheme = next((name for name, _, own in MAPS if own == label), "hk")
+        h = data["h"][np.isfinite(data["h"])]
+        for i, (scheme, _, label) in enumerate(MAPS):
+            share, error = (100.0 * data[f"{kind}:{label}"][: len(h)] for kind in ("share", "error"))
             look = {"color": looks([scheme])[scheme]["color"], "linestyle": DASHES[i], "marker": MARKERS[i]}
-            size = 2.0 + len(self.labels) - i  # so that markers at one place are seen
-            axes.errorbar(x, share, error, label=label, markersize=size, capsize=2.0, **look)
-        caption(axes, self.xlabel, "chaotic orbits in %", self.title)
-        if len(self.labels) > 1:
-            axes.legend(loc="upper left", fontsize="small")
+            size = 2.0 + len(MAPS) - i  # so that markers at one place are seen
+            axes.errorbar(h, share, error, label=label, markersize=size, capsize=2.0, **look)
+        caption(axes, "step size $h$", "chaotic orbits in %", self.title)
+        axes.legend(loc="upper left", fontsize="small")
 
 
 def load_chaos(request: Request) -> Loaded:
     """Load the map and the shares of chaotic orbits."""
-    panels = (
-        ChaosMap("(a) HK, Kowalevski top; white: regular"),
-        SharePanel("h", [label for _, _, label in MAPS], "step size $h$", "(b) random orbits"),
-        SharePanel(
-            "angle", ["angle"], "centre of gravity off the axis, degrees", f"(c) heavy top, HK, $h = {ANGLE_H}$"
-        ),
-        SharePanel("rotor", ["rotor"], "second rotor $b_2$", f"(d) gyrostat, HK, $h = {ROTOR_H}$"),
-    )
-    return Loaded(panels, chaos_columns, {"study": chaos_code()}, Grid(2, figsize=(7.0, 5.2)))
+    panels = ChaosMap("(a) HK, Kowalevski top; white: regular"), SharePanel("(b) random orbits")
+    return Loaded(panels, chaos_columns, {"study": chaos_code()}, Grid(figsize=(7.0, 2.9)))

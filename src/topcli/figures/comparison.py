@@ -9,26 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from inspect import getsource
 from typing import Any
 
 import numpy as np
 
-from topcli.analysis.reference import distances, reference_states
 from topcli.analysis.swings import minima_times
 from topcli.config.load import load_experiment
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.curves import plain
-from topcli.figures.figure import Loaded, NothingMeasuredError, Request, code_of
-from topcli.figures.picture import Grid, Line, Panel, below_panels, caption, component_symbol, number_text, top_name
-from topcli.figures.scenes import scene_config
+from topcli.figures.figure import Loaded, NothingMeasuredError, Request
+from topcli.figures.picture import Grid, Line, Panel, below_panels, caption, component_symbol, number_text
 from topcli.figures.style import MARKERS, REFERENCE, Styles, looks
 from topcli.schemes.display import display_name
 from topcli.studies.bench.contest import SCENES
 from topcli.studies.bench.result import DECADES, SETUP, pareto_front, points_of, ranking, stored_benches
-from topcli.studies.compare_runs import compare_schemes
-from topcli.studies.entries import under_scheme
 from topcli.studies.study import Result
 
 SAME = 0.01
@@ -178,26 +173,6 @@ def comparison_curves(comparison: Result, what: str = "error") -> tuple[Panel, M
         lines = tuple(Line(f"swing:{label}", display_name(label)) for label in (REFERENCE, *labels))
         return Panel(lines, component_symbol(comparison.data["reference"]["swing"])), comparison.arrays
     raise UsageError(f"plot: what={what!r} must be 'error' or 'swing'")
-
-
-COMPARED = ("hk", "bohlin-a", "bohlin-b", "bohlin-c", "hybrid")
-
-
-def load_comparison(request: Request) -> Loaded:
-    """Load the paper's experiment under several schemes. Raises UsageError and RunError."""
-    config = scene_config("kowalevski_hk", request.configs)
-    experiment = load_experiment(config, request.overrides)
-    compared = [under_scheme(experiment, name) for name in COMPARED]
-    source = {"study": [code_of(compared, [reference_states, distances, _data]), getsource(compare_schemes)]}
-    labels = [each.scheme.name for each in compared]
-    changed = bool(request.overrides) and experiment.digest != load_experiment(config).digest
-    return Loaded(
-        _panels(labels, experiment.top.swing),
-        lambda: _data(compare_schemes(experiment, COMPARED)),
-        source,
-        _layout(labels, top_name(experiment.top), experiment.h),
-        variant=experiment.digest[:6] if changed else "",
-    )
 
 
 SERIES = "series"

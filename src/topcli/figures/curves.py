@@ -12,18 +12,14 @@ import numpy as np
 from topcli.analysis.order import convergence
 from topcli.contracts import Array
 from topcli.figures.picture import caption, label_ends
-from topcli.figures.style import REFERENCE, Styles, looks
+from topcli.figures.style import Styles, looks
 from topcli.schemes.display import display_name
 
 LINEAR, LOG, SYMLOG = "linear", "log", "symlog"
 NOTHING = "no value"
 PLATEAU = "round-off"
-OTHER: dict[str, Any] = {"color": "0.62", "linewidth": 0.8, "markersize": 2.2, "zorder": 1.8}
-"""Look of curves that are not coloured."""
 CATEGORY = "0.2"
 """Colour of the only curve over names."""
-SIGNS = {1.0: ("^", "positive"), -1.0: ("v", "negative"), 0.0: ("o", "both signs")}
-"""Markers and names of signs."""
 
 
 def curve_column(label: str, kind: str) -> str:
@@ -49,17 +45,14 @@ def symlog_ticks(threshold: float, low: float, high: float) -> list[float]:
 class CurvePanel:
     """Curves with markers, each over its own x.
 
-    The columns of a curve are its label with ``:x`` and ``:y``, and for a ``band`` with ``:low`` and ``:high``. With
-    ``signs`` the column ``:sign`` chooses markers: up for 1, down for -1, a circle for values of both signs. If both
+    The columns of a curve are its label with ``:x`` and ``:y``, and for a ``band`` with ``:low`` and ``:high``. If both
     axes are logarithmic, the legend has the slope at the smallest x above the plateau of round-off; markers on the
     plateau are open, and a dotted line is at its level. A cross at the lower edge marks a point without a value. The
     vertical scale ``symlog`` is linear up to ``threshold`` on both sides of zero and logarithmic beyond. On the scale
     ``log`` a value above ``ceiling``, as of a run that explodes, is an arrowhead at the upper edge.
-    ``categories`` are the names of the values 0, 1, ... of x if they are not numbers. ``guide`` is the label of one
-    more curve, a law, drawn broad and grey behind the others. ``prefix`` distinguishes the columns of several panels. A
-    panel that is not ``alone`` leaves its legend to the layout. Curves in ``flat`` have no slope:
-    their x is not what limits the error. With ``coloured`` the names are at the ends of the curves, a logarithmic x
-    falls to the right, and curves that are not among these are grey.
+    ``categories`` are the names of the values 0, 1, ... of x if they are not numbers. Curves in ``flat`` have no slope:
+    their x is not what limits the error. With ``at_ends`` the names are at the ends of the curves, and a logarithmic x
+    falls to the right.
     """
 
     labels: tuple[str, ...]
@@ -70,15 +63,11 @@ class CurvePanel:
     threshold: float = 0.0
     ceiling: float = np.inf
     band: bool = False
-    signs: bool = False
     categories: tuple[str, ...] = ()
     title: str = ""
     legend: str = ""
-    guide: str = ""
-    prefix: str = ""
-    alone: bool = True
     flat: tuple[str, ...] = ()
-    coloured: tuple[str, ...] = ()
+    at_ends: bool = False
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the curves and, if there is more than one, a legend to their right into ``axes``."""
@@ -87,34 +76,23 @@ class CurvePanel:
         extra: dict[str, Any] = {}
         for i, (label, style) in enumerate(looks(self.labels, markers=True).items()):
             size = 4.6 - 1.8 * i / max(1, len(self.labels) - 1)  # so that markers at one place are seen
-            style |= {"markersize": size}
-            if self.coloured and label not in self.coloured:
-                style |= OTHER
-            self._curve(axes, data, label, style, extra)
-        if self.guide:
-            law = [data[self.column(self.guide, kind)] for kind in ("x", "y")]
-            axes.plot(*law, **styles[REFERENCE], label=self.guide)
+            self._curve(axes, data, label, {**style, "markersize": size}, extra)
         if self.yscale == SYMLOG:
             axes.set_yticks(symlog_ticks(self.threshold, *axes.get_ylim()))
-        explained = f" ({self.legend})" if self.coloured and self.alone and self.legend else ""
+        explained = f" ({self.legend})" if self.at_ends and self.legend else ""
         caption(axes, self.xlabel, self.ylabel, self.title + explained)
         if self.categories:
             axes.set_xlim(-0.5, len(self.categories) - 0.5)
             axes.set_xticks(
                 range(len(self.categories)), self.categories, rotation=0 if len(self.categories) < 6 else 90
             )
-        if self.coloured:
+        if self.at_ends:
             self._name_ends(axes)
-        if not self.alone:
-            for name, handle in extra.items():
-                handle.set_label(name)
-                axes.add_line(handle)  # where the layout finds it
-            return
         handles, texts = axes.get_legend_handles_labels()
         handles, texts = [*handles, *extra.values()], [*texts, *extra]
         if not texts or texts == [plain(display_name(self.labels[0]))]:
             return  # the vertical axis says what it is
-        if self.coloured:
+        if self.at_ends:
             place: dict[str, Any] = {"loc": "outside lower center", "ncols": 4}
             axes.figure.legend(handles, texts, fontsize="small", **place)
             return
@@ -140,17 +118,13 @@ class CurvePanel:
             line.set_label(f"_{line.get_label()}")
         label_ends(axes, ends)
 
-    def column(self, label: str, kind: str) -> str:
-        """Name of a column of a curve of this panel."""
-        return self.prefix + curve_column(label, kind)
-
     def _curve(
         self, axes: Any, data: Mapping[str, np.ndarray], label: str, style: dict[str, Any], extra: dict[str, Any]
     ) -> None:
         """Draw one curve in colour and marker of ``style``; new entries of the legend are put into ``extra``."""
         from matplotlib.lines import Line2D
 
-        x, y = data[self.column(label, "x")], data[self.column(label, "y")]
+        x, y = data[curve_column(label, "x")], data[curve_column(label, "y")]
         missing = np.isfinite(x) & np.isnan(y)
         ylog = self.yscale == LOG
         drawn = np.isfinite(x) & np.isfinite(y) & (((y > 0.0) & (y <= self.ceiling)) | (not ylog))
@@ -164,17 +138,9 @@ class CurvePanel:
         if self.categories and len(self.labels) == 1:  # the vertical axis says what it is
             colour, text = CATEGORY, None
             line |= {"color": colour, "markersize": 5.0}
-        if self.signs:
-            sign = data[self.column(label, "sign")]
-            for value, (marker, name) in SIGNS.items():
-                at = drawn & (np.round(sign) == value)
-                if at.any():
-                    axes.plot(x[at], y[at], **(style | line | {"marker": marker}))
-                    extra[name] = Line2D([], [], linestyle="none", marker=marker, color="0.4", markersize=5.0)
-        else:
-            axes.plot(x[drawn], y[drawn], label=text, gid=shown if text else None, **(style | line))
+        axes.plot(x[drawn], y[drawn], label=text, gid=shown if text else None, **(style | line))
         if self.band:
-            low, high = (data[self.column(label, kind)][drawn] for kind in ("low", "high"))
+            low, high = (data[curve_column(label, kind)][drawn] for kind in ("low", "high"))
             if ylog:
                 low, high = np.maximum(low, np.finfo(float).tiny), np.minimum(high, self.ceiling)
             if self.categories:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import multiprocessing as mp
 import os
@@ -24,7 +25,7 @@ from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS, Drawable, Gri
 from topcli.figures.style import STYLE
 from topcli.runs.identity import method_fingerprint
 from topcli.schemes.registry import load_plugin_file, loaded_plugin_files
-from topcli.store.files import io_failure, require_new, require_writable, stored_study, write_study, write_whole
+from topcli.store.files import io_failure, require_new, require_writable, write_whole
 from topcli.store.series import read_metadata, write_parquet
 from topcli.studies import imported
 
@@ -36,7 +37,7 @@ STOP_SECONDS = 10.0
 """Time that an interrupted process has to leave its run in order."""
 PROGRESS_SECONDS = 0.2
 """Shortest time between two reports of progress from a process."""
-_MODULES = ("catalogue", "comparison", "errors", "growth", "motion", "outcomes", "period", "torus")
+_MODULES = ("catalogue", "comparison", "growth", "motion", "period", "torus")
 PRELOADED = ("topcli.runs.run", *(f"topcli.figures.{name}" for name in _MODULES))
 """Modules that all processes share."""
 
@@ -56,8 +57,7 @@ def ignored(*news: object) -> None:
 class Request:
     """Request for a figure: folders of results and configs, and options.
 
-    With ``force``, existing results are computed again. With ``stored_only``, a figure that needs minutes of computing
-    is loaded from existing results; if there are none, it raises NothingMeasuredError. ``overrides`` are texts
+    With ``force``, existing results are computed again. ``overrides`` are texts
     ``key=value`` for the configs of the drawn runs. With ``overlay``, the exact motion is drawn behind these runs. The
     parameters of matplotlib in ``style`` replace those of the print style.
     """
@@ -65,7 +65,6 @@ class Request:
     results: Path = Path("results")
     configs: Path = Path("configs")
     force: bool = False
-    stored_only: bool = False
     on_progress: Callable[[int, int], None] = ignored
     on_message: Callable[[str], None] = ignored
     overrides: tuple[str, ...] = ()
@@ -90,29 +89,9 @@ class Loaded:
     variant: str = ""
 
 
-def current_study(
-    request: Request,
-    file: Path,
-    version: int,
-    command: str,
-    source: str,
-    measured: Callable[..., dict[str, Any]],
-    slow: str = "",
-) -> dict[str, Any]:
-    """Study stored in ``file`` of the results, measured and stored if it is missing, out of date or forced.
-
-    ``version`` is that of its schema, ``command`` makes it, and ``source`` is the digest of what it depends on. One
-    that takes minutes is named as ``slow``. Raises NothingMeasuredError if it is missing and only stored ones count.
-    """
-    stored, only_stored = stored_study(request.results / file, version, command), slow and request.stored_only
-    if stored is not None and stored.get("source") == source and (only_stored or not request.force):
-        return stored
-    if only_stored:
-        missing = f"no {slow} study" if stored is None else f"only a {slow} study made by other code"
-        raise NothingMeasuredError(f"{missing} in {request.results}; topcli plot {slow} makes one in a few minutes")
-    study = measured(request.on_progress)
-    write_study(request.results / file, study, source)
-    return study
+def study_digest(study: Mapping[str, Any]) -> str:
+    """Digest of the plain data of a study."""
+    return hashlib.sha256(json.dumps(study).encode()).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -1,36 +1,28 @@
 """Figures of growth over many steps: round-off in ``topcli roundoff``, and errors of the energy.
 
-The BS scheme of Lagrange's top turns the axis by Cayley's rotation. Written as a product of matrix and vector, it is
-biased; as axis + change, its errors are a random walk; with compensated sums, a smaller one. The hybrid recomputes xi
-from the state in every step; hybrid-xi carries it as a unit number that turns, and its errors do not add up.
-
-The figure ``integrable`` has the energy of several schemes over a long time, with the same step for all schemes of a
-scene. An integrable or canonical map keeps the energy, or a function near it, over very long times; what remains is an
-oscillation that does not grow. A scheme that conserves the energy exactly shows the growth of round-off instead.
+The figure ``long-energy`` has the energy of several schemes over a long time, with the same step for all. An integrable
+or canonical map keeps the energy, or a function near it, over very long times; what remains is an oscillation that does
+not grow. A scheme that conserves the energy exactly shows the growth of round-off instead.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.leaving import energy_of
-from topcli.analysis.roundoff import doubling_lags, structure
-from topcli.arithmetic.vectors import cayley_increment, cayley_matrix_product
 from topcli.config.load import load_experiment
-from topcli.contracts import Array, Floats, Stepper
+from topcli.contracts import Array
 from topcli.engine.run import Run
 from topcli.figures.figure import Loaded, Request, code_of
 from topcli.figures.picture import Grid, Line, Panel, caption, label_ends
 from topcli.figures.style import MARKERS, Styles
 from topcli.schemes.display import display_name
-from topcli.schemes.layout import stepper
 from topcli.studies.entries import under_scheme
-from topcli.studies.roundoff_copies import copies_followed, sampling_of
 from topcli.studies.study import Result
 
 if TYPE_CHECKING:
@@ -54,14 +46,13 @@ class GrowthPanel:
     """
 
     lines: tuple[tuple[str, str], ...]
-    title: str = ""
-    steps: str = "steps"
+    title: str
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw curves, guide lines and labels into ``axes``."""
         from matplotlib.ticker import NullFormatter
 
-        n = data[self.steps]
+        n = data["steps"]
         alone = len({column.partition(":")[0] for column, _ in self.lines}) == 1
         colours: dict[str, str] = {}
         ends = []
@@ -116,88 +107,12 @@ def loaded_roundoff(result: Result) -> Loaded:
     return Loaded((panel,) if completed else (), lambda: data, source, Grid(figsize=(5.4, 3.2)))
 
 
-STEPS = 1 << 19
-COPIES = 4
-H = 0.01
-
-
-def turned_step(s: Floats, h: float, p: Floats) -> Floats:
-    """BS step with the axis turned by the matrix of Cayley's rotation: the biased form."""
-    m1, m2, m3, a1, a2, a3 = s
-    d = -0.5 * h
-    n1, n2 = m1 - h * a2, m2 + h * a1
-    b1, b2, b3 = cayley_matrix_product(d * n1, d * n2, d * m3, a1, a2, a3)
-    return (n1, n2, m3, b1, b2, b3)
-
-
-def bs_change(s: Floats, h: float, p: Floats) -> Floats:
-    """Change in a BS step."""
-    m1, m2, m3, a1, a2, a3 = s
-    d = -0.5 * h
-    x1, x2 = -(h * a2), h * a1
-    y1, y2, y3 = cayley_increment(d * (m1 + x1), d * (m2 + x2), d * m3, a1, a2, a3)
-    return (x1, x2, 0.0, y1, y2, y3)
-
-
-def _under(experiment: Experiment, method: Stepper) -> Experiment:
-    """Experiment under a step that is not registered as a scheme."""
-    return experiment.model_copy(update={"scheme": replace(experiment.scheme, build=lambda top, options: method)})
-
-
-def _variants() -> dict[str, tuple[Experiment, str]]:
-    """Experiment and invariant of each curve, by the name of its column."""
-    lagrange = load_experiment("lagrange_bs", [f"h={H}"])
-    compensated = stepper(bs_change, 6, lost=range(6), checked=6)
-    found = {
-        "a_sq:matrix": (_under(lagrange, Stepper(turned_step, 6)), "a_sq"),
-        "a_sq:plain": (lagrange, "a_sq"),
-        "a_sq:compensated": (_under(lagrange, compensated), "a_sq"),
-    }
-    for name in ("hybrid", "hybrid-xi"):
-        found[f"k_sq:{name}"] = (load_experiment("kowalevski_generic_hk", [f"h={H}", f"scheme={name}"]), "k_sq")
-    return found
-
-
-def growth_columns() -> Mapping[str, Array]:
-    """Columns of the figure: ``steps``, and for each curve the root mean square of the drift over that many steps."""
-    sampling = sampling_of(STEPS, H, exact=True)
-    lags = doubling_lags(sampling.blocks)
-    columns: dict[str, Array] = {"steps": lags * float(sampling.block_steps)}
-    for name, (experiment, invariant) in _variants().items():
-        watched = [one for one in experiment.top.invariants() if one.name == invariant]
-        columns[name] = structure(copies_followed(experiment, watched, sampling, COPIES).means[0], lags)
-    return columns
-
-
-def growth_code() -> str:
-    """Digest of everything that the columns depend on; equal digests mean equal columns."""
-    experiments = [experiment for experiment, _ in _variants().values()]
-    return code_of(experiments, [sampling_of, copies_followed, doubling_lags, structure], STEPS, COPIES)
-
-
-GROWTH = (
-    GrowthPanel(
-        (("a_sq:matrix", "matrix × axis"), ("a_sq:plain", "axis + change"), ("a_sq:compensated", "compensated")),
-        r"(a) $\boldsymbol{a}^2$, Lagrange top, BS",
-    ),
-    GrowthPanel(
-        (("k_sq:hybrid", r"$\xi$ recomputed"), ("k_sq:hybrid-xi", r"$\xi$ carried")),
-        "(b) $k^2$, Kowalevski top, hybrid",
-    ),
-)
-
-
-def load_growth(request: Request) -> Loaded:
-    """Load the growth of round-off under several ways to write a step."""
-    return Loaded(GROWTH, growth_columns, {"study": growth_code()}, Grid(figsize=(7.0, 3.0)))
-
-
 ENERGY_STEPS = 1 << 20
 ENERGY_H = 0.05
 PARTS = 6
 """Points of a curve in each octave of steps."""
 SCHEMES = {
-    "kowalevski_generic_hk": ("splitting", "dmv", "hk", "midpoint4", "rk4"),
+    "kowalevski_generic_hk": ("splitting", "dmv", "hk", "midpoint", "rk4"),
     "euler_hk": ("splitting", "dmv", "hk", "midpoint", "rk4"),
 }
 """Schemes of each scene; the last one is the control, whose energy drifts."""

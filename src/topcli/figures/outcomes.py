@@ -6,7 +6,7 @@ The shades of the stress study differ in grey too. The claims have a bar for eac
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +14,13 @@ import numpy as np
 
 from topcli.engine.fingerprint import fingerprint
 from topcli.errors import counted
-from topcli.figures.figure import Loaded, Request, current_study
+from topcli.figures.figure import Loaded, study_digest
 from topcli.figures.picture import Grid, below_panels
 from topcli.figures.style import Styles
 from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, category_of
 from topcli.paper.ledger import ledger
 from topcli.schemes.display import display_name
-from topcli.studies.stress import trials
-from topcli.studies.stress.study import FILE, UNEXPLAINED, known_top
+from topcli.studies.stress.study import UNEXPLAINED, known_top
 from topcli.studies.study import Result
 from topcli.tops import TOPS
 
@@ -155,20 +154,15 @@ class StressGrid(Grid):
         below_panels(figure, handles, [*meanings, "not tried"], 4, fontsize=7.5, handlelength=1.0)
 
 
-def _measured(on_progress: Callable[[int, int], None]) -> dict[str, Any]:
-    return trials.stress_data(trials.stress(on_progress=on_progress))
-
-
-def load_stress(request: Request) -> Loaded:
-    """Load the whole stress study, stored or run. Raises UsageError and RunError."""
-    source = trials.stress_source()
-    study = current_study(request, FILE, trials.SCHEMA_VERSION, "topcli stress", source, _measured, "stress")
+def loaded_stress(result: Result) -> Loaded:
+    """The figure of a study of hard cases, with a panel for each top."""
+    study = result.data
     data, names = figure_data(study)
     panels = [_panel(study["trials"], top, names) for column in _in_columns(names["top"]) for top in column]
     by_top = {panel.top: panel for panel in panels}
     heights = [sum(len(by_top[top].rows) + HEAD for top in column) for column in _in_columns(names["top"])]
     layout = StressGrid(figsize=(7.0, 0.4 + CELL * max(heights)))
-    made_from = {"study": source, "code": fingerprint(figure_data, compiled=False)}
+    made_from = {"study": study_digest(study), "code": fingerprint(figure_data, compiled=False)}
     return Loaded(panels, lambda: data, made_from, layout, {"topcli.names": json.dumps(names)})
 
 

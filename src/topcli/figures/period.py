@@ -21,7 +21,6 @@ from topcli.engine.run import Run
 from topcli.figures.figure import Loaded, Request, code_of
 from topcli.figures.picture import Grid, caption, halo
 from topcli.figures.style import Styles, looks
-from topcli.figures.sweep import LAW
 from topcli.schemes.display import display_name
 from topcli.studies.entries import under_scheme
 
@@ -35,6 +34,8 @@ TIME = 50.0
 SAMPLING = 0.01
 """Longest time between two recorded states."""
 PAPER_STEP = 1e-3
+LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
+"""Time between the swings at the distance eps from the homoclinic orbit."""
 
 
 @dataclass(frozen=True)

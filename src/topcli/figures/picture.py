@@ -246,8 +246,8 @@ def legend_entries(figure: Any) -> dict[str, Any]:
 class Grid:
     """Layout of panels in ``rows`` of equal axes; ``figsize`` is in inches, ``heading`` a line above all panels.
 
-    With ``ncols`` one legend in so many columns is below all panels, under the ``title``: each label once, those in
-    ``first`` first. Lines in the legend have the length ``handlelength`` in letters.
+    With ``ncols`` one legend in so many columns is below all panels: each label once, those in ``first`` first. Lines
+    in the legend have the length ``handlelength`` in letters.
     """
 
     rows: int = 1
@@ -255,7 +255,6 @@ class Grid:
     heading: str = ""
     ncols: int = 0
     first: tuple[str, ...] = ()
-    title: str = ""
     fontsize: float | str = "small"
     handlelength: float | None = None
 
@@ -277,7 +276,6 @@ class Grid:
             [entries[name] for name in ordered],
             list(ordered),
             self.ncols,
-            title=self.title or None,
             fontsize=self.fontsize,
             handlelength=self.handlelength,
         )

@@ -1,21 +1,16 @@
-"""Figures of sweeps: a measure as curves over one key, or as colours over two keys.
-
-A figure of the catalogue shows several views of a packaged sweep, and runs the rows that these show.
-"""
+"""Figures of sweeps: a measure as curves over one key, or as colours over two keys."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from math import isclose
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from topcli.contracts import Array
 from topcli.engine.fingerprint import fingerprint
-from topcli.errors import RunError, UsageError
+from topcli.errors import UsageError
 from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, HeatPanel, KeyAxis, curve_column, plain
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid
@@ -23,16 +18,10 @@ from topcli.glossary import in_words
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.store.files import sha256_of
-from topcli.sweeps.rows import SweepRows, key_labels, read_rows
+from topcli.sweeps.rows import SweepRows, key_labels
 from topcli.sweeps.table import SPREADS, aggregated, require_aggregate, require_groups
 from topcli.sweeps.table_text import left_out
 
-if TYPE_CHECKING:
-    from topcli.config.rows import Row
-    from topcli.sweeps.row_results import Results, Work
-
-LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$"
-"""Time between the swings of the Kowalevski top at the distance eps from a homoclinic orbit."""
 KEYS = {"h": "step size h", "N": "number of steps N", "T": "time T"}
 """Keys of a config in words."""
 TIMES = ("seconds", "nanoseconds_per_step")
@@ -53,17 +42,13 @@ DEEPEST = 1e-10
 
 @dataclass(frozen=True)
 class Choice:
-    """Content of the figure: the measure ``y`` over ``x`` for each value of ``by``; or ``colour`` over x and y.
-
-    With ``magnitude`` its absolute value is drawn, and the markers show the sign (``CurvePanel.signs``).
-    """
+    """Content of the figure: the measure ``y`` over ``x`` for each value of ``by``; or ``colour`` over x and y."""
 
     x: str
     y: str
     by: str | None = None
     colour: str | None = None
     aggregate: str | None = None
-    magnitude: bool = False
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -175,13 +160,7 @@ def _adaptive() -> tuple[str, ...]:
 def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.ndarray]]:
     """Panel and columns of the curves. Raises UsageError for several rows at a point without an aggregate."""
     axis, place = _axis(rows, choice.x)
-    signed = _points(rows, choice)
-    if choice.magnitude:
-        sizes = {choice.y: np.abs(rows.columns[choice.y].astype(float))}
-        points = _points(replace(rows, columns={**rows.columns, **sizes}), choice)
-    else:
-        points = signed
-    points = {keys: point for keys, point in points.items() if not np.isnan(place[keys[0]])}
+    points = {keys: point for keys, point in _points(rows, choice).items() if not np.isnan(place[keys[0]])}
     labels, legend = _labels(rows, choice)
     data = {}
     band = bool(choice.aggregate and SPREADS[choice.aggregate])
@@ -192,9 +171,6 @@ def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.nd
         data[curve_column(label, "x")] = np.array([place[keys[0]] + beside for keys in mine])
         for part, kind in enumerate(("y", "low", "high") if band else ("y",)):
             data[curve_column(label, kind)] = np.array([points[keys][part] for keys in mine])
-        if choice.magnitude:
-            both = [np.sign(signed[keys][1:] if band else signed[keys][:1]) for keys in mine]
-            data[curve_column(label, "sign")] = np.array([0.5 * (signs.min() + signs.max()) for signs in both])
     every = np.array([point[0] for point in points.values()])
     scale, threshold = scale_of(every)
     slopes = axis.log and scale == LOG and choice.y not in TIMES
@@ -208,12 +184,11 @@ def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.nd
         threshold,
         CEILING,
         band=band,
-        signs=choice.magnitude,
         categories=axis.categories,
         title=_title(rows),
         legend=": ".join([one for one in (legend, "slope" * slopes) if one]),
         flat=flat if slopes else tuple(labels.values()),
-        coloured=tuple(labels.values()) if len(labels) > MOST_KEYS and not axis.categories else (),
+        at_ends=len(labels) > MOST_KEYS and not axis.categories,
     )
     return panel, data
 
@@ -274,115 +249,5 @@ def _load_rows(rows: SweepRows, choice: Choice, request: Request) -> Loaded:
     source = {"rows": sha256_of(rows.path), "choice": repr(choice), "code": fingerprint(prepare, compiled=False)}
     for line in sweep_notes(rows, choice):
         request.on_message(line)
-    curves_named = len(panel.coloured) if isinstance(panel, CurvePanel) else 0
+    curves_named = len(panel.labels) if isinstance(panel, CurvePanel) and panel.at_ends else 0
     return Loaded((panel,), lambda: data, source, Grid(figsize=(6.4, min(9.4, max(3.8, ROOM * curves_named)))))
-
-
-@dataclass(frozen=True)
-class View:
-    """A panel of curves: a ``choice`` from the rows that satisfy ``where``, under a ``title``.
-
-    ``xlabel`` and ``ylabel`` replace the names of the key and the measure, ``xlog`` makes the horizontal axis
-    logarithmic. ``law`` maps x (m,) to the values of a dashed line labelled ``law_label``. With ``coloured`` names are
-    at the ends of the curves, and others than these are grey.
-    """
-
-    title: str
-    choice: Choice
-    where: tuple[str, ...] = ()
-    xlabel: str = ""
-    ylabel: str = ""
-    xlog: bool = False
-    law: Callable[[Array], Array] | None = None
-    law_label: str = ""
-    coloured: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """Back end of a sweep that evaluates the rows that a view shows; others stay unfinished.
-
-    ``keys`` are those of the sweep, ``views`` the conditions of each view.
-    """
-
-    keys: tuple[str, ...]
-    views: tuple[tuple[str, ...], ...]
-    on_progress: Callable[[int, int], None]
-
-    def __call__(
-        self, made: Iterable[list[Row]], work: Work, stop: Callable[[], bool]
-    ) -> Iterator[tuple[list[Row], Results]]:
-        """Yield batches with their results."""
-        from topcli.sweeps.run import default_threads, in_threads
-
-        wanted = [shown for batch in made if (shown := [row for row in batch if self._is_shown(row)])]
-        done, total = 0, sum(map(len, wanted))
-        for batch, results in in_threads(default_threads())(wanted, work, stop):
-            yield batch, results
-            done += sum(results.done)
-            self.on_progress(done, total)
-
-    def _is_shown(self, row: Row) -> bool:
-        values = dict(zip(self.keys, row.keys, strict=True))
-        return any(satisfies(values, conditions) for conditions in self.views)
-
-
-def satisfies(values: Mapping[str, Any], conditions: Sequence[str]) -> bool:
-    """True if the values of a row's keys satisfy the ``conditions``, as ``SweepRows.where`` reads them."""
-    wanted: dict[str, list[str]] = {}
-    for name, _, value in (condition.partition("=") for condition in conditions):
-        wanted.setdefault(name, []).append(value)
-    return all(
-        any(
-            text == values[name] if isinstance(values[name], str) else isclose(float(text), values[name])
-            for text in texts
-        )
-        for name, texts in wanted.items()
-    )
-
-
-def sweep_views(name: str, title: str, scene: str, views: tuple[View, ...], layout: Grid) -> Figure:
-    """Views of the packaged sweep ``scene``, of which missing rows that they show are run; finished ones never again.
-
-    ``topcli sweep`` runs the others.
-    """
-    return Figure(name, title, scene, partial(_load_views, name, scene, views, layout), needs=(scene,), rank=1)
-
-
-def _load_views(name: str, scene: str, views: tuple[View, ...], layout: Grid, request: Request) -> Loaded:
-    """Load panels and data. Raises UsageError and RunError."""
-    from topcli.config.sweep import load_sweep
-    from topcli.sweeps.run import SweepOptions, run_sweep
-
-    sweep = load_sweep(scene)
-    shown = _Shown(sweep.keys, tuple(view.where for view in views), request.on_progress)
-    result = run_sweep(sweep, request.results, SweepOptions(on_message=request.on_message), shown)
-    rows = read_rows(result.folder)
-    if not result.outcomes.get("completed"):
-        raise RunError(f"{name}: no run of the sweep {result.folder} was completed")
-    panels: list[CurvePanel] = []
-    data: dict[str, np.ndarray] = {}
-    for letter, view in zip("abcdefgh", views, strict=False):
-        panel, columns = _drawn(view, *curves(rows.where(view.where), view.choice))
-        panels.append(replace(panel, prefix=f"{letter}:", title=f"({letter}) {view.title}".rstrip(), alone=False))
-        data |= {f"{letter}:{column}": values for column, values in columns.items()}
-    source = {"rows": sha256_of(rows.path), "code": fingerprint(curves, _drawn, compiled=False)}
-    return Loaded(tuple(panels), lambda: data, source, layout)
-
-
-def _drawn(
-    view: View, panel: CurvePanel, columns: Mapping[str, np.ndarray]
-) -> tuple[CurvePanel, Mapping[str, np.ndarray]]:
-    """Panel and columns of a view, with its labels and its law."""
-    panel = replace(
-        panel,
-        xlabel=view.xlabel or panel.xlabel,
-        ylabel=view.ylabel or panel.ylabel,
-        xlog=view.xlog or panel.xlog,
-        coloured=view.coloured,
-    )
-    if view.law is None:
-        return panel, columns
-    x = np.unique(np.concatenate([columns[curve_column(label, "x")] for label in panel.labels]))
-    law = {curve_column(view.law_label, "x"): x, curve_column(view.law_label, "y"): view.law(x)}
-    return replace(panel, guide=view.law_label), {**columns, **law}

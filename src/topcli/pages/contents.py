@@ -216,7 +216,7 @@ def provenance_block(manifest: Mapping[str, Any]) -> Facts:
         "code of the scheme": manifest.get("scheme_origin"),
         "code of the top": manifest.get("top_origin"),
         "digest of the experiment": manifest.get("digest"),
-        "digest of the code": manifest.get("code", manifest.get("source")),
+        "digest of the code": manifest.get("code"),
     }
     return Facts("Provenance", [(name, value_text(value)) for name, value in facts.items() if value is not None])
 

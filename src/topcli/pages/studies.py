@@ -66,7 +66,7 @@ def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
 
     chapter.attempt("outcome", head)
     tables: list[Table] = []
-    if name and study.figure:
+    if name and study.captions:
         chapter.attempt("pictures", lambda: _pictures(study, result, name))
     chapter.attempt("tables", lambda: tables.extend(study.tables_of(data)))
     for table in tables:

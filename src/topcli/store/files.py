@@ -151,14 +151,14 @@ def require_new(paths: Iterable[Path], option: str = "--out") -> None:
             )
 
 
-def write_study(path: Path, data: Mapping[str, Any], source: str | None) -> Path:
-    """Write a study to ``path`` atomically, with the time, the commit and the ``source`` that it depends on.
+def write_study(path: Path, data: Mapping[str, Any]) -> Path:
+    """Write a study to ``path`` atomically, with the time and the commit.
 
     Returns the path. Raises UsageError and RunError.
     """
     require_writable(path.parent)
     with Commit() as commit:
-        complete = {**data, "source": source, "written": now(), **commit.read()}
+        complete = {**data, "written": now(), **commit.read()}
     text = json_text(sealed(json.loads(json.dumps(complete, allow_nan=False))))
     try:
         write_text(path, text)
@@ -185,17 +185,3 @@ def is_study(path: Path) -> bool:
         return SEAL in json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, TypeError):
         return False
-
-
-def stored_study(path: Path, version: int, command: str) -> dict[str, Any] | None:
-    """Return the study at ``path``; None if there is none or it has another schema ``version``.
-
-    Raises RunError if it is damaged; the message names the ``command`` that makes it.
-    """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        return data if data["schema_version"] == version else None
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{path}: cannot be read ({error}); run {command} again") from None

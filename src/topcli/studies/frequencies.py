@@ -107,7 +107,6 @@ def measure(
             "outcome": orbit.outcome.value,
             "message": orbit.ending.message,
         },
-        source=lambda: experiment.digest,
     )
 
 

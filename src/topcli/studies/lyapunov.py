@@ -84,7 +84,6 @@ def measure(
     return Result(
         {"config": experiment.resolved(), **finite(_figures(growth, skip or 0))},
         {"t": growth.t, **{f"exponent_{i + 1}": logs / growth.t for i, logs in enumerate(growth.logs.T)}},
-        source=lambda: experiment.digest,
     )
 
 

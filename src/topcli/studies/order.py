@@ -127,7 +127,7 @@ def measure(
     >>> report.errors.shape
     (3, 2)
     """
-    from topcli.studies.order_ladders import ladders, order_source, order_study
+    from topcli.studies.order_ladders import ladders, order_study
 
     overrides, sizes, duration = _settings(overrides, sizes, duration, config)
     plan = ladders(schemes, top=top, config=config, sets=overrides, sizes=sizes, duration=duration, steps=steps)
@@ -139,7 +139,7 @@ def measure(
         if abs(taken - size) > 1e-9 * size:
             multiple = f"so that the time between comparisons, {interval:g}, is a multiple of h"
             watch.message(f"h = {size:g} becomes {taken:.6g}, {multiple}")
-    return Result(order_study(plan, watch), source=lambda: order_source(plan), file=file)
+    return Result(order_study(plan, watch), file=file)
 
 
 def _best(key: str) -> Callable[[Data], float | None]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,11 +14,8 @@ from topcli.analysis.conformance import completed, deviation
 from topcli.analysis.order import convergence, is_consistent, judge_order
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
-from topcli.config.models import Experiment
 from topcli.contracts import Scheme
-from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.runs.identity import scheme_code
 from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
 from topcli.store.provenance import environment
@@ -32,7 +27,7 @@ from topcli.studies.study import LADDER_STEPS
 from topcli.tops import CATALOGUE, gentle_scene
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
-"""Schemes of the study that ``topcli plot order`` draws, on the generic motion of Kowalevski's top."""
+"""Schemes of the default study, on the generic motion of Kowalevski's top."""
 DURATION = 10.0
 """Length of a run in time, unless a config gives it."""
 INTERVALS = 20
@@ -244,14 +239,3 @@ def order_study(what: Ladders, on_progress: Callable[[int, int], None] = lambda 
             "environment": environment(),
         }
     )
-
-
-def order_source(what: Ladders) -> str:
-    """Digest of everything that the results of a study depend on."""
-    experiment: Experiment = what.problem.experiment
-    codes = [scheme_code(scheme, what.problem.top) for scheme in what.schemes]
-    judging = (convergence, judge_order, is_consistent, completed, deviation)
-    code = fingerprint(order_study, _row, *judging, explore, reference_states, compiled=False)
-    settings = [what.problem.duration, what.problem.intervals, what.sizes, what.steps, SECONDS]
-    text = json.dumps([experiment.digest, [scheme.name for scheme in what.schemes], codes, code, settings])
-    return hashlib.sha256(text.encode()).hexdigest()

@@ -117,8 +117,6 @@ class Result:
         Everything that was measured, plain and ready for JSON.
     arrays : mapping of str to ndarray
         Columns that a picture needs and ``data`` does not have.
-    source : callable
-        Digest of what the result depends on.
     file : Path, optional
         File in the folder of results that keeps this result; that of the default options only.
     of : object, optional
@@ -127,7 +125,6 @@ class Result:
 
     data: Data
     arrays: Mapping[str, Array] = field(default_factory=dict)
-    source: Callable[[], str] = lambda: ""
     file: Path | None = None
     of: Any = None
 
@@ -200,7 +197,7 @@ class Study:
     draws : str
         What ``--plot`` draws, in a few words; empty for a figure of pages only.
     captions : sequence of str, or callable
-        A caption for each panel.
+        A caption for each panel; without captions, pages show no picture.
     plotted : str
         Function ``module:function`` of a result and the options of ``plot`` in Python that returns a panel and its
         data; by default the first panel of the figure.
@@ -212,8 +209,6 @@ class Study:
         What the progress counts.
     file : Path, optional
         File in the folder of results that holds the result of the default options.
-    hint : str
-        End of the message about that file.
     known : callable
         True for data of the study that was stored without the name of the command.
     extras : mapping
@@ -237,7 +232,6 @@ class Study:
     parts: Callable[[Data], Parts] = _no_parts
     unit: str = "steps"
     file: Path | None = None
-    hint: str = ""
     known: Callable[[Data], bool] = lambda data: False
     extras: Mapping[str, Callable[[Result], Any]] = field(default_factory=dict)
 
@@ -271,7 +265,7 @@ class Study:
         from topcli.store.files import write_study
         from topcli.store.provenance import environment
 
-        return write_study(path, {**self.as_dict(result), "environment": environment()}, None)
+        return write_study(path, {**self.as_dict(result), "environment": environment()})
 
 
 def stored_result(data: Data) -> Result:

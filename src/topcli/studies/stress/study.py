@@ -124,7 +124,7 @@ def measure(
     >>> len(report.table), len(report.unexplained)
     (4, 0)
     """
-    from topcli.studies.stress.trials import chosen, require_options, stress, stress_data, stress_source
+    from topcli.studies.stress.trials import chosen, require_options, stress, stress_data
 
     if config is not None:
         top = _top_of(config, top)
@@ -132,7 +132,7 @@ def measure(
     require_options(options or {}, used)
     file = None if schemes or cases or top or options else STRESS.file
     watch.begin("stress", file=file)
-    return Result(stress_data(stress(schemes, cases, top, options, watch)), source=stress_source, file=file)
+    return Result(stress_data(stress(schemes, cases, top, options, watch)), file=file)
 
 
 def _failed(trial: Data) -> bool:
@@ -324,11 +324,13 @@ STRESS = Study(
     printed=printed,
     frames=(TRIALS, UNEXPLAINED_TRIALS),
     faults=faults,
+    figure="topcli.figures.outcomes:loaded_stress",
+    draws="the outcome of each scheme in each case",
     plotted="topcli.figures.outcomes:stress_panel",
+    stem=lambda data: tops_of(data)[0].replace("/", "-") if len(tops_of(data)) == 1 else "all",
     parts=lambda data: [(trial["top"], str(trial["scheme"]).partition(":")[0]) for trial in data["trials"]],
     unit="trials",
     file=FILE,
-    hint="; draw it with: topcli plot stress",
     known=lambda data: "trials" in data,
     extras={"tops": lambda result: tops_of(result.data), "grid": grid},
 )

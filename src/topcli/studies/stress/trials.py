@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Scheme
-from topcli.engine.fingerprint import fingerprint
 from topcli.errors import (
     ConfigError,
     RunError,
@@ -22,9 +19,8 @@ from topcli.errors import (
     nearest,
     shortened,
 )
-from topcli.runs.identity import scheme_code
 from topcli.schemes.plugins import reason_of, users_error
-from topcli.schemes.registry import all_schemes, find_scheme, names_for, schemes_of
+from topcli.schemes.registry import find_scheme, names_for, schemes_of
 from topcli.store.provenance import environment
 from topcli.studies.stress.cases import CASES, cases_named, cases_of
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, Finding, Trial, false_order
@@ -212,16 +208,3 @@ def stress_data(judged: Sequence[JudgedTrial]) -> dict[str, Any]:
         "verdicts": {value: verdicts.count(value) for value in dict.fromkeys(verdicts)},
         "environment": environment(),
     }
-
-
-def stress_source() -> str:
-    """Digest of everything that the results of the whole suite depend on: the code and limits of schemes and cases."""
-    schemes = []
-    for scheme in all_schemes():
-        code = scheme_code(scheme, TOPS[scheme.top].new())
-        schemes.append([scheme.name, scheme.top, code, sorted(scheme.limits.items())])
-    checks = [
-        [case.name, case.form, case.question, fingerprint(case.check, case.config, compiled=False)] for case in CASES
-    ]
-    text = json.dumps([schemes, checks, fingerprint(judged_trial, false_order, compiled=False)])
-    return hashlib.sha256(text.encode()).hexdigest()
