@@ -165,7 +165,6 @@ COMMON = {
     "--out": "run sweep bench compare analyse order roundoff stress lyapunov plot report animate table",
     "--results": "report plot animate table verify show discover list-runs",
     "--format": "run table plot compare analyse order roundoff stress lyapunov",
-    "--style": "plot compare analyse order roundoff stress lyapunov",
     "--force": "run plot report animate table init",
     "--quiet": "run sweep bench plot report animate table verify init",
 }

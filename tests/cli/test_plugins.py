@@ -235,7 +235,7 @@ def test_example_of_the_decorator_runs(tmp_path: Path) -> None:
 
 def test_all_figures_are_those_of_plugins_too(tmp_path: Path) -> None:
     site = install(tmp_path, "topcli.figures", alone=ALONE + FIGURE, bad=BAD)
-    drawn = topcli_process("plot", "--all", "--jobs", "1", "--json", cwd=tmp_path, path=site)
+    drawn = topcli_process("plot", "--all", "--json", cwd=tmp_path, path=site)
     assert SAID.format(site=site) in drawn.stderr
     assert [one["name"] for one in json.loads(drawn.stdout)["figures"]] == ["parabola"]
     assert drawn.returncode == 0

@@ -173,8 +173,10 @@ plot fig9
 plot fig1 --format gif
     gif
     png
-plot fig1 --configs nowhere
-    error: --configs nowhere: no such folder
+plot fig1 --set h=0.01
+    error: no such option: --set; figures draw packaged scenes; for other values, use topcli run and topcli report
+order --style x
+    error: no such option: --style; draw the report in Python on axes of your own style: report.plot(ax)
 plot mine
     is a run, not a figure; draw it with: topcli report results/mine --out mine.html
 plot results/mine

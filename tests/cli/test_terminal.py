@@ -97,8 +97,6 @@ bench EVIL --against none
 plot EVIL
 plot fig1 --format EVIL
 plot fig1 --x EVIL
-plot fig1 --configs NAME
-    500
 plot sweep NAME
     500
 table NAME --rows h --value seconds

@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from matplotlib.figure import Figure as Drawn
 
 import topcli
-from conftest import ROOT
-from drawn_artists import columns_of, drawn_from
+from drawn_artists import columns_of
 from figure_studies import PREPARE
 from sweep_rows import write_rows
 from topcli.analysis import lyapunov
@@ -30,10 +28,12 @@ from topcli.errors import RunError, UnknownNameError, UsageError
 from topcli.figures import chaos, growth, period, torus
 from topcli.figures.catalogue import FIGURES, GONE, find_figure
 from topcli.figures.figure import Figure, Loaded, NothingMeasuredError, Request, _source, make_figure
-from topcli.figures.picture import Grid, Line, Panel
+from topcli.figures.picture import Grid, Line, Panel, number_text
 from topcli.figures.scenes import scene_figure
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.runs.run import run_experiment
+from topcli.schemes.display import display_name
+from topcli.store.manifest import stored_run
 from topcli.sweeps.rows import read_rows
 
 
@@ -42,7 +42,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two of the paper's figures, made from the configs of the repository."""
     folder = tmp_path_factory.mktemp("figures")
     for name in ("fig1", "fig3"):
-        make_figure(FIGURES[name], Request(folder, ROOT / "configs"), folder / "figures")
+        make_figure(FIGURES[name], Request(folder), folder / "figures")
     return folder
 
 
@@ -65,7 +65,7 @@ def test_figures_do_not_depend_on_the_backend(in_tmp: Path) -> None:
 @pytest.mark.slow
 def test_the_figures_of_the_paper_show_what_they_should(made: Path) -> None:
     """E runs from 4.99968 to 5.00416 over t in [0, 50]: not "almost constant"."""
-    request = Request(made, ROOT / "configs")
+    request = Request(made)
     hk, bohlin, secular, hybrid = (FIGURES[f"fig{i}"].load(request).data() for i in (1, 2, 3, 4))
     assert np.abs(hk["gamma1"] - hybrid["gamma1"]).max() < 0.01
     assert np.abs(hk["gamma1"] - bohlin["gamma1"]).max() > 1.5
@@ -94,31 +94,29 @@ def test_pictures_are_fit_for_print(made: Path, name: str) -> None:
 
 @pytest.mark.slow
 def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_path: Path) -> None:
-    configs, results = tmp_path / "configs", tmp_path / "results"
-    configs.mkdir()
-    text = (ROOT / "configs" / "kowalevski_hk.yaml").read_text()
     messages: list[str] = []
 
     def drawn(N: int, force: bool = False) -> str:
-        (configs / "kowalevski_hk.yaml").write_text(re.sub(r"(?m)^N: .*$", f"N: {N}", text))
-        request = Request(results, configs, force, on_message=messages.append)
-        return make_figure(FIGURES["fig1"], request, tmp_path, ["png"]).status
+        lines = (Line("gamma1", "gamma1"),)
+        figure = scene_figure("x", "X", "kowalevski_hk", (Panel(lines, "gamma1"),), Grid(), overrides=(f"N={N}",))
+        request = Request(tmp_path / "results", force, on_message=messages.append)
+        return make_figure(figure, request, tmp_path, ["png"]).status
 
     assert [drawn(400), drawn(400)] == ["drawn", "up to date"]
     with pytest.raises(UsageError, match="holds a different experiment"):
         drawn(500)
-    assert pq.read_metadata(tmp_path / "fig1.parquet").num_rows == 401
+    assert pq.read_metadata(tmp_path / "x.parquet").num_rows == 401
     assert drawn(500, force=True) == "drawn"
-    assert pq.read_metadata(tmp_path / "fig1.parquet").num_rows == 501
+    assert pq.read_metadata(tmp_path / "x.parquet").num_rows == 501
     assert len(messages) == 1
     assert "renamed the earlier, different run to" in messages[0]
-    assert not (tmp_path / "fig1.pdf").exists()
+    assert not (tmp_path / "x.pdf").exists()
 
 
 @pytest.mark.slow
-def test_packaged_scenes_serve_where_there_are_no_configs(made: Path, tmp_path: Path) -> None:
-    """The columns beside the picture are those of the packaged scene, in the order of the panels."""
-    drawn = make_figure(FIGURES["fig3"], Request(made, tmp_path / "none"), tmp_path, ["png"]).files[-1]
+def test_columns_beside_the_picture_are_those_of_the_scene(made: Path, tmp_path: Path) -> None:
+    """In the order of the panels."""
+    drawn = make_figure(FIGURES["fig3"], Request(made), tmp_path, ["png"]).files[-1]
     run, columns = topcli.simulate("kowalevski_bohlin_a"), columns_of(drawn)
     assert list(columns) == ["t", "energy", "two_l"]
     for name, values in columns.items():
@@ -128,65 +126,40 @@ def test_packaged_scenes_serve_where_there_are_no_configs(made: Path, tmp_path: 
 
 
 def test_the_manifest_names_what_the_figure_was_made_from(made: Path) -> None:
-    run = run_experiment(load_experiment(ROOT / "configs" / "kowalevski_hk.yaml"), made)
+    run = run_experiment(load_experiment("kowalevski_hk"), made)
     source = json.loads(pq.read_schema(made / "figures" / "fig1.parquet").metadata[b"topcli.figure.source"])
     assert source["runs"] == [[run.stored.manifest["digest"], run.stored.manifest["code"]]]
 
 
-def test_runs_without_the_columns_and_those_that_blew_up_are_refused(tmp_path: Path) -> None:
-    text = (ROOT / "configs" / "kowalevski_hk.yaml").read_text()
-    large = re.sub(r"(?m)^  omega: .*$", "  omega: [1e200, 1e200, 1e200]", text)
-    without = text + "\noutput:\n  columns: [t, gamma1]\n"
-    for config, error, message in (
-        (without, UsageError, "does not record gamma2"),
-        (large, RunError, "blew up"),
-    ):
-        (tmp_path / "kowalevski_hk.yaml").write_text(config)
-        with pytest.raises(error, match=message):
-            make_figure(FIGURES["fig1"], Request(tmp_path / f"r{len(config)}", tmp_path), tmp_path)
+def test_a_run_that_blows_up_is_refused(tmp_path: Path) -> None:
+    large = ("initial.omega=[1e200, 1e200, 1e200]",)
+    panel = Panel((Line("gamma1", "gamma1"),), "gamma1")
+    figure = scene_figure("x", "X", "kowalevski_hk", (panel,), Grid(), overrides=large)
+    with pytest.raises(RunError, match="blew up"):
+        make_figure(figure, Request(tmp_path), tmp_path)
 
 
-def texts(figure: Drawn) -> list[str]:
-    """All that can be read in a figure but numbers on its axes."""
-    found = [figure.get_suptitle()]
-    found += [axes.get_title(loc=place) for axes in figure.axes for place in ("left", "center", "right")]
-    found += [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel())]
-    found += [line.get_label() for axes in figure.axes for line in axes.lines if axes.get_legend()]
-    return [text for text in found if text]
-
-
-TITLED = {"fig1": "HK", "fig2": "Bohlin A", "fig3": "Bohlin A", "fig4": "hybrid", "modified": "HK"}
-"""Figures whose heading names the scheme of their run."""
+RUNS = {
+    "fig1": "kowalevski_hk",
+    "fig2": "kowalevski_bohlin_a",
+    "fig3": "kowalevski_bohlin_a",
+    "fig4": "kowalevski_hybrid",
+    "modified": "euler_modified",
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name, one in FIGURES.items() if one.takes_overrides and one.needs])
-def test_no_figure_names_a_scheme_that_it_does_not_draw(name: str, tmp_path: Path) -> None:
-    """With another scheme, titles name that one; nothing else in the picture changes its words."""
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-    own = texts(drawn_from(name, tmp_path / "a", ["N=200"]))
-    if name == "modified":
-        with pytest.raises(UsageError, match="modified_m_sq"):
-            drawn_from(name, tmp_path / "b", ["N=200", "scheme=rk4"])
-        return
-    other = texts(drawn_from(name, tmp_path / "b", ["N=200", "scheme={name: taylor, tol: 1e-12}"]))
-    headings = [text.split(", ")[1] for text in own if ", $h" in text]
-    assert headings == ([TITLED[name]] if name in TITLED else [])
-    assert [text.replace("Taylor (tol=1e-12)", TITLED.get(name, "")) for text in other] == own
-    assert (other != own) == (name in TITLED)
-
-
-def test_figures_of_the_paper_say_scheme_step_and_distance(tmp_path: Path) -> None:
-    """In the values of the run that is drawn, also if it is not the paper's."""
-    figure = drawn_from("fig3", tmp_path, ["N=40", "h=0.025", "scheme=rk4", "initial.gamma=[auto, 0, 2e-7]"])
-    assert figure.get_suptitle() == r"Kowalevski top, RK4, $h = 0.025$, $\epsilon = \gamma_3(0) = 2\times 10^{-7}$"
-
-
-def test_a_figure_needs_the_scenes_that_its_columns_name() -> None:
-    """Other figures that need one of them are drawn by no other process at the same time."""
-    assert find_figure("nutation").needs == ("lagrange_cusps", "lagrange_loops", "lagrange_waves")
-    assert find_figure("fig3").needs == find_figure("fig2").needs == ("kowalevski_bohlin_a",)
+@pytest.mark.parametrize("name", RUNS)
+def test_a_heading_says_what_the_run_is(name: str, made: Path) -> None:
+    """Top, scheme and step, and the distance from the homoclinic orbit at the start."""
+    heading = FIGURES[name].load(Request(made)).layout.heading
+    run = stored_run(made / RUNS[name])
+    assert run
+    one = load_experiment(run.manifest["config"])
+    words = [one.top.title.partition(" (")[0], display_name(one.scheme.name), f"$h = {number_text(one.h)}$"]
+    if name != "modified":
+        words.append(rf"$\epsilon = \gamma_3(0) = {number_text(one.y0[5])}$")
+    assert heading == ", ".join(words)
 
 
 def wave(name: str = "wave", version: int = 1, measured: bool = True) -> Figure:
@@ -222,7 +195,7 @@ def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyP
     assert complete_figure("w") == ["wave"]
     assert status("wave") == {"wave": "drawn"}
     assert status("wave") == {"wave": "up to date"}
-    said = cli("plot", "--all", "--jobs", "1")
+    said = cli("plot", "--all")
     assert said.out.startswith("wave: up to date: ")
     assert said.err == "slow: skipped: nothing measured\n"
     figures["wave"] = wave(version=2)
@@ -293,7 +266,7 @@ def test_a_figure_is_drawn_again_after_an_edit_of_its_code(
         PREPARE[name](monkeypatch, tmp_path)
 
     def source() -> str:
-        return _source(FIGURES[name].load(Request(tmp_path, ROOT / "configs")), {})
+        return _source(FIGURES[name].load(Request(tmp_path)))
 
     before = source()
     for function in DRAWING[name].split():
@@ -304,9 +277,9 @@ def test_a_figure_is_drawn_again_after_an_edit_of_its_code(
 
 
 def test_another_panel_is_another_source(tmp_path: Path) -> None:
-    panels = Panel((Line("gamma1"),)), Panel((Line("gamma2"),))
+    panels = tuple(Panel((Line(name, name),), name) for name in ("gamma1", "gamma2"))
     figures = (scene_figure("x", "X", "kowalevski_hk", order, Grid()) for order in (panels, panels, panels[::-1]))
-    first, same, other = (_source(figure.load(Request(tmp_path, ROOT / "configs")), {}) for figure in figures)
+    first, same, other = (_source(figure.load(Request(tmp_path))) for figure in figures)
     assert first == same != other
 
 
@@ -318,7 +291,7 @@ def test_a_figure_of_a_sweep_is_drawn_again_for_other_rows_choices_and_code(tmp_
     choice = Choice("h", "v", aggregate="median")
 
     def source(choice: Choice = choice, folder: Path = folder) -> str:
-        return _source(sweep_figure(read_rows(folder), choice).load(Request()), {})
+        return _source(sweep_figure(read_rows(folder), choice).load(Request()))
 
     heat = Choice("h", "seed", colour="v")
     changed = [source(), source(Choice("h", "v", aggregate="max")), source(folder=other), source(heat)]
@@ -334,3 +307,19 @@ def test_a_figure_of_a_sweep_is_drawn_again_for_other_rows_choices_and_code(tmp_
             changed.append(source(one))
     assert len(set(changed)) == len(changed)
     assert source() == changed[0]
+
+
+@pytest.mark.slow
+def test_svg_is_one_file_without_date_and_needs_no_font(made: Path, tmp_path: Path) -> None:
+    drawn = [make_figure(FIGURES["fig1"], Request(made), tmp_path / folder, ["svg"]).files for folder in "ab"]
+    assert [path.suffix for path in drawn[0]] == [".svg", ".parquet"]
+    text, again = (files[0].read_text(encoding="utf-8") for files in drawn)
+    assert text == again
+    assert "<svg" in text
+    assert "<dc:date>" not in text
+    assert "<text" not in text  # letters are outlines
+    assert "http" not in "".join(line for line in text.splitlines() if "href" in line)
+
+
+def test_the_catalogue_begins_with_the_figures_of_the_paper() -> None:
+    assert list(FIGURES)[:4] == ["fig1", "fig2", "fig3", "fig4"]

@@ -71,23 +71,18 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("results")
 
 
-DRAWN = [(name, overlay) for name, one in FIGURES.items() for overlay in (False, True)[: 1 + one.takes_overlay]]
-PICTURES = {(name, False): name for name in set(STORED) - set(PREPARE)}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "overlay"), DRAWN)
+@pytest.mark.parametrize("name", FIGURES)
 def test_texts_are_legible_and_apart_and_lines_differ_without_colour(
-    name: str, overlay: bool, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also over the exact motion, which has no label."""
-    loaded = loaded_named(name, results, monkeypatch, overlay=overlay)
+    loaded = loaded_named(name, results, monkeypatch)
     data = loaded.data()
     figure = draw(loaded.panels, data, loaded.layout)
     assert layout_faults(figure) == []
     assert lines_alike(figure) == []
-    if (name, overlay) in PICTURES:
-        assert_stored(PICTURES[name, overlay], data, tmp_path)
+    if name in STORED and name not in PREPARE:
+        assert_stored(name, data, tmp_path)
 
 
 @pytest.mark.slow

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from conftest import GEN, PAPER, ROOT
+from conftest import GEN, PAPER
 from drawn_artists import drawn, explained, labelled, look
 from topcli.analysis.motion.diagram import branches, regions
-from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Request
 
@@ -43,7 +41,7 @@ def region_of(E: float, k_sq: float, two_l: float) -> int:
 
 
 def figure_of(name: str) -> Figure:
-    return drawn(FIGURES[name].load(Request(configs=ROOT / "configs")))
+    return drawn(FIGURES[name].load(Request()))
 
 
 def test_regions_are_those_of_the_order_of_the_roots() -> None:
@@ -107,11 +105,3 @@ def test_bifurcation_diagrams_show_scenes_curves_and_tori() -> None:
     assert len({(look(line), line.get_linewidth()) for line in key.values()}) == len(key) == 6
     for axes in figure.axes:
         assert all(look(line) == look(key[label]) for label, line in labelled(axes).items())
-
-
-def test_scenes_of_another_top_are_refused(tmp_path: Path) -> None:
-    text = (ROOT / "configs" / "euler_hk.yaml").read_text(encoding="utf-8")
-    for scene in ("kowalevski_torus", "kowalevski_generic_hk"):
-        (tmp_path / f"{scene}.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(UsageError, match="bifurcation: euler_hk is of the top euler, not kowalevski"):
-        FIGURES["bifurcation"].load(Request(configs=tmp_path))

@@ -28,7 +28,6 @@ from drawn_artists import (
 )
 from topcli.config.load import load_experiment
 from topcli.contracts import Top
-from topcli.errors import RunError, UsageError
 from topcli.figures.body import body_of, surface_distance
 from topcli.figures.picture import draw
 from topcli.figures.scene3d import Polhodes, Sphere, _curves
@@ -61,7 +60,7 @@ def assert_curve(axes: Axes, seen: np.ndarray, near: str, far: str, dot: int = 0
 @pytest.mark.parametrize("name", SPHERES)
 def test_traces_on_the_sphere(name: str, tmp_path: Path) -> None:
     """The trace in front and behind, the dot at its start, axes outwards with their names, the band that it fills."""
-    figure = drawn_from(name, tmp_path, ["N=700"])
+    figure = drawn_from(name, tmp_path)
     for axes, (scene, column, elevation, azimuth, directions, band) in zip(figure.axes, SPHERES[name], strict=True):
         series = series_of(tmp_path, scene)
         trace = vector(series, column)
@@ -100,21 +99,6 @@ def test_dots_are_a_unit_of_time_apart_also_backwards() -> None:
     np.testing.assert_allclose(shown, sorted(-np.sin([0.0, 1.0, 2.0, 3.0])), atol=1e-12)
 
 
-@pytest.mark.slow
-def test_captions_name_the_motion(tmp_path: Path) -> None:
-    """A panel that names a packaged motion takes the run's name for another one, and keeps it for others."""
-    changes = {f"lagrange_{name}": ["N=200"] for name in ("cusps", "loops", "waves")}
-    changes["lagrange_loops"] += ["name=mine", "initial={m: [0.3, 0, 1.9], a: [0.6, 0, 0.8]}"]
-    assert [axes.get_title() for axes in drawn_from("nutation", tmp_path, changes).axes] == [
-        "(a) cusps",
-        "mine",
-        "(c) waves",
-    ]
-    changes = {**SHORT, "lagrange_attitude": ["N=300", "top.C=0.6", "name=wide"]}
-    titles = [axes.get_title() for axes in drawn_from("body", tmp_path, changes).axes]
-    assert titles == ["(a) Euler", "wide", "(c) Kowalevski"]
-
-
 MOMENTS, EYE = np.array([3.0, 2.0, 1.0]), (24.0, 52.0)
 """Of the figure ``polhodes``: moments, elevation and azimuth of the viewer."""
 
@@ -130,7 +114,7 @@ def point_on_ellipsoid(flat: np.ndarray) -> np.ndarray:
 @pytest.mark.slow
 def test_polhodes_run_the_way_of_the_motion(tmp_path: Path) -> None:
     """The run's own curve, arrows along Euler's equations, filled dots at stable rotations and an open one between."""
-    (axes,) = drawn_from("polhodes", tmp_path, ["N=700"]).axes
+    (axes,) = drawn_from("polhodes", tmp_path).axes
     omega = vector(series_of(tmp_path, "euler_tennis_racket"), "omega")
     flat = seen_from(*EYE, omega / np.sqrt(omega[0] ** 2 @ MOMENTS))
     red = [data_of(line) for line in axes.lines if same_color(line.get_color(), "#B2182B")]
@@ -153,7 +137,7 @@ def test_polhodes_run_the_way_of_the_motion(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_ellipsoid_is_lit_and_tinted_by_its_formula(tmp_path: Path) -> None:
     """Colour of single points: white at the separatrix, blue or ochre beyond, and light from the upper left."""
-    (picture,) = drawn_from("polhodes", tmp_path, ["N=700"]).axes[0].images
+    (picture,) = drawn_from("polhodes", tmp_path).axes[0].images
     image, half = np.asarray(picture.get_array()), float(picture.get_extent()[1])
     right, up, eye = seen_from(*EYE, np.eye(3)).T
     light = (-0.45 * right + 0.55 * up + 0.75 * eye) / math.sqrt(0.45**2 + 0.55**2 + 0.75**2)
@@ -194,22 +178,6 @@ def test_curves_are_polhodes_in_the_sense_of_the_motion(moments: tuple[float, fl
             assert cosine.min() > 0.99
 
 
-@pytest.mark.slow
-def test_polhodes_have_the_moments_of_the_run(tmp_path: Path) -> None:
-    """They must be different, and those of the data."""
-    (axes,) = drawn_from("polhodes", tmp_path, ["N=200", "top={kind: euler, A: 1.5, B: 2.5, C: 1.2}"]).axes
-    tips = seen_from(*EYE, np.diag(1.0 / np.sqrt([1.5, 2.5, 1.2])))[:, :2]
-    dots = [data_of(line)[0] for line in axes.lines if line.get_marker() == "o"]
-    np.testing.assert_allclose(sorted(map(tuple, dots)), sorted(map(tuple, tips)), atol=1e-12)
-    with pytest.raises(UsageError, match="has the moments 2, 2, 1; use three different ones"):
-        drawn_from("polhodes", tmp_path, ["N=200", "name=x", "top={kind: euler, A: 2, B: 2, C: 1}"])
-    angle = np.linspace(0.0, 6.0, 50)
-    data = {"omega1": np.cos(angle), "omega2": np.sin(angle), "omega3": 0.0 * angle}
-    with pytest.raises(RunError, match="moments"):
-        draw([Polhodes((3.0, 2.0, 1.0), pixels=40)], data)
-    draw([Polhodes((2.0, 2.0 + 1e-9, 1.0), pixels=40)], data)
-
-
 LEGENDS = {
     "sphere": [r"vertical $\boldsymbol{\gamma}$", "on the far side", "$t = 0, 1, 2, ...$", "start"],
     "nutation": [r"axis $\boldsymbol{a}$", "on the far side", "its bounds", "start"],
@@ -222,7 +190,7 @@ LEGENDS = {
 @pytest.mark.parametrize("name", LEGENDS)
 def test_the_legend_explains_every_mark(name: str, tmp_path: Path) -> None:
     """Also the colours and widths of the legend are those of the curves."""
-    figure = drawn_from(name, tmp_path, [] if name == "nutation" else ["N=900"])
+    figure = drawn_from(name, tmp_path)
     key = explained(figure)
     assert list(key) == LEGENDS[name]
     for axes in figure.axes:
@@ -251,7 +219,6 @@ def test_polhodes_explain_their_tints_by_the_moments() -> None:
     assert same_color(tints[r"around $\omega_1$"].get_facecolor(), (0.93, 0.72, 0.42))  # type: ignore[union-attr]
 
 
-SHORT = {scene: ["N=300"] for scene in ("euler_attitude", "lagrange_attitude", "kowalevski_attitude")}
 NEAR, FAR = "#0072B2", "#A6CDE6"
 CURVES = [
     ("euler_attitude", "omega", False),
@@ -271,7 +238,7 @@ def attitudes(series: dict[str, np.ndarray]) -> Rotation:
 
 @pytest.mark.slow
 def test_traces_are_the_vectors_of_the_runs(tmp_path: Path) -> None:
-    figure = drawn_from("traces", tmp_path, SHORT)
+    figure = drawn_from("traces", tmp_path)
     for axes, (scene, column, in_space) in zip(figure.axes, CURVES, strict=True):
         series = series_of(tmp_path, scene)
         points = vector(series, column)
@@ -298,10 +265,10 @@ def test_traces_are_the_vectors_of_the_runs(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_bodies_stand_as_the_runs_say(tmp_path: Path) -> None:
     """Only the faces turned to the viewer are drawn."""
-    figure = drawn_from("body", tmp_path, SHORT)
+    figure = drawn_from("body", tmp_path)
     for axes, (scene, axis, until, names) in zip(figure.axes, BODIES, strict=True):
         turned = attitudes(series_of(tmp_path, scene))
-        last = round(until * 300)
+        last = round(until * (len(turned) - 1))
         path = turned.apply(axis)[: last + 1]
         view = 22.0, math.degrees(math.atan2(path[0, 1], path[0, 0])) + 70.0
         expected = seen_from(*view, path)

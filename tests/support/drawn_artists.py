@@ -14,7 +14,6 @@ from matplotlib.colors import same_color, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from topcli.config.load import load_experiment
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import draw
@@ -48,17 +47,14 @@ def drawn(loaded: Loaded) -> Figure:
     return draw(loaded.panels, loaded.data(), loaded.layout)
 
 
-def drawn_from(name: str, folder: Path, changes: Mapping[str, list[str]] | list[str]) -> Figure:
-    """The figure of the catalogue's ``name`` from configs with overrides, for each scene or for all."""
-    for scene in FIGURES[name].needs:
-        overrides = changes if isinstance(changes, list) else changes[scene]
-        (folder / f"{scene}.yaml").write_text(load_experiment(scene, overrides).to_yaml())
-    return drawn(FIGURES[name].load(Request(folder / "r", folder)))
+def drawn_from(name: str, folder: Path) -> Figure:
+    """The figure ``name`` of the catalogue, from runs in a folder."""
+    return drawn(FIGURES[name].load(Request(folder)))
 
 
 def series_of(folder: Path, scene: str) -> dict[str, np.ndarray]:
     """The columns of a run, read without the help of topcli."""
-    return columns_of(next((folder / "r").glob(f"{scene}*/series.parquet")))
+    return columns_of(folder / scene / "series.parquet")
 
 
 def columns_of(path: Path) -> dict[str, np.ndarray]:
@@ -131,7 +127,7 @@ def arrows(axes: Axes) -> list[tuple[np.ndarray, np.ndarray]]:
 def in_two_parts(axes: Axes, near: Any, far: Any) -> tuple[np.ndarray, np.ndarray]:
     """Points (m, 2) of the curve that is drawn as a near and a far line of these colours, and where it is near."""
     front, back = (
-        next(line for line in axes.lines if same_color(line.get_color(), colour) and len(line.get_xdata()) > 2)
+        next(line for line in axes.lines if same_color(line.get_color(), colour) and line.get_linestyle() == "-")
         for colour in (near, far)
     )  # type: ignore[arg-type]
     points, others = data_of(front), data_of(back)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from conftest import ROOT
 from drawn_artists import drawn
 from topcli.figures import period
 from topcli.figures.catalogue import FIGURES
@@ -104,11 +103,11 @@ PREPARE: dict[str, Callable[[pytest.MonkeyPatch, Path], None]] = {
 """How the results of figures are made up. Figures without an entry are made from their own results."""
 
 
-def loaded_named(name: str, results: Path, patch: pytest.MonkeyPatch, **options: object) -> Loaded:
+def loaded_named(name: str, results: Path, patch: pytest.MonkeyPatch) -> Loaded:
     """What a figure of the catalogue loads; results that take minutes are made up."""
     if name in PREPARE:
         PREPARE[name](patch, results)
-    return FIGURES[name].load(Request(results, ROOT / "configs", **options))  # type: ignore[arg-type]
+    return FIGURES[name].load(Request(results))
 
 
 def figure_named(name: str, results: Path, patch: pytest.MonkeyPatch) -> Figure:

@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from topcli.cli.commands import COMMANDS, GROUPS, STUDY, examples_of
+from topcli.cli.commands import COMMANDS, GONE, GROUPS, STUDY, examples_of
 from topcli.cli.output import emit, print_error, print_message, print_message_text
 from topcli.errors import ExitCode, TopcliError, UsageError, clipped
 from topcli.studies import STUDIES, find_study
@@ -259,12 +259,16 @@ def _say_usage(error: Any) -> None:
     if "\n" in message:  # the help, of a command without arguments
         print_message_text(message)
         return
+    ctx = getattr(error, "ctx", None)
+    hint = f" (see {ctx.command_path} --help)" if ctx is not None else ""
+    unknown = re.match(r"No such (?:command|option):? '?([\w-]+)'?", message)
+    if unknown and ctx is not None and (instead := GONE.get(" ".join([*ctx.command_path.split()[1:], unknown[1]]))):
+        print_message(f"error: n{unknown[0][1:]}; {instead}")
+        return
     message = clipped(message, 240).removesuffix(".").replace(". Did you mean", "; did you mean")
     message = message.replace("', '", "' or '")
     near = difflib.get_close_matches(getattr(error, "option_name", ""), getattr(error, "possibilities", None) or [], 1)
     message = re.sub(r" \(Possible options: .*\)$", lambda _: f"; did you mean {near[0]}?" if near else "", message)
-    ctx = getattr(error, "ctx", None)
-    hint = f" (see {ctx.command_path} --help)" if ctx is not None else ""
     print_message(f"error: {message[:1].lower()}{message[1:]}{hint}")
 
 

@@ -195,6 +195,19 @@ GROUPS: dict[str, dict[str, Entry]] = {
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 """All commands by name."""
 
+GONE = {
+    "plot --configs": "figures draw packaged scenes; for other configs, use topcli run and topcli report",
+    "plot --jobs": "figures are drawn one after the other",
+    "plot --overlay": "topcli compare SCHEME --plot draws the reference in grey behind the motion",
+    "plot --set": "figures draw packaged scenes; for other values, use topcli run and topcli report",
+    "plot --style": "draw the data in the .parquet file beside the picture in a style of your own",
+    **dict.fromkeys(
+        (f"{study} --style" for study in ("analyse", "compare", "lyapunov", "order", "roundoff")),
+        "draw the report in Python on axes of your own style: report.plot(ax)",
+    ),
+}
+"""What to use instead of commands and options of earlier versions."""
+
 LISTS = {
     "tops": ("topcli list tops", "topcli list tops --json"),
     "schemes": ("topcli list schemes", "topcli list schemes --top kowalevski"),

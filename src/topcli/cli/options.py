@@ -71,7 +71,6 @@ HELP = {
     "--scheme": "Choose a scheme.",
     "--set": "Set a config key, e.g. h=0.01, T=20 or scheme.branch=sign.",
     "--steps": "Set the number of steps of a run, e.g. 1e6.",
-    "--style": "Draw in the style of this matplotlib file (.mplstyle).",
     "--table": "Show only this table of the result.",
     "--threads": "Compute with this number of threads.",
     "--top": "Choose a top.",
@@ -122,7 +121,6 @@ Force = Annotated[bool, option("--force")]
 Save = Annotated[Path | None, option("--save", metavar="FILE")]
 Plot = Annotated[bool, option("--plot")]
 PictureFormats = Annotated[list[str] | None, format_option("png", "pdf", "svg", default="png and pdf")]
-Style = Annotated[Path | None, option("--style", metavar="FILE")]
 
 
 def picture_formats(formats: Sequence[str] | None) -> tuple[str, ...]:

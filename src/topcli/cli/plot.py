@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,8 +16,6 @@ from topcli.cli.options import (
     PictureFormats,
     Quiet,
     Results,
-    Sets,
-    Style,
     complete_figure,
     hint_instead,
     picture_formats,
@@ -33,7 +31,6 @@ if TYPE_CHECKING:
     from topcli.errors import TopcliError
     from topcli.figures.figure import Figure, MadeFigure, Request
 
-OVERLAY = "exact"
 SECTION = "section"
 """First argument of ``topcli plot section DIR/NAME``, which draws the crossings of runs."""
 SWEEP = "sweep"
@@ -48,29 +45,6 @@ Names = Annotated[
     ),
 ]
 Every = Annotated[bool, typer.Option("--all", help="Draw all figures, but compute nothing that takes minutes.")]
-Overlay = Annotated[
-    str | None,
-    typer.Option("--overlay", metavar="exact", help="Draw the exact motion in grey behind the runs."),
-]
-Jobs = Annotated[
-    int | None,
-    typer.Option(
-        "--jobs",
-        metavar="N",
-        min=1,
-        help="Draw up to N figures at the same time.",
-        show_default="1; with --all, one per core",
-    ),
-]
-Configs = Annotated[
-    Path | None,
-    typer.Option(
-        "--configs",
-        metavar="DIR",
-        help="Prefer scenes in this folder to packaged ones.",
-        show_default="configs",
-    ),
-]
 KeyX = Annotated[
     str | None,
     typer.Option("--x", metavar="KEY", help="Put this key of a sweep, or column of a section, on the x axis."),
@@ -151,91 +125,39 @@ def _figure(name: str, results: Path) -> Figure:
     return find_figure(name)
 
 
-def _require_able(figures: list[Figure], sets: bool, overlay: bool) -> None:
-    """Raise UsageError for a figure that cannot take overrides or an overlay."""
-    from topcli.errors import UsageError
-    from topcli.figures.catalogue import FIGURES
-
-    for given, name, able in (
-        (sets, "--set", lambda figure: figure.takes_overrides),
-        (overlay, f"--overlay {OVERLAY}", lambda figure: figure.takes_overlay),
-    ):
-        unable = [figure.name for figure in figures if not able(figure)]
-        if given and unable:
-            known = ", ".join(figure.name for figure in FIGURES.values() if able(figure))
-            raise UsageError(f"{name}: {unable[0]} is not drawn from runs of one config; use it with {known}")
-
-
-class _Watch:
-    """Progress of several figures, with the parts of those that are being drawn; of one figure, its parts."""
-
-    def __init__(self, figures: list[Figure], quiet: bool) -> None:
-        self.several, self.count = len(figures) > 1, len(figures)
-        self.display = ProgressDisplay(1, quiet, unit="figures" if self.several else "parts")
-        self.parts: dict[str, float] = {}
-        self.ended = 0
-        self.display.begin("figures" if self.several else figures[0].name if figures else "")
-
-    def __call__(self, name: str, done: int, total: int) -> None:
-        """Show that ``done`` of ``total`` parts of the data of the figure ``name`` are done."""
-        self.parts[name] = done / total
-        if self.several:
-            drawn = ", ".join(f"{each} {100.0 * part:.0f}%" if part else each for each, part in self.parts.items())
-            self.display(self.ended, self.count, f"drawing {drawn}")
-        else:
-            self.display(done, total)
-
-    def end(self, name: str) -> None:
-        """The figure ``name`` is drawn, or has failed."""
-        self.parts.pop(name, None)
-        self.ended += 1
-
-
-def _require_options(names: list[str], every: bool, overlay: str | None, configs: Path | None) -> None:
-    """Raise UsageError for options that are wrong whatever is drawn."""
-    from topcli.errors import UsageError, shortened
-    from topcli.figures.catalogue import FIGURES
-
-    if bool(names) == every:
-        raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
-    if overlay not in (None, OVERLAY):
-        raise UsageError(f"--overlay {shortened(overlay)}: unknown overlay; use {OVERLAY}")
-    if configs is not None and not os.path.isdir(configs):
-        raise UsageError(f"--configs {configs}: no such folder")
-
-
 def _draw(
-    figures: list[Figure], every: bool, request: Request, out: Path, formats: tuple[str, ...], jobs: int, quiet: bool
+    figures: list[Figure], every: bool, request: Request, out: Path, formats: tuple[str, ...], quiet: bool
 ) -> tuple[list[MadeFigure], list[TopcliError]]:
     """Draw figures and report on each; the files of those that were drawn, in the order given, and the errors.
 
     Raises the error of a single figure. If ``every`` figure is drawn, those without stored results are skipped.
     """
     from topcli.errors import TopcliError
-    from topcli.figures.figure import NothingMeasuredError, make_figures
+    from topcli.figures.figure import NothingMeasuredError, make_figure
 
-    watch = _Watch(figures, quiet)
-    drawn, failed = {}, []
-    with contextlib.ExitStack() as stack:
-        stack.callback(watch.display.close)
-        outcomes = stack.enter_context(contextlib.closing(make_figures(figures, request, out, formats, jobs, watch)))
-        for figure, outcome in outcomes:
-            watch.end(figure.name)
-            if isinstance(outcome, NothingMeasuredError) and every:
-                print_message(f"{figure.name}: skipped: {outcome}")
-            elif isinstance(outcome, TopcliError):
-                if len(figures) == 1:
-                    raise outcome
-                failed.append(outcome)
-                first, *others = outcome.lines
-                print_message(f"error: {first}" if first.startswith(figure.name) else f"error: {figure.name}: {first}")
-                for line in others:
-                    print_message(line)
-            else:
-                drawn[figure.name] = outcome
-                if not quiet:
-                    emit(f"{outcome.name}: {outcome.status}: {', '.join(str(path) for path in outcome.files)}")
-    return [drawn[figure.name] for figure in figures if figure.name in drawn], failed
+    drawn, failed = [], []
+    display = ProgressDisplay(len(figures), quiet, unit="parts")
+    for figure in figures:
+        display.begin(figure.name)
+        try:
+            with contextlib.closing(display):
+                made = make_figure(figure, replace(request, on_progress=display), out, formats)
+        except TopcliError as error:
+            if every and isinstance(error, NothingMeasuredError):
+                print_message(f"{figure.name}: skipped: {error}")
+                continue
+            if len(figures) == 1:
+                raise
+            failed.append(error)
+            first, *others = error.lines
+            print_message(f"error: {first}" if first.startswith(figure.name) else f"error: {figure.name}: {first}")
+            for line in others:
+                print_message(line)
+        else:
+            drawn.append(made)
+            if not quiet:
+                emit(f"{made.name}: {made.status}: {', '.join(str(path) for path in made.files)}")
+    return drawn, failed
 
 
 def plot(
@@ -244,17 +166,12 @@ def plot(
     formats: PictureFormats = None,
     out: Out = Path("results/figures"),
     results: Results = Path("results"),
-    configs: Configs = None,
     x: KeyX = None,
     y: MeasureY = None,
     by: KeyBy = None,
     colour: Colour = None,
     aggregate: Aggregate = None,
     where: Where = None,
-    sets: Sets = None,
-    overlay: Overlay = None,
-    style: Style = None,
-    jobs: Jobs = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -262,37 +179,24 @@ def plot(
     """Draw figures as PNG and PDF, with their data as Parquet.
 
     If the results that a figure needs are missing, topcli computes them first and stores them in the folder of
-    --results. A figure that is up to date is not drawn again. --set changes the runs that a figure shows; the file name
-    then ends in the first digits of a hash of the changed experiment.
+    --results. A figure that is up to date is not drawn again.
 
     Two other forms of this command draw results that you have stored. One draws measures of a sweep: topcli plot sweep
     NAME --x KEY --y MEASURE --by KEY. The other draws the Poincaré sections of runs: topcli plot section NAME --colour
     verdict. To draw a single run, use topcli report.
     """
-    from topcli.engine.ensemble import default_threads
-    from topcli.errors import ExitCode
+    from topcli.errors import ExitCode, UsageError
+    from topcli.figures.catalogue import FIGURES
     from topcli.figures.figure import Request
-    from topcli.figures.style import read_style
 
-    _require_options(names or [], every, overlay, configs)
+    if bool(names) == every:
+        raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
     chosen = picture_formats(formats)
-    looks = read_style(style) if style else {}
     options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
     with hint_instead(names or [], lambda name: plot_hint(name, results)):
         figures = _chosen(names or [], options, where or [], results)
-    _require_able(figures, bool(sets), overlay is not None)
-    request = Request(
-        results=results,
-        configs=configs or Path("configs"),
-        force=force,
-        on_message=messages(quiet),
-        overrides=tuple(sets or ()),
-        overlay=overlay is not None,
-        style=looks,
-    )
-    drawn, failed = _draw(
-        figures, every, request, out, chosen, jobs or (default_threads() if every else 1), as_json or quiet
-    )
+    request = Request(results=results, force=force, on_message=messages(quiet))
+    drawn, failed = _draw(figures, every, request, out, chosen, as_json or quiet)
     if as_json:
         items = [
             {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn

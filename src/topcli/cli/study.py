@@ -21,7 +21,6 @@ from topcli.cli.options import (
     Quiet,
     Results,
     Save,
-    Style,
     Verbose,
     complete_config,
     complete_scheme,
@@ -88,7 +87,7 @@ def _shared_options(study: Study) -> dict[str, tuple[Any, Any]]:
     """Options that a study does not declare itself, with their defaults, by the name of the parameter."""
     shared: dict[str, tuple[Any, Any]] = {}
     if study.figure and study.draws:
-        shared |= {"plot": (Plot, False), "formats": (PictureFormats, None), "style": (Style, None)}
+        shared |= {"plot": (Plot, False), "formats": (PictureFormats, None)}
     if shared or study.file:
         shared |= {"out": (Out, Path("results") if study.file else Path("results/figures"))}
     shared |= {"save": (Save, None), "force": (Force, False), "verbose": (Verbose, False)}
@@ -114,7 +113,6 @@ def command(study: Study) -> Callable[..., None]:
         save: Path | None,
         plot: bool = False,
         formats: list[str] | None = None,
-        style: Path | None = None,
         out: Path | None = None,
         results: Path = Path("results"),
         **given: Any,
@@ -127,11 +125,9 @@ def command(study: Study) -> Callable[..., None]:
         for alone in [_flag(flag)[1].option for flag in flags if _flag(flag)[1].alone and given[flag.name]]:
             if as_json:
                 raise UsageError(f"--json and {alone} cannot be used together; choose one")
-        if (formats or style) and not plot:
-            raise UsageError(f"--{'format' if formats else 'style'}: describes a picture; add --plot")
-        from topcli.figures.style import read_style
-
-        look = {"formats": picture_formats(formats), "style": read_style(style) if style else {}} if plot else {}
+        if formats and not plot:
+            raise UsageError("--format: describes a picture; add --plot")
+        chosen = picture_formats(formats) if plot else ()
         for name in stored:
             given[name] = [stored_place(one, results) for one in given[name]]
         arguments, options = _arguments(measured, given)
@@ -143,7 +139,7 @@ def command(study: Study) -> Callable[..., None]:
         if not (as_json or quiet):
             _print(study, result, verbose, {flag.name: given[flag.name] for flag in flags})
         files = list(map(str, _saved(study, result, save, force))) if save is not None else []
-        files += _written(study, result, out, force, look)
+        files += _written(study, result, out, force, chosen)
         if as_json:
             print_json(study.name, {**result.data, "files": files} if out else result.data)
         for file in files if not (as_json or quiet) else ():
@@ -214,8 +210,8 @@ def _saved(study: Study, result: Result, path: Path, force: bool) -> list[Path]:
     return names
 
 
-def _written(study: Study, result: Result, out: Path | None, force: bool, look: Mapping[str, Any]) -> list[str]:
-    """Store the result of the default options, and draw the figure in a ``look`` if it is given; the files.
+def _written(study: Study, result: Result, out: Path | None, force: bool, formats: Sequence[str]) -> list[str]:
+    """Store the result of the default options, and draw the figure in the ``formats`` if there are any; the files.
 
     Raises UsageError if there are other files, unless ``force``.
     """
@@ -225,13 +221,13 @@ def _written(study: Study, result: Result, out: Path | None, force: bool, look: 
         if not force and not is_study(path):
             require_new(path, force)
         files.append(write_study(path, result.data))
-    if out is not None and look:
+    if out is not None and formats:
         from topcli.figures.figure import write_figure
 
         loaded = imported(study.figure)(result)
         folder = out / "figures" if study.file else out
         if loaded.panels:
-            files += write_figure(study.figure_name(result.data), loaded, folder, **look, force=force)
+            files += write_figure(study.figure_name(result.data), loaded, folder, formats, force)
     return [str(file) for file in files]
 
 

@@ -38,6 +38,8 @@ THINNEST = 0.12
 """Smallest semi-axis relative to the largest one."""
 TRACE, TRACE_FAR, OLD, OLD_FAR = "#0072B2", "#A6CDE6", "#7FB8D8", "#D3E5F0"
 VERTICAL, DOT = "0.15", "#D55E00"
+ELEVATION = 22.0
+"""Elevation of the viewer in degrees."""
 SHOWN_POINTS = 6000
 """Largest number of points of a drawn trace."""
 _SILHOUETTE = ((0.0, 0.0), (0.10, 0.10), (0.62, 0.58), (0.64, 0.66), (0.50, 0.80), (0.10, 1.0), (0.0, 1.0))
@@ -173,15 +175,13 @@ def surface_distance(body: Body) -> float:
 class BodyArtist:
     """Artists of a body, its axis and the trace of that, on ``axes``; ``show`` moves them to a row of the motion.
 
-    ``path`` (m, 3) are the directions of the axis in space. The viewer's ``azimuth`` follows from its start if None.
+    ``path`` (m, 3) are the directions of the axis in space. The viewer's azimuth follows from its start.
     """
 
-    def __init__(
-        self, axes: Any, body: Body, path: Array, elevation: float = 22.0, azimuth: float | None = None
-    ) -> None:
+    def __init__(self, axes: Any, body: Body, path: Array) -> None:
         from matplotlib.collections import PolyCollection
 
-        self.body, self.view = body, projection(elevation, view_azimuth(path[0]) if azimuth is None else azimuth)
+        self.body, self.view = body, projection(ELEVATION, view_azimuth(path[0]))
         self.reach = surface_distance(body)
         self.stride = -(-len(path) // SHOWN_POINTS)
         self.path = path[:: self.stride] @ self.view.T

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from topcli.errors import SchemeCodeError, UnknownNameError, nearest, quoted
 from topcli.figures.figure import Figure, Loaded, Request, deferred
-from topcli.figures.picture import Grid, Line, Panel
+from topcli.figures.picture import Grid, Line, Panel, component_symbol
 from topcli.figures.scene3d import Polhodes, Sphere
 from topcli.figures.scenes import BACK, BodyPanel, VectorPanel, scene_figure
 from topcli.schemes.plugins import failed_plugin, known_failures, origin_of, plugin_failures, plugin_table
@@ -17,23 +17,28 @@ from topcli.schemes.plugins import failed_plugin, known_failures, origin_of, plu
 Load = Callable[[Request], Loaded]
 
 
-def _headed(figsize: tuple[float, float]) -> Grid:
+def _headed(scheme: str, figsize: tuple[float, float]) -> Grid:
     """One row of panels under a line with top, scheme, h and the distance from the upright position at the start."""
-    return Grid(figsize=figsize, heading=r"{top}, {scheme}, $h = {h}$, $\epsilon = \gamma_3(0) = {gamma3}$")
+    heading = rf"Kowalevski top, {scheme}, $h = 10^{{-3}}$, $\epsilon = \gamma_3(0) = 10^{{-3}}$"
+    return Grid(figsize=figsize, heading=heading)
 
 
 def _components(vector: str) -> tuple[str, str, str]:
     return f"{vector}1", f"{vector}2", f"{vector}3"
 
 
-def _motion_figure(name: str, method: str, scene: str) -> Figure:
+def _lines(vector: str) -> tuple[Line, ...]:
+    return tuple(Line(name, component_symbol(name)) for name in _components(vector))
+
+
+def _motion_figure(name: str, scheme: str, scene: str) -> Figure:
     """Figure of gamma on the left and omega on the right."""
     panels = (
-        Panel(tuple(map(Line, _components("gamma"))), r"vertical $\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a)"),
-        Panel(tuple(map(Line, _components("omega"))), r"angular velocity $\boldsymbol{\omega}$", title="(b)"),
+        Panel(_lines("gamma"), r"vertical $\boldsymbol{\gamma}$", ylim=(-1.1, 1.1), title="(a)"),
+        Panel(_lines("omega"), r"angular velocity $\boldsymbol{\omega}$", title="(b)"),
     )
-    title = f"Kowalevski top, {method}: gamma and omega"
-    return scene_figure(name, title, scene, panels, _headed((7.0, 2.9)), rank=0)
+    title = f"Kowalevski top, {scheme}: gamma and omega"
+    return scene_figure(name, title, scene, panels, _headed(scheme, (7.0, 2.9)))
 
 
 def _spheres() -> tuple[Sphere, Sphere]:
@@ -46,20 +51,33 @@ def _spheres() -> tuple[Sphere, Sphere]:
     )
 
 
+_MODIFIED = (
+    Line("m_sq", r"$\boldsymbol{m}^2$"),
+    Line("modified_m_sq", r"$\boldsymbol{m}^2/K$"),
+    Line("modified_k12", r"$\kappa_{12}$", dots=40),
+)
+_MODIFIED_COLUMNS = ["t", *(line.column for line in _MODIFIED)]
+
 FIGURES: dict[str, Figure] = {
     figure.name: figure
     for figure in (
-        _motion_figure("fig1", "HK scheme", "kowalevski_hk"),
+        _motion_figure("fig1", "HK", "kowalevski_hk"),
         _motion_figure("fig2", "Bohlin A", "kowalevski_bohlin_a"),
         scene_figure(
             "fig3",
             "Kowalevski top, Bohlin A: energy E and vertical angular momentum 2l, and their changes",
             "kowalevski_bohlin_a",
-            (Panel((Line("energy"), Line("two_l")), "change since $t = 0$", change=True, whole=(0.0, 6.0)),),
-            _headed((7.0, 3.1)),
-            rank=0,
+            (
+                Panel(
+                    (Line("energy", "$E$"), Line("two_l", r"$2\ell$")),
+                    "change since $t = 0$",
+                    change=True,
+                    whole=(0.0, 6.0),
+                ),
+            ),
+            _headed("Bohlin A", (7.0, 3.1)),
         ),
-        _motion_figure("fig4", "hybrid scheme", "kowalevski_hybrid"),
+        _motion_figure("fig4", "hybrid", "kowalevski_hybrid"),
         scene_figure(
             "polhodes",
             "Euler top: curves of omega in the body (polhodes), and one that starts near the middle axis",
@@ -72,9 +90,9 @@ FIGURES: dict[str, Figure] = {
             "Euler top, HK scheme: deviations of an integral and of modified integrals that HK conserves",
             "euler_hk",
             (
-                Panel((Line("m_sq"), Line("modified_m_sq")), title="(a)"),
+                Panel(_MODIFIED[:2], r"$\boldsymbol{m}^2$, $\boldsymbol{m}^2/K$", title="(a)"),
                 Panel(
-                    (Line("m_sq"), Line("modified_m_sq"), Line("modified_k12", dots=40)),
+                    _MODIFIED,
                     "largest relative deviation so far",
                     title="(b)",
                     log=True,
@@ -82,8 +100,8 @@ FIGURES: dict[str, Figure] = {
                     ylim=(1e-17, 1.0),
                 ),
             ),
-            Grid(figsize=(7.0, 2.9), heading="{top}, {scheme}, $h = {h}$"),
-            sets=("h=0.1", "N=1000", "output.columns=[t, m_sq, modified_m_sq, modified_k12]"),
+            Grid(figsize=(7.0, 2.9), heading="Euler top, HK, $h = 0.1$"),
+            overrides=("name=euler_modified", "h=0.1", "N=1000", f"output.columns={_MODIFIED_COLUMNS}"),
         ),
         scene_figure(
             "sphere",
@@ -93,7 +111,7 @@ FIGURES: dict[str, Figure] = {
             Grid(
                 figsize=(6.4, 3.6),
                 ncols=4,
-                heading=r"{top}: vertical $\boldsymbol{\gamma}$ in the body frame",
+                heading=r"Kowalevski top: vertical $\boldsymbol{\gamma}$ in the body frame",
                 first=(r"vertical $\boldsymbol{\gamma}$", "on the far side"),
             ),
             ("kowalevski_generic_hk",),
@@ -110,7 +128,7 @@ FIGURES: dict[str, Figure] = {
             Grid(
                 figsize=(7.0, 3.0),
                 ncols=4,
-                heading=r"{top}: axis $\boldsymbol{a}$ about the vertical $\boldsymbol{p}$",
+                heading=r"Lagrange top: axis $\boldsymbol{a}$ about the vertical $\boldsymbol{p}$",
                 first=(r"axis $\boldsymbol{a}$", "on the far side", "its bounds"),
             ),
             ("lagrange_loops", "lagrange_waves"),
@@ -126,7 +144,7 @@ FIGURES: dict[str, Figure] = {
             "Euler, Lagrange and Kowalevski tops: the bodies in space with the traces of their axes",
             "euler_attitude",
             (
-                BodyPanel("(a) Euler", until=0.45),
+                BodyPanel("(a) Euler", "euler_attitude", until=0.45),
                 BodyPanel("(b) Lagrange", "lagrange_attitude", until=0.93),
                 BodyPanel("(c) Kowalevski", "kowalevski_attitude", until=0.5),
             ),
@@ -142,8 +160,10 @@ FIGURES: dict[str, Figure] = {
             "Euler top: the curve of omega in the body (polhode) and in space (herpolhode)",
             "euler_attitude",
             (
-                VectorPanel(r"(a) $\boldsymbol{\omega}$ in the body: polhode", "omega"),
-                VectorPanel(r"(b) $\boldsymbol{\omega}$ in space: herpolhode", "omega", in_space=True),
+                VectorPanel(r"(a) $\boldsymbol{\omega}$ in the body: polhode", "omega", "euler_attitude"),
+                VectorPanel(
+                    r"(b) $\boldsymbol{\omega}$ in space: herpolhode", "omega", "euler_attitude", in_space=True
+                ),
             ),
             Grid(figsize=(7.0, 3.7), heading="Euler top", ncols=4, first=(r"$\boldsymbol{\omega}$", BACK)),
         ),
@@ -158,21 +178,18 @@ FIGURES: dict[str, Figure] = {
             "Kowalevski and Euler tops: long-time energy errors under integrable, canonical and other schemes",
             "euler_hk",
             deferred("growth:load_long_energy"),
-            rank=1,
         ),
         Figure(
             "chaos",
             "Chaotic orbits of the HK scheme of the Kowalevski top against the step size",
             "kowalevski_generic_hk",
             deferred("chaos:load_chaos"),
-            rank=1,
         ),
         Figure(
             "torus-points",
             "Kowalevski top: section of a torus with points of an integrable map at h = 1 and of HK",
             "kowalevski_generic_backlund",
             deferred("torus:load_torus_points"),
-            rank=1,
         ),
         Figure(
             "work-precision",

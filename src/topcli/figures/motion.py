@@ -20,12 +20,10 @@ from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Top
 from topcli.engine.fingerprint import fingerprint
-from topcli.errors import UsageError
 from topcli.figures.curves import plain
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import DASHED, Drawable, Grid, Line, Panel, caption, component_symbol, halo
 from topcli.figures.scene3d import Polhodes, Sphere
-from topcli.figures.scenes import scene_config
 from topcli.figures.style import Styles
 from topcli.schemes.kowalevski.closed_form.curve import integrals
 from topcli.tops.euler import Euler
@@ -165,21 +163,18 @@ WINDOWS = (
 
 
 def load_bifurcation(request: Request) -> Loaded:
-    """Load the panels of the windows. Raises UsageError for a scene of another top."""
+    """Load the panels of the windows."""
     panels, data = [], {}
     for number, window in enumerate(WINDOWS):
-        two_l, name = window.two_l, ""
+        two_l = window.two_l
         if window.scene:
-            experiment = load_experiment(scene_config(window.scene, request.configs))
-            name = experiment.name
-            if experiment.top.kind != "kowalevski":
-                raise UsageError(f"bifurcation: {name} is of the top {experiment.top.kind}, not kowalevski")
+            experiment = load_experiment(window.scene)
             of = integrals(experiment.y0, experiment.top.constants()[0])
             two_l = 2.0 * float(of.L)
             data |= curve_columns(number, {"scene": np.array([[3.0 * float(of.l1)], [float(of.k_sq)]])})
         curves = critical_curves(two_l, window.energies, window.k_sq)
         data |= curve_columns(number, curves)
-        panels.append(Diagram(number, two_l, window.energies, window.k_sq, name, tuple(curves)))
+        panels.append(Diagram(number, two_l, window.energies, window.k_sq, window.scene, tuple(curves)))
     code = fingerprint(regions, branches, _middles, compiled=False)
     source = {"panels": [repr(panel) for panel in panels], "code": code}
     return Loaded(tuple(panels), lambda: data, source, Grid(2, (7.0, 6.2), ncols=3, fontsize=9.0, handlelength=DASHED))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from topcli.config.models import Experiment
-    from topcli.contracts import Top
 
 IMAGE_FORMATS = ("png", "pdf", "svg")
 DEFAULT_FORMATS = ("png", "pdf")
@@ -30,45 +29,6 @@ class Drawable(Protocol):
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw into matplotlib's ``axes``."""
         ...
-
-
-@dataclass(frozen=True)
-class DrawnRun:
-    """Experiment of a run that a panel draws; ``as_packaged`` if its motion is that of the packaged scene.
-
-    ``changed`` has the first digits of the digest if overrides of the command line change the experiment. Its results
-    are described in the ``manifest``, and its columns are in the file ``series``.
-    """
-
-    experiment: Experiment
-    as_packaged: bool
-    changed: str
-    manifest: Mapping[str, Any]
-    series: Path
-
-
-@dataclass(frozen=True)
-class Runs:
-    """Runs that the columns of a figure come from.
-
-    A column ``scene:name`` is that of the run of ``scene``, a ``name`` alone that of the run of the figure's own scene,
-    whose name is empty here. ``overlay`` if the exact motion is drawn behind them.
-    """
-
-    by_scene: Mapping[str, DrawnRun]
-    overlay: bool = False
-
-    def of(self, column: str) -> DrawnRun:
-        """Run that a column comes from."""
-        return self.by_scene[column.rpartition(":")[0]]
-
-    def overlaid(self, columns: Iterable[str]) -> tuple[str, ...]:
-        """Columns behind which the exact motion is drawn, as far as it is known."""
-        from topcli.runs.references import overlay_names
-
-        if not self.overlay:
-            return ()
-        return tuple(name for name in columns if name.rpartition(":")[2] in overlay_names(self.of(name).experiment))
 
 
 _GREEK = frozenset("alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi".split())  # noqa: SIM905
@@ -102,11 +62,6 @@ def scheme_label(experiment: Experiment) -> str:
     return display_name(experiment.scheme.name) + (f" ({options})" if options else "")
 
 
-def top_name(top: Top) -> str:
-    """Short name of a top, without the conditions in its title."""
-    return top.title.partition(" (")[0].removesuffix(" in the inertial frame")
-
-
 def number_text(value: float) -> str:
     """Mathtext, without dollars, of a number to six digits; powers of ten as such."""
     digits, exponent = f"{value:.5e}".split("e")
@@ -117,21 +72,11 @@ def number_text(value: float) -> str:
     return {"1": ten, "-1": f"-{ten}"}.get(mantissa, rf"{mantissa}\times {ten}")
 
 
-def described(text: str, experiment: Experiment) -> str:
-    """``text`` with the run's values in place of ``{top}``, ``{scheme}``, ``{h}`` and components of the first state."""
-    named = {name: number_text(value) for name, value in zip(experiment.top.components, experiment.y0, strict=True)}
-    own = {"top": top_name(experiment.top), "scheme": scheme_label(experiment), "h": number_text(experiment.h)}
-    for key, value in {**own, **named}.items():
-        text = text.replace(f"{{{key}}}", value)
-    return text
-
-
 @dataclass(frozen=True)
 class Line:
     """A column drawn against the panel's x column, and its label in the legend (may be mathtext).
 
-    An empty label becomes the symbol of the column in the run's top or scheme. ``dots`` draws open circles at about so
-    many points instead of a line: it shows a curve that coincides with another.
+    ``dots`` draws open circles at about so many points instead of a line: it shows a curve that coincides with another.
     """
 
     column: str
@@ -144,11 +89,9 @@ class Panel:
     """One pair of axes with lines.
 
     ``ylim`` is the smallest vertical range, ``log`` makes the vertical axis logarithmic, ``xlog`` the other one.
-    ``title`` is above the axes on the left; ``{scheme}``, ``{h}`` and components of the state in it become the run's
-    (``described``). An empty ``ylabel`` becomes the labels of the lines. ``deviation`` draws the largest absolute
-    deviation from the first value so far, relative to it; ``change`` the value minus the first one. With ``whole`` a
-    small pair of axes in the upper left corner shows the values themselves over this vertical range. Columns in
-    ``overlaid`` have another, ``exact:<column>``, of the exact motion, which is drawn in grey behind the lines.
+    ``title`` is above the axes on the left. ``deviation`` draws the largest absolute deviation from the first value so
+    far, relative to it; ``change`` the value minus the first one. With ``whole`` a small pair of axes in the upper left
+    corner shows the values themselves over this vertical range.
     """
 
     lines: tuple[Line, ...]
@@ -162,26 +105,11 @@ class Panel:
     deviation: bool = False
     change: bool = False
     whole: tuple[float, float] | None = None
-    overlaid: tuple[str, ...] = ()
-
-    def of_runs(self, runs: Runs) -> Panel:
-        """Return the panel with title and labels of the runs that its columns come from, and the exact motion."""
-        lines = tuple(
-            replace(line, label=line.label or column_label(runs.of(line.column).experiment, line.column))
-            for line in self.lines
-        )
-        overlaid = () if self.deviation else runs.overlaid(line.column for line in lines)
-        named = (f"{line.label} − {line.label}$(0)$" if self.change else line.label for line in lines)
-        ylabel = self.ylabel or ", ".join(named)
-        title = described(self.title, runs.of(self.x).experiment)
-        return replace(self, lines=lines, ylabel=ylabel, title=title, overlaid=overlaid)
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the lines into ``axes``."""
         x = data[self.x]
         low, high = self.ylim or (np.inf, -np.inf)
-        for column in self.overlaid:
-            axes.plot(x, self._shown(data[overlay_column(column)]), **styles[REFERENCE])
         for line in self.lines:
             values = self._shown(data[line.column])
             axes.plot(x, values, label=line.label, **self._style(line, len(x), styles))
@@ -226,11 +154,6 @@ class Panel:
         inset.set(xlim=axes.get_xlim(), ylim=(float(low), float(high)))
         inset.tick_params(labelsize="small")
         inset.set_ylabel(", ".join(line.label for line in self.lines), fontsize="small")
-
-
-def overlay_column(column: str) -> str:
-    """Name of the column of the exact motion that belongs to a column of a run."""
-    return f"exact:{column}"
 
 
 def legend_entries(figure: Any) -> dict[str, Any]:
@@ -349,17 +272,11 @@ def label_ends(axes: Any, ends: Sequence[tuple[float, float, str, Any]]) -> None
         )
 
 
-def draw(
-    panels: Sequence[Drawable],
-    data: Mapping[str, np.ndarray],
-    layout: Grid | None = None,
-    style: Mapping[str, Any] | None = None,
-) -> Figure:
+def draw(panels: Sequence[Drawable], data: Mapping[str, np.ndarray], layout: Grid | None = None) -> Figure:
     """Draw ``panels`` from the columns of ``data`` (each (m,)) and return the matplotlib figure.
 
     Legends of lines are above the axes, where they hide no trajectory: one for each panel, or one for the whole figure
-    if a panel has more than four lines or a reference; the latter is below if the figure has a heading. Parameters of
-    matplotlib in ``style`` replace those for print.
+    if a panel has more than four lines or a reference; the latter is below if the figure has a heading.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -368,8 +285,8 @@ def draw(
     labels = [[line.label for line in panel.lines] if isinstance(panel, Panel) else [] for panel in panels]
     every = list(itertools.chain(*labels))
     shared = REFERENCE in every or any(len(own) > 4 for own in labels)
-    with styled(style):
-        figure = Figure(figsize=(style or {}).get("figure.figsize") or layout.figsize)
+    with styled():
+        figure = Figure(figsize=layout.figsize)
         FigureCanvasAgg(figure)
         for axes, panel, own in zip(layout.axes(figure, panels), panels, labels, strict=True):
             panel.paint(axes, data, {**looks(every if shared else own), REFERENCE: REFERENCE_LOOK})
@@ -385,8 +302,8 @@ def draw(
     return figure
 
 
-def save(figure: Figure, path: Path, style: Mapping[str, Any] | None = None) -> None:
+def save(figure: Figure, path: Path) -> None:
     """Write the picture in the format of the path's suffix, without a date, so that equal data gives equal files."""
     dates = {"pdf": ("CreationDate", "ModDate"), "svg": ("Date",)}.get(path.suffix[1:], ())
-    with styled({"svg.hashsalt": "topcli", **(style or {})}):
+    with styled({"svg.hashsalt": "topcli"}):
         figure.savefig(path, metadata=dict.fromkeys(dates))

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, checked_equations
-from topcli.errors import RunError, UsageError
-from topcli.figures.picture import Runs, halo, overlay_column
-from topcli.figures.style import REFERENCE, Styles
+from topcli.contracts import Array
+from topcli.figures.picture import halo
+from topcli.figures.style import Styles
 
 TRACE, TRACE_FAR = "#0072B2", "#74ABD1"
 START, START_FAR = "#D55E00", "#DD9560"
@@ -129,8 +128,7 @@ class Sphere:
 
     A diamond marks the start; arrows are the axes whose names ``axes`` are not empty; with ``band`` the two parallels
     that enclose the trace are drawn too. Small dots are at every unit of the column ``time``, if there is one. ``name``
-    is that of the vector in the legend, which is below the panel if it is ``alone``, and else up to the layout. With
-    the columns ``overlaid`` the exact motion is drawn in grey behind the trace.
+    is that of the vector in the legend, which is below the panel if it is ``alone``, and else up to the layout.
     """
 
     title: str
@@ -143,13 +141,6 @@ class Sphere:
     time: str = ""
     name: str = r"axis $\boldsymbol{a}$"
     alone: bool = False
-    overlaid: tuple[str, ...] = ()
-
-    def of_runs(self, runs: Runs) -> Sphere:
-        """Return the panel with the exact motion, and the name of the run as title if it is not the packaged one."""
-        run, overlaid = runs.of(self.vector[0]), runs.overlaid(self.vector)
-        title = self.title if run.as_packaged else run.experiment.name
-        return replace(self, title=title, overlaid=overlaid if overlaid == self.vector else ())
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
         """Draw the sphere and the trace into ``axes``."""
@@ -170,10 +161,6 @@ class Sphere:
             _line(axes, parallel(float(height)) @ camera.T, BAND, BAND_FAR, 0.7, 3, **dashed)
         if self.time:
             _time_dots(axes, seen, data[self.time][rows])
-        if self.overlaid:
-            exact = np.column_stack([data[overlay_column(name)] for name in self.vector])[rows]
-            grey = styles[REFERENCE]["color"]
-            _line(axes, exact @ camera.T, grey, grey, 2.6 * self.width, 4)
         hidden = "on the far side" if (seen[:, 2] < 0.0).any() else ""
         _line(axes, seen, TRACE, TRACE_FAR, self.width, 5, (self.name, hidden))
         for i, name in enumerate(self.axes):
@@ -248,29 +235,13 @@ class Polhodes:
     levels: tuple[float, ...] = (0.1, 0.25, 0.42, 0.6, 0.77, 0.91)
     view: tuple[float, float] = (52.0, 24.0)
     pixels: int = 900
-    overlaid: tuple[str, ...] = ()
     label: str = "run"
 
-    def of_runs(self, runs: Runs) -> Polhodes:
-        """Return the panel with the moments of the run's top and the exact motion; UsageError for equal moments."""
-        experiment, overlaid = runs.of(self.omega[0]).experiment, runs.overlaid(self.omega)
-        moments = checked_equations(experiment.top, "the figure polhodes").moments
-        if len(set(moments)) < 3:
-            given = ", ".join(f"{moment:g}" for moment in moments)
-            raise UsageError(f"polhodes: {experiment.name} has the moments {given}; use three different ones")
-        return replace(self, moments=moments, overlaid=overlaid if overlaid == self.omega else ())
-
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: Styles) -> None:
-        """Draw into ``axes``. Raises RunError if the data are not on the ellipsoid of the moments."""
+        """Draw into ``axes``."""
         moments = np.array(self.moments)
         path = np.column_stack([data[name] for name in self.omega])
-        energies = path**2 @ moments
-        if np.ptp(energies) > 0.05 * energies[0]:
-            raise RunError(
-                f"polhodes: the run does not conserve the energy of a top with the moments {self.moments}; "
-                "use a run of a top with these moments"
-            )
-        size = np.sqrt(energies[0])
+        size = np.sqrt(path[0] ** 2 @ moments)
         azimuth, elevation = self.view
         camera = projection(elevation, azimuth)
         _shade(axes, moments, camera, self.pixels)
@@ -278,10 +249,6 @@ class Polhodes:
             width, far = (1.2, 0.45) if steady else (0.6, 0.3)
             _trace(axes, curve @ camera.T, _facing(curve, moments, camera), "0.15", width, far)
             _arrow(axes, curve, moments, camera)
-        if self.overlaid:
-            exact = np.column_stack([data[name] for name in map(overlay_column, self.omega)]) / size
-            grey, width = (styles[REFERENCE][key] for key in ("color", "linewidth"))
-            _trace(axes, exact @ camera.T, _facing(exact, moments, camera), grey, width, 0.6)
         _trace(axes, path @ camera.T / size, _facing(path, moments, camera), RUN, width=1.8, far=0.45)
         labels = _landmarks(axes, moments, camera)
         reach = 1.04 * np.sqrt(camera[:2] ** 2 @ (1.0 / moments))

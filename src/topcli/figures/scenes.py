@@ -4,143 +4,82 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from topcli.analysis.columns import ATTITUDES, QUATERNION
 from topcli.arithmetic.quaternions import matrices
-from topcli.config.load import load_experiment, load_named
+from topcli.config.load import load_experiment
 from topcli.contracts import Array, Outcome
-from topcli.errors import RunError, UsageError
-from topcli.figures.body import TRACE, TRACE_FAR, Body, BodyArtist, body_of
+from topcli.errors import RunError
+from topcli.figures.body import TRACE, TRACE_FAR, BodyArtist, body_of
 from topcli.figures.figure import Figure, Loaded, Request
-from topcli.figures.picture import Drawable, DrawnRun, Grid, Runs, described, overlay_column
+from topcli.figures.picture import Drawable, Grid
 from topcli.figures.scene3d import arrow, pair_of_lines, projection
-
-
-class RunPanel(Protocol):
-    """A panel that takes titles, labels or parameters from the runs that it draws.
-
-    If it can show the exact motion behind them, the columns that have one are in ``overlaid``.
-    """
-
-    def of_runs(self, runs: Runs) -> Drawable:
-        """Return the panel as the runs complete it."""
-        ...
-
-
-def scene_config(scene: str, configs: Path) -> Path | str:
-    """Config of ``scene`` in the folder ``configs``, or the packaged scene's name if there is none."""
-    for suffix in (".yaml", ".yml", ".toml"):
-        path = configs / f"{scene}{suffix}"
-        if path.is_file():
-            return path
-    return scene
+from topcli.store.manifest import StoredRun
 
 
 def scene_figure(
     name: str,
     title: str,
     scene: str,
-    panels: Sequence[RunPanel],
+    panels: Sequence[Drawable],
     layout: Grid,
     others: Sequence[str] = (),
-    rank: int = 2,
-    sets: Sequence[str] = (),
+    overrides: Sequence[str] = (),
 ) -> Figure:
     """A figure of columns of the run of ``scene``; ``other:name`` is a column of the run of a scene in ``others``.
 
-    ``sets`` are overrides of ``scene``.
+    The texts ``key=value`` in ``overrides`` change the config of ``scene``.
     """
-    return Figure(
-        name,
-        title,
-        scene,
-        partial(_load, name, {"": scene} | {other: other for other in others}, sets, tuple(panels), layout),
-        needs=(scene, *others),
-        rank=rank,
-        takes_overrides=True,
-        takes_overlay=any(hasattr(panel, "overlaid") for panel in panels),
-    )
+    runs = {"": (scene, overrides), scene: (scene, overrides)} | {other: (other, ()) for other in others}
+    return Figure(name, title, scene, partial(_load, name, runs, tuple(panels), layout))
 
 
 def _load(
     name: str,
-    scenes: Mapping[str, str],
-    sets: Sequence[str],
-    panels: Sequence[RunPanel],
+    configs: Mapping[str, tuple[str, Sequence[str]]],
+    panels: Sequence[Drawable],
     layout: Grid,
     request: Request,
 ) -> Loaded:
     """Load panels and columns of the runs, which are carried out if missing. Raises UsageError and RunError."""
-    drawn: dict[str, DrawnRun] = {}
-    for key, scene in scenes.items():
-        drawn[key] = drawn[scene] = _run(name, scene, () if key else sets, request)
-    runs = Runs(drawn, request.overlay)
-    completed = tuple(panel.of_runs(runs) for panel in panels)
-    heading = described(layout.heading, drawn[""].experiment)
-    if request.overlay:
-        if not any(getattr(panel, "overlaid", ()) for panel in completed):
-            raise UsageError(f"{name}: --overlay exact: no panel shows components or integrals themselves")
-        heading = "; ".join([*([heading] if heading else []), "exact motion in grey"])
-    return Loaded(
-        completed,
-        lambda: _Columns(name, scenes, drawn),
-        {"runs": [[drawn[scene].manifest[key] for key in ("digest", "code")] for scene in scenes]},
-        replace(layout, heading=heading),
-        variant=next((run.changed for run in drawn.values() if run.changed), ""),
-    )
+    found = {config: _run(name, *config, request) for config in dict.fromkeys(configs.values())}
+    runs = {scene: found[config] for scene, config in configs.items()}
+    source = {"runs": [[run.manifest[key] for key in ("digest", "code")] for run in found.values()]}
+    return Loaded(panels, lambda: _Columns(runs), source, layout)
 
 
-def _run(name: str, scene: str, sets: Sequence[str], request: Request) -> DrawnRun:
-    """Completed run of ``scene`` with the overrides ``sets``. Raises UsageError and RunError."""
+def _run(name: str, scene: str, overrides: Sequence[str], request: Request) -> StoredRun:
+    """Completed run of ``scene``. Raises UsageError and RunError."""
     from topcli.runs.decision import RunOptions
     from topcli.runs.run import run_experiment
 
-    config = scene_config(scene, request.configs)
-    overrides = [*sets, *request.overrides]
-    experiment = load_experiment(config, overrides).renamed(load_named(config, overrides).name)
-    changed = experiment.digest != load_experiment(config, sets).digest
-    run = run_experiment(experiment, request.results, RunOptions(force=request.force, on_progress=request.on_progress))
+    options = RunOptions(force=request.force, on_progress=request.on_progress)
+    run = run_experiment(load_experiment(scene, overrides), request.results, options)
     if run.set_aside:
         request.on_message(run.set_aside_message)
     if run.outcome is not Outcome.COMPLETED:
         raise RunError(f"{name}: the run {run.stored.folder} {run.report['message']}")
-    packaged = load_experiment(scene, sets)
-    as_packaged = (experiment.top, experiment.y0) == (packaged.top, packaged.y0)
-    return DrawnRun(
-        experiment, as_packaged, experiment.digest[:6] if changed else "", run.stored.manifest, run.stored.series
-    )
+    return run.stored
 
 
 class _Columns(dict[str, Any]):
-    """Columns of the runs, read when they are drawn; ``exact:<column>`` is that of the exact motion."""
+    """Columns of the runs by scene, read when they are drawn."""
 
-    def __init__(self, name: str, scenes: Mapping[str, str], drawn: Mapping[str, DrawnRun]) -> None:
+    def __init__(self, runs: Mapping[str, StoredRun]) -> None:
         super().__init__()
-        self.name, self.scenes, self.drawn = name, scenes, drawn
-        self.motions: dict[str, Mapping[str, np.ndarray]] = {}
+        self.runs = runs
 
     def __missing__(self, name: str) -> np.ndarray:
-        """Column of this name. Raises UsageError if its run does not record it."""
-        from topcli.runs.references import overlay_columns
+        """Column of this name."""
         from topcli.store.series import read_series
 
-        plain = name.removeprefix(overlay_column(""))
-        key, _, column = plain.rpartition(":")
-        run = self.drawn[key]
-        if plain != name:
-            if key not in self.motions:
-                self.motions[key] = overlay_columns(run.experiment)
-            self[name] = self.motions[key][column]
-        elif column in run.experiment.recorded:
-            self[name] = read_series(run.series, [column])[column]
-        else:
-            raise UsageError(f"{self.name}: the config of {self.scenes.get(key, key)} does not record {column}")
+        scene, _, column = name.rpartition(":")
+        self[name] = read_series(self.runs[scene].series, [column])[column]
         return self[name]
 
 
@@ -152,8 +91,8 @@ VECTORS = {"omega": r"\omega", "gamma": r"\gamma"}
 
 
 def _finite(data: Mapping[str, np.ndarray], scene: str, names: Sequence[str]) -> Array:
-    """Columns (m, k) of the run of ``scene``, of the figure's own if it is empty; rows padded with nan are left out."""
-    values = np.column_stack([data[f"{scene}:{name}" if scene else name] for name in names])
+    """Columns (m, k) of the run of ``scene``; rows padded with nan are left out."""
+    values = np.column_stack([data[f"{scene}:{name}"] for name in names])
     return values[np.isfinite(values).all(axis=1)]
 
 
@@ -167,25 +106,15 @@ class BodyPanel:
     """Body of the run of ``scene`` after the part ``until`` of its rows, with the trace of its axis until then."""
 
     title: str
-    scene: str = ""
-    until: float = 1.0
-    elevation: float = 22.0
-    azimuth: float | None = None
-    body: Body | None = field(default=None, repr=False)
-
-    def of_runs(self, runs: Runs) -> BodyPanel:
-        """Return the panel with the body of the run's top, and the run's name if its motion is not the packaged one."""
-        run = runs.by_scene[self.scene]
-        body = body_of(run.experiment.top, run.experiment.y0)
-        return replace(self, body=body, title=self.title if run.as_packaged else run.experiment.name)
+    scene: str
+    until: float
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
         """Draw into ``axes``; ``styles`` is not used."""
-        assert self.body is not None
-        rotations = _rotations(data, self.scene)
+        experiment = load_experiment(self.scene)
+        body, rotations = body_of(experiment.top, experiment.y0), _rotations(data, self.scene)
         last = round(self.until * (len(rotations) - 1))
-        path = rotations[: last + 1] @ self.body.axis
-        artist = BodyArtist(axes, self.body, path, self.elevation, self.azimuth)
+        artist = BodyArtist(axes, body, rotations[: last + 1] @ body.axis)
         artist.show(last, 0, rotations[last])
         for line in artist.new:
             line.set_linewidth(0.8 * line.get_linewidth() / 1.9)
@@ -206,14 +135,9 @@ class VectorPanel:
 
     title: str
     vector: str
-    scene: str = ""
+    scene: str
     in_space: bool = False
     view: tuple[float, float] = (24.0, 32.0)
-
-    def of_runs(self, runs: Runs) -> VectorPanel:
-        """Return the panel, with the name of the run in its title if the motion is not the packaged one."""
-        run = runs.by_scene[self.scene]
-        return self if run.as_packaged else replace(self, title=f"{run.experiment.name}: {self.title}")
 
     def curve(self, data: Mapping[str, np.ndarray]) -> Array:
         """Points (m, 3) of the curve in its frame."""

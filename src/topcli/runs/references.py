@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.reference import MAX_TAYLOR_STEPS, reference_obstacle, reference_states
-from topcli.config.models import Experiment
 from topcli.contracts import Array, Sampler, Scheme, Top, check_stop
 from topcli.engine.setups import prepare
 from topcli.errors import RunError, UsageError, quoted
@@ -192,23 +191,3 @@ class SharedReferences:
 
 REFERENCES = SharedReferences()
 """References shared by all runs of this process."""
-
-
-def overlay_names(experiment: Experiment) -> frozenset[str]:
-    """Columns that ``overlay_columns`` returns: components of the state and integrals of the motion."""
-    return frozenset((*experiment.top.components, *(integral.name for integral in experiment.top.invariants())))
-
-
-def overlay_columns(experiment: Experiment) -> dict[str, Array]:
-    """Exact values (m,) of the components and integrals at the recorded times, by the series or else the closed form.
-
-    Raises UsageError if the motion is not known exactly.
-    """
-    top, y0, n = experiment.top, np.array(experiment.y0), np.arange(0, experiment.N + 1, experiment.output.every)
-    reference = Reference(top)
-    if why := reference.obstacle:
-        reference = Reference(top, closed_form_of(top))
-        if reference.closed_form is None:
-            raise UsageError(f"{experiment.name}: no exact motion: {why}, and there is no closed form")
-    columns = dict(zip(top.components, reference.states(y0, experiment.h, n).T, strict=True))
-    return columns | {kept.name: np.full(len(n), float(kept.value(y0[None, :])[0])) for kept in top.invariants()}
