@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from cases import table_of
 from conftest import Said
+from drawn_artists import eye_of, points_of
 from topcli.errors import RunError
 from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, palette, planned, turns
 from topcli.figures.body import BodyMotion, stored_body_motion
@@ -52,9 +53,7 @@ def test_frames_show_the_run_at_their_times(motion: BodyMotion) -> None:
             values[row] - values[0], rel=0.06, abs=1e-16
         )
     rotation = Rotation.from_quat(attitudes_at(motion, film.times)[0][12], scalar_first=True)
-    tip = stage.artist.view @ rotation.apply([1.0, 0.0, 0.0])
-    (x,), (y,) = stage.artist.dot.get_data()
-    assert (x, y) == pytest.approx(tip[:2], abs=1e-12)
+    np.testing.assert_allclose(points_of(stage.artist.dot)[0], rotation.apply([1.0, 0.0, 0.0]), atol=1e-12)
     heights = stage.cursor[1].get_data()
     assert (heights[0][0], heights[1][0]) == pytest.approx((time, rotation.apply([1.0, 0.0, 0.0])[2]))
     assert (stage.frame(13) != picture).any()
@@ -65,17 +64,17 @@ def test_frames_show_the_run_at_their_times(motion: BodyMotion) -> None:
 def test_trace_is_the_path_of_the_axis_so_far(motion: BodyMotion) -> None:
     stage = Stage(motion, planned(motion, 10.0, 2.0, 300, None, None))
     stage.frame(19)
-    axis = Rotation.from_quat(motion.attitude, scalar_first=True).apply([1.0, 0.0, 0.0]) @ stage.artist.view.T
+    axis = Rotation.from_quat(motion.attitude, scalar_first=True).apply([1.0, 0.0, 0.0])
     last = int(stage.rows[19])
-    for near, far in ((stage.artist.old[0], stage.artist.old[1]), (stage.artist.new[0], stage.artist.new[1])):
-        points = np.where(np.isfinite(near.get_xydata()), near.get_xydata(), far.get_xydata())
-        first = 0 if near is stage.artist.old[0] else len(stage.artist.old[0].get_xdata()) - 1
+    for near, far in (stage.artist.old, stage.artist.new):
+        points = np.where(np.isfinite(points_of(near)), points_of(near), points_of(far))
+        first = 0 if near is stage.artist.old[0] else len(points_of(stage.artist.old[0])) - 1
         count = len(points) - (near is stage.artist.new[0])
-        np.testing.assert_allclose(points[:count], axis[first : first + count, :2], atol=1e-12)
+        np.testing.assert_allclose(points[:count], axis[first : first + count], atol=1e-12)
         assert first + count <= last + 1
     assert first + count == last + 1
-    hidden = np.isfinite(stage.artist.new[1].get_xdata())[:-1]
-    np.testing.assert_array_equal(hidden, (axis[first : last + 1] @ [0.0, 0.0, 1.0]) < 0.0)
+    hidden = np.isfinite(points_of(stage.artist.new[1])[:-1, 0])
+    np.testing.assert_array_equal(hidden, axis[first : last + 1] @ eye_of(stage.figure.axes[0]) < 0.0)
 
 
 def test_attitudes_between_rows_are_on_great_circles(motion: BodyMotion) -> None:

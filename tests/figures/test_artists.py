@@ -158,7 +158,7 @@ def test_lines_are_the_numbers_that_they_name(name: str, tmp_path: Path, monkeyp
 
 
 def test_every_figure_of_the_catalogue_is_inspected() -> None:
-    spatial = {"sphere", "nutation", "polhodes", "body", "traces"}
+    spatial = {"polhodes", "body", "traces"}
     motions = {"period", "chaos", "bifurcation", "torus-points"}
     assert set(FIGURES) == {*SCENES, *STUDIES, *spatial, *motions}
 

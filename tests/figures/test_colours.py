@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from seen_colours import difference, lightness, pattern
 from topcli.figures.outcomes import SHADES
-from topcli.figures.scene3d import BAND, BAND_FAR, RUN, TRACE, TRACE_FAR
+from topcli.figures.space import BAND, BAND_FAR, RUN, TRACE, TRACE_FAR
 from topcli.figures.style import REFERENCE_LOOK, looks, styled
 
 

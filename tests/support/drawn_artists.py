@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import same_color, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Loaded, Request
@@ -110,12 +111,20 @@ def in_sight(axes: Axes, line: Line2D) -> bool:
     return bool(len(points) and np.all(inside))
 
 
-def seen_from(elevation: float, azimuth: float, points: np.ndarray) -> np.ndarray:
-    """Points (m, 3) as (right, up, towards the viewer): turned about the third axis, then tilted."""
-    e, a = math.radians(elevation), math.radians(azimuth)
-    x, y, z = points.T
-    ahead, right = math.cos(a) * x + math.sin(a) * y, -math.sin(a) * x + math.cos(a) * y
-    return np.column_stack([right, math.cos(e) * z - math.sin(e) * ahead, math.sin(e) * z + math.cos(e) * ahead])
+def eye_of(axes: Any) -> np.ndarray:
+    """Direction (3,) from the origin towards the viewer of three-dimensional axes."""
+    e, a = math.radians(axes.elev), math.radians(axes.azim)
+    return np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+
+
+def seen(axes: Any, points: np.ndarray) -> np.ndarray:
+    """Places (m, 2) of points (m, 3) on the plane of three-dimensional axes, by their own projection."""
+    return np.column_stack(proj_transform(*points.T, axes.get_proj())[:2])
+
+
+def points_of(line: Any) -> np.ndarray:
+    """The points (m, 3) of a line in space."""
+    return np.column_stack(line.get_data_3d())
 
 
 def arrows(axes: Axes) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -125,16 +134,16 @@ def arrows(axes: Axes) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def in_two_parts(axes: Axes, near: Any, far: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Points (m, 2) of the curve that is drawn as a near and a far line of these colours, and where it is near."""
+    """Points (m, 3) of the curve that is drawn as a near and a far line of these colours, and where it is near."""
     front, back = (
         next(line for line in axes.lines if same_color(line.get_color(), colour) and line.get_linestyle() == "-")
         for colour in (near, far)
-    )  # type: ignore[arg-type]
-    points, others = data_of(front), data_of(back)
-    seen = np.isfinite(points).all(axis=1)
-    assert (seen ^ np.isfinite(others).all(axis=1)).all()
+    )
+    points, others = points_of(front), points_of(back)
+    shown = np.isfinite(points).all(axis=1)
+    assert (shown ^ np.isfinite(others).all(axis=1)).all()
     assert (front.get_zorder() > back.get_zorder(), front.get_linewidth() > back.get_linewidth()) == (True, True)
-    return np.where(seen[:, None], points, others), seen
+    return np.where(shown[:, None], points, others), shown
 
 
 def texts_of(axes: Axes) -> list[str]:

@@ -24,22 +24,22 @@ TOUCH = 1.0
 
 
 @contextmanager
-def _recorded(found: list[Text]) -> Iterator[None]:
-    """Collect the texts that are drawn in ``found``: not the labels of ticks out of sight, for example."""
+def _recorded(found: dict[Text, Bbox]) -> Iterator[None]:
+    """Collect the texts that are drawn, with their boxes: not the labels of ticks out of sight, for example."""
     draw = Text.draw
 
     def recording(text: Text, renderer: Any, *arguments: Any, **options: Any) -> None:
-        if text.get_visible() and text.get_text().strip() and text not in found:
-            found.append(text)
+        if text.get_visible() and text.get_text().strip():
+            found[text] = Text.get_window_extent(text, renderer)  # a text in space has its place only while it is drawn
         draw(text, renderer, *arguments, **options)
 
     with patch.object(Text, "draw", recording):
         yield
 
 
-def drawn_texts(figure: Figure) -> list[Text]:
-    """Texts of a figure as it is printed; the figure is laid out afterwards."""
-    found: list[Text] = []
+def drawn_texts(figure: Figure) -> dict[Text, Bbox]:
+    """Texts of a figure as it is printed, with their boxes; the figure is laid out afterwards."""
+    found: dict[Text, Bbox] = {}
     with styled(), _recorded(found):
         figure.canvas.draw()
     return found
@@ -63,10 +63,9 @@ def _overlap(one: Bbox, other: Bbox) -> float:
 
 def layout_faults(figure: Figure) -> list[str]:
     """A line for each fault of the layout, with its size in points."""
-    texts = drawn_texts(figure)
+    boxes = list(drawn_texts(figure).items())
     points = 72.0 / figure.dpi
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    boxes = [(text, Text.get_window_extent(text, renderer)) for text in texts]
     faults = []
     width, height = figure.get_size_inches()
     if width > WIDEST or height > TALLEST:

@@ -32,6 +32,7 @@ from topcli.figures.body import (
     body_of,
 )
 from topcli.figures.picture import scheme_label
+from topcli.figures.space import SPATIAL
 from topcli.figures.style import STYLE
 from topcli.store.files import io_failure, require_writable, write_whole
 
@@ -193,8 +194,9 @@ class Stage:
             self.figure = Figure(figsize=(INCHES, INCHES * height / width), dpi=width / INCHES)
             self.canvas = FigureCanvasAgg(self.figure)
             words = next((words for letter, words in FIXED.items() if letter in body.vertical), "")
+            axes = self.figure.add_axes((0.0, 0.0, 0.62, 1.0), projection=SPATIAL)
             labelled = replace(body, vertical=f"{words} {body.vertical}".strip())
-            self.artist = BodyArtist(self.figure.add_axes((0.0, 0.0, 0.62, 1.0)), labelled, self.path[self.first :])
+            self.artist = BodyArtist(axes, labelled, self.path[self.first :])
             name = one.name if len(one.name) <= NAME_LENGTH else f"{one.name[: NAME_LENGTH - 1]}\N{HORIZONTAL ELLIPSIS}"
             self.figure.text(0.62, 0.965, name.replace("$", r"\$"), fontsize=LARGE, va="top")
             title = one.top.title.partition(" (")[0]
@@ -280,6 +282,7 @@ class Stage:
         dot.set_data([time], [(rotation @ self.artist.body.axis)[2]])
         with mpl.rc_context(self.letters):
             self.canvas.restore_region(self.still)
+            self.artist.faces.do_3d_projection()
             for one in self._moving():
                 self.figure.draw_artist(one)
         return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
@@ -322,11 +325,8 @@ def palette() -> NDArray[np.uint8]:
     """Colours (k, 3), at most 256, that all frames of a GIF share: lit and dark sectors, lines on paper, greys."""
     from matplotlib.colors import to_rgb
 
-    dim, bright = np.linspace(0.5, 1.02, 28)[:, None], np.linspace(0.78, 1.02, 4)[:, None]
     found = [np.linspace(0.0, 1.0, 40)[:, None] * np.ones(3)]
-    for colour in (PALE, BLUE, MARK):
-        found.append(np.array(colour) * dim)
-        found += [np.array(colour) * bright + gloss for gloss in (0.04, 0.08, 0.12, 0.16)]
+    found += [np.array(colour) * np.linspace(0.5, 1.04, 44)[:, None] for colour in (PALE, BLUE, MARK)]
     paper = np.linspace(0.0, 0.9, 10)[:, None]
     for name in (TRACE, TRACE_FAR, OLD, OLD_FAR, DOT):
         found.append(paper * 0.975 + (1.0 - paper) * np.array(to_rgb(name)))

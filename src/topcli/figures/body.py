@@ -21,14 +21,12 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, Top, checked_equations
 from topcli.errors import ConfigError, UsageError
 from topcli.figures.picture import halo
-from topcli.figures.scene3d import arrow, lit, parallel, projection, quads, split
+from topcli.figures.space import arrow, curve, lit, parallel, quads, set_view, sphere, split
 from topcli.store.manifest import StoredRun
 from topcli.store.series import read_series
 from topcli.store.verify import intact_run
 
 LONGITUDES, LATITUDES = 56, 28
-LIGHT = (-0.45, 0.35, 0.82)
-"""Direction of the light as (right, up, towards the viewer)."""
 PALE, BLUE, MARK = (0.93, 0.90, 0.83), (0.20, 0.47, 0.69), (0.87, 0.42, 0.10)
 """Colours of the sectors; one of them is marked, so that the spin is seen."""
 LARGEST = 0.66
@@ -107,20 +105,12 @@ def _semi_axes(moments: Array) -> Array:
     return LARGEST * np.maximum(sizes / sizes.max(), THINNEST)
 
 
-def _revolution(radius: Array, height: Array) -> Array:
-    """Points (rows, LONGITUDES + 1, 3) of the surface of revolution with this ``radius`` (rows,) at each ``height``."""
-    around = np.linspace(0.0, 2.0 * math.pi, LONGITUDES + 1)
-    heights = np.broadcast_to(height[:, None], (len(height), len(around)))
-    return np.stack([radius[:, None] * np.cos(around), radius[:, None] * np.sin(around), heights], axis=2)
-
-
 def _ellipsoid(semi: Array, axis: Array) -> Array:
     """Faces of the ellipsoid with semi-axes ``semi``, with poles on ``axis``."""
-    polar = np.linspace(0.0, math.pi, LATITUDES + 1)
     first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first = first / np.linalg.norm(first)
     frame = np.stack([first, np.cross(axis, first), axis])
-    return quads((_revolution(np.sin(polar), np.cos(polar)) @ frame) * semi)
+    return quads((sphere(LATITUDES, LONGITUDES) @ frame) * semi)
 
 
 def _revolved(weight: float) -> Array:
@@ -129,7 +119,10 @@ def _revolved(weight: float) -> Array:
     radius = radius * min(1.25, max(0.5, 2.0 * weight))
     at = np.linspace(0.0, 1.0, LATITUDES + 1) * (len(radius) - 1)
     radius, height = (LARGEST * 1.3 * np.interp(at, np.arange(len(height)), one) for one in (radius, height))
-    return quads(_revolution(radius, height)[::-1])  # from the top downwards, as on an ellipsoid
+    around = np.linspace(0.0, 2.0 * math.pi, LONGITUDES + 1)
+    heights = np.broadcast_to(height[:, None], (len(height), len(around)))
+    points = np.stack([radius[:, None] * np.cos(around), radius[:, None] * np.sin(around), heights], axis=2)
+    return quads(points[::-1])  # from the top downwards, as on an ellipsoid
 
 
 def _coloured(faces: Array, axis: Array) -> tuple[Array, Array, Array]:
@@ -146,19 +139,6 @@ def _coloured(faces: Array, axis: Array) -> tuple[Array, Array, Array]:
     return faces, normals, np.where((sector == 0)[:, None], MARK, colours)
 
 
-def shown_faces(body: Body, view: Array, rotation: Array) -> tuple[Array, Array]:
-    """Corners (k, 4, 2) and colours (k, 3) of the faces turned to the viewer.
-
-    ``rotation`` (3, 3) is the attitude, ``view`` (3, 3) maps space to (right, up, towards the viewer).
-    """
-    seen = view @ rotation
-    normals = body.normals @ seen.T
-    near = normals[:, 2] > 0.0
-    corners = (body.faces[near] @ seen.T)[:, :, :2]
-    eye = np.array([0.0, 0.0, 1.0])
-    return corners, lit(body.colours[near], normals[near], np.array(LIGHT), eye, (0.50, 0.52), (0.16, 12))
-
-
 def view_azimuth(axis: Array) -> float:
     """Azimuth of the viewer, in degrees, that sees the direction ``axis`` (3,) on the left; 35 if it is upright."""
     return 35.0 if np.hypot(axis[0], axis[1]) < 0.1 else math.degrees(math.atan2(axis[1], axis[0])) + 70.0
@@ -173,52 +153,48 @@ def surface_distance(body: Body) -> float:
 
 
 class BodyArtist:
-    """Artists of a body, its axis and the trace of that, on ``axes``; ``show`` moves them to a row of the motion.
+    """Artists of a body, its axis and the trace of that, on 3D ``axes``; ``show`` moves them to a row of the motion.
 
     ``path`` (m, 3) are the directions of the axis in space. The viewer's azimuth follows from its start.
     """
 
     def __init__(self, axes: Any, body: Body, path: Array) -> None:
-        from matplotlib.collections import PolyCollection
+        from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-        self.body, self.view = body, projection(ELEVATION, view_azimuth(path[0]))
-        self.reach = surface_distance(body)
+        self.body, self.reach = body, surface_distance(body)
+        self.camera = set_view(axes, ELEVATION, view_azimuth(path[0]), 1.22, 0.15)
         self.stride = -(-len(path) // SHOWN_POINTS)
-        self.path = path[:: self.stride] @ self.view.T
-        axes.set_aspect("equal")
-        axes.set_axis_off()
-        axes.set_xlim(-1.2, 1.2)
-        axes.set_ylim(-1.12, 1.42)
+        self.path = path[:: self.stride]
         self._globe(axes)
         self.old, self.new = self._pair(axes, OLD, OLD_FAR, 0.9), self._pair(axes, TRACE, TRACE_FAR, 1.9)
-        self.faces = PolyCollection([], closed=True, linewidths=0.35, antialiaseds=True, zorder=10)
-        axes.add_collection(self.faces)
-        self.rod = axes.plot([], [], color="0.1", lw=1.6, ls="-", solid_capstyle="round")[0]
-        self.dot = axes.plot([], [], "o", color=DOT, ms=5.5, mec="white", mew=0.8)[0]
-        self.name = axes.text(0.0, 0.0, body.label, ha="center", va="center", zorder=30)
+        self.faces = Poly3DCollection(body.faces, linewidths=0.35, zorder=10)
+        axes.add_collection3d(self.faces)
+        self.rod = axes.plot([], [], [], color="0.1", lw=1.6, ls="-", solid_capstyle="round")[0]
+        self.dot = axes.plot([], [], [], "o", color=DOT, ms=5.5, mec="white", mew=0.8)[0]
+        self.name = axes.text(0.0, 0.0, 0.0, body.label, ha="center", va="center", zorder=30)
         halo(self.name, 2.2)
-        self._vertical(axes)
+        top = np.array([0.0, 0.0, 1.38])
+        arrow(axes, np.array([0.0, 0.0, 1.0]), top, VERTICAL, 1.1, zorder=31)
+        axes.text(*(top + 0.06 * self.camera[0]), body.vertical, va="top", zorder=31)
 
     def _globe(self, axes: Any) -> None:
-        """Outline and equator of the unit sphere."""
-        angle = np.linspace(0.0, 2.0 * math.pi, 361)
-        axes.fill(np.cos(angle), np.sin(angle), facecolor="0.975", edgecolor="0.75", lw=0.6, zorder=0)
-        for height in (0.0, math.sqrt(0.5), -math.sqrt(0.5)):
-            self._place(self._pair(axes, "0.80", "0.89", 0.5), parallel(height) @ self.view.T)
+        """Disc, outline and three parallels of the unit sphere."""
+        from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    def _vertical(self, axes: Any) -> None:
-        """Arrow of the direction fixed in space, from the sphere outwards."""
-        foot, tip = self.view @ np.array([0.0, 0.0, 1.0]), self.view @ np.array([0.0, 0.0, 1.38])
-        arrow(axes, foot[:2], tip[:2], VERTICAL, 1.1, zorder=31)
-        axes.text(tip[0] + 0.06, tip[1] - 0.03, self.body.vertical, va="top", zorder=31)
+        disc = parallel(0.0)[:, :2] @ self.camera[:2]
+        axes.add_collection3d(Poly3DCollection([disc], facecolor="0.975", edgecolor="0.75", lw=0.6, zorder=0))
+        for height in (0.0, math.sqrt(0.5), -math.sqrt(0.5)):
+            ring = parallel(height)
+            looks = {"color": "0.80", "lw": 0.5, "zorder": 20}, {"color": "0.89", "lw": 0.4, "zorder": 2}
+            curve(axes, ring, ring @ self.camera[2] >= 0.0, looks)
 
     @staticmethod
     def _pair(axes: Any, near: str, far: str, width: float) -> tuple[Any, Any]:
         """Lines for the part of a curve in front of the body and for that behind it."""
         style = {"ls": "-", "solid_capstyle": "round", "solid_joinstyle": "round"}
         return (
-            axes.plot([], [], color=near, lw=width, zorder=20, **style)[0],
-            axes.plot([], [], color=far, lw=0.8 * width, zorder=2, **style)[0],
+            axes.plot([], [], [], color=near, lw=width, zorder=20, **style)[0],
+            axes.plot([], [], [], color=far, lw=0.8 * width, zorder=2, **style)[0],
         )
 
     @property
@@ -227,30 +203,32 @@ class BodyArtist:
         artists = (*self.old, *self.new, self.faces, self.rod, self.dot, self.name)
         return sorted(artists, key=lambda one: one.get_zorder())
 
-    @staticmethod
-    def _place(pair: tuple[Any, Any], points: Array) -> None:
+    def _place(self, pair: tuple[Any, Any], points: Array) -> None:
         """Move a pair of lines to the curve (m, 3): its near part, and its far part."""
-        for line, part in zip(pair, split(points, points[:, 2] >= 0.0), strict=True):
-            line.set_data(*part.T)
+        for line, part in zip(pair, split(points, points @ self.camera[2] >= 0.0), strict=True):
+            line.set_data_3d(*part.T)
 
     def show(self, row: int, since: int, rotation: Array) -> None:
         """Show the attitude ``rotation`` (3, 3) after the trace up to ``row``, whose part from ``since`` is strong."""
-        corners, colours = shown_faces(self.body, self.view, rotation)
-        self.faces.set(verts=corners, facecolor=colours, edgecolor=colours)
-        tip = self.view @ rotation @ self.body.axis
+        normals = self.body.normals @ rotation.T
+        near = normals @ self.camera[2] > 0.0
+        colours = lit(self.body.colours[near], normals[near], self.camera, shade=0.48)
+        self.faces.set_verts(list(self.body.faces[near] @ rotation.T))
+        self.faces.set(facecolor=colours, edgecolor=colours)
+        tip = rotation @ self.body.axis
         first, last = since // self.stride, row // self.stride
         self._place(self.old, self.path[: first + 1])
         self._place(self.new, np.vstack([self.path[first : last + 1], tip]))
-        near = tip[2] >= 0.0
-        reach = self.reach if near else 0.0
-        self.rod.set_data([reach * tip[0], tip[0]], [reach * tip[1], tip[1]])
-        self.rod.set_zorder(21 if near else 3)
-        self.dot.set_data([tip[0]], [tip[1]])
-        self.dot.set_zorder(22 if near else 4)
-        out = tip[:2] / max(float(np.hypot(*tip[:2])), 0.15)
-        if abs(tip[0]) < 0.2 and abs(tip[1]) > 0.7:  # beside the arrow of the vertical, within the picture
+        right, up, ahead = self.camera @ tip
+        reach = self.reach if ahead >= 0.0 else 0.0
+        self.rod.set_data_3d(*np.column_stack([reach * tip, tip]))
+        self.rod.set_zorder(21 if ahead >= 0.0 else 3)
+        self.dot.set_data_3d(*tip[:, None])
+        self.dot.set_zorder(22 if ahead >= 0.0 else 4)
+        out = np.array([right, up]) / max(math.hypot(right, up), 0.15)
+        if abs(right) < 0.2 and abs(up) > 0.7:  # beside the arrow of the vertical, within the picture
             out = np.array([-1.0, 0.35])
-        self.name.set_position(tuple(tip[:2] + 0.14 * out))
+        self.name.set_position_3d(tip + 0.14 * out @ self.camera[:2])
 
 
 LARGEST_TURN = 0.5

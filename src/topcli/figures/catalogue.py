@@ -6,12 +6,13 @@ Figures 1 to 4 are those of Sogo, *Discrete Spinning Tops*, section 3.2, at the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from topcli.errors import SchemeCodeError, UnknownNameError, nearest, quoted
 from topcli.figures.figure import Figure, Loaded, Request, deferred
 from topcli.figures.picture import Grid, Line, Panel, component_symbol
-from topcli.figures.scene3d import Polhodes, Sphere
-from topcli.figures.scenes import BACK, BodyPanel, VectorPanel, scene_figure
+from topcli.figures.scenes import scene_figure
+from topcli.figures.space import Polhodes, Sphere
 from topcli.schemes.plugins import failed_plugin, known_failures, origin_of, plugin_failures, plugin_table
 
 Load = Callable[[Request], Loaded]
@@ -41,16 +42,19 @@ def _motion_figure(name: str, scheme: str, scene: str) -> Figure:
     return scene_figure(name, title, scene, panels, _headed(scheme, (7.0, 2.9)))
 
 
-def _spheres() -> tuple[Sphere, Sphere]:
-    """Traces of gamma, seen from the body."""
-    alike = {"elevation": -20.0, "azimuth": 35.0, "axes": ("e_1", "e_2", "e_3"), "band": False}
-    alike["name"] = r"vertical $\boldsymbol{\gamma}$"
+def _traces() -> tuple[Sphere, ...]:
+    """Traces of the axis of Lagrange's top in space, and of the vertical in the body frame of Kowalevski's top."""
+    in_body: dict[str, Any] = {"elevation": -20.0, "azimuth": 35.0, "axes": ("e_1", "e_2", "e_3"), "band": False}
     return (
-        Sphere("(a) near the homoclinic orbit", _components("gamma"), time="t", **alike),
-        Sphere("(b) generic", _components("kowalevski_generic_hk:gamma"), width=0.5, **alike),
+        Sphere("(a) Lagrange: cusps", _components("a")),
+        Sphere("(b) Lagrange: loops", _components("lagrange_loops:a")),
+        Sphere("(c) Lagrange: waves", _components("lagrange_waves:a")),
+        Sphere("(d) Kowalevski: near homoclinic", _components(f"{_HYBRID}:gamma"), time=f"{_HYBRID}:t", **in_body),
+        Sphere("(e) Kowalevski: generic", _components(f"{_GENERIC}:gamma"), width=0.5, **in_body),
     )
 
 
+_HYBRID, _GENERIC = "kowalevski_hybrid", "kowalevski_generic_hk"
 _MODIFIED = (
     Line("m_sq", r"$\boldsymbol{m}^2$"),
     Line("modified_m_sq", r"$\boldsymbol{m}^2/K$"),
@@ -83,7 +87,7 @@ FIGURES: dict[str, Figure] = {
             "Euler top: curves of omega in the body (polhodes), and one that starts near the middle axis",
             "euler_tennis_racket",
             (Polhodes((3.0, 2.0, 1.0)),),
-            Grid(figsize=(4.6, 5.9)),
+            Grid(figsize=(5.0, 5.9)),
         ),
         scene_figure(
             "modified",
@@ -104,34 +108,18 @@ FIGURES: dict[str, Figure] = {
             overrides=("name=euler_modified", "h=0.1", "N=1000", f"output.columns={_MODIFIED_COLUMNS}"),
         ),
         scene_figure(
-            "sphere",
-            "Kowalevski top: the vertical in the body frame, near the homoclinic orbit and on a generic orbit",
-            "kowalevski_hybrid",
-            _spheres(),
-            Grid(
-                figsize=(6.4, 3.6),
-                ncols=4,
-                heading=r"Kowalevski top: vertical $\boldsymbol{\gamma}$ in the body frame",
-                first=(r"vertical $\boldsymbol{\gamma}$", "on the far side"),
-            ),
-            ("kowalevski_generic_hk",),
-        ),
-        scene_figure(
-            "nutation",
-            "Lagrange top: traces of the top's axis with cusps, loops and waves",
+            "traces",
+            "Traces on the sphere: axis of the Lagrange top, and vertical in the body frame of the Kowalevski top",
             "lagrange_cusps",
-            (
-                Sphere("(a) cusps", _components("lagrange_cusps:a")),
-                Sphere("(b) loops", _components("lagrange_loops:a")),
-                Sphere("(c) waves", _components("lagrange_waves:a")),
-            ),
+            _traces(),
             Grid(
-                figsize=(7.0, 3.0),
-                ncols=4,
-                heading=r"Lagrange top: axis $\boldsymbol{a}$ about the vertical $\boldsymbol{p}$",
-                first=(r"axis $\boldsymbol{a}$", "on the far side", "its bounds"),
+                2,
+                figsize=(7.0, 5.3),
+                ncols=5,
+                heading=r"(a)-(c) axis $\boldsymbol{a}$ in space; (d), (e) vertical $\boldsymbol{\gamma}$ in the body",
+                first=("trace", "on the far side"),
             ),
-            ("lagrange_loops", "lagrange_waves"),
+            ("lagrange_loops", "lagrange_waves", _HYBRID, _GENERIC),
         ),
         Figure(
             "bifurcation",
@@ -139,33 +127,11 @@ FIGURES: dict[str, Figure] = {
             "kowalevski_hk",
             deferred("motion:load_bifurcation"),
         ),
-        scene_figure(
+        Figure(
             "body",
             "Euler, Lagrange and Kowalevski tops: the bodies in space with the traces of their axes",
             "euler_attitude",
-            (
-                BodyPanel("(a) Euler", "euler_attitude", until=0.45),
-                BodyPanel("(b) Lagrange", "lagrange_attitude", until=0.93),
-                BodyPanel("(c) Kowalevski", "kowalevski_attitude", until=0.5),
-            ),
-            Grid(
-                figsize=(7.0, 3.1),
-                ncols=3,
-                heading=r"fixed directions: momentum $\boldsymbol{m}$, vertical $\boldsymbol{p}$",
-            ),
-            ("lagrange_attitude", "kowalevski_attitude"),
-        ),
-        scene_figure(
-            "traces",
-            "Euler top: the curve of omega in the body (polhode) and in space (herpolhode)",
-            "euler_attitude",
-            (
-                VectorPanel(r"(a) $\boldsymbol{\omega}$ in the body: polhode", "omega", "euler_attitude"),
-                VectorPanel(
-                    r"(b) $\boldsymbol{\omega}$ in space: herpolhode", "omega", "euler_attitude", in_space=True
-                ),
-            ),
-            Grid(figsize=(7.0, 3.7), heading="Euler top", ncols=4, first=(r"$\boldsymbol{\omega}$", BACK)),
+            deferred("scenes:load_body"),
         ),
         Figure(
             "period",
@@ -210,8 +176,10 @@ GONE = {
     "errors": "topcli plot sweep kowalevski_errors --x h --y max_error --by scheme",
     "heavy-drift": "topcli plot sweep heavy_drift --x scheme --y drift.energy --aggregate median",
     "integrable": "topcli plot long-energy",
+    "nutation": "topcli plot traces",
     "order": "topcli order --plot",
     "roundoff": "topcli roundoff SCHEME --plot",
+    "sphere": "topcli plot traces",
     "stress": "topcli stress --plot",
     "swings": "topcli plot sweep kowalevski_swings --x h --y first_swing_spacing --by scheme",
     "torus": "topcli plot torus-points",

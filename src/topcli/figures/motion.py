@@ -23,7 +23,7 @@ from topcli.engine.fingerprint import fingerprint
 from topcli.figures.curves import plain
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import DASHED, Drawable, Grid, Line, Panel, caption, component_symbol, halo
-from topcli.figures.scene3d import Polhodes, Sphere
+from topcli.figures.space import Polhodes, Sphere
 from topcli.figures.style import Styles
 from topcli.schemes.kowalevski.closed_form.curve import integrals
 from topcli.tops.euler import Euler

@@ -183,10 +183,11 @@ class Grid:
 
     def axes(self, figure: Any, panels: Sequence[Drawable]) -> Sequence[Any]:
         """Axes of the panels in their order."""
-        places = figure.subplots(self.rows, -(-len(panels) // self.rows), squeeze=False).ravel()
-        for empty in places[len(panels) :]:
-            empty.set_axis_off()
-        return places[: len(panels)]
+        columns = -(-len(panels) // self.rows)
+        return [
+            figure.add_subplot(self.rows, columns, i, projection=getattr(panel, "projection", None))
+            for i, panel in enumerate(panels, 1)
+        ]
 
     def annotate(self, figure: Any) -> None:
         """Add the legend."""

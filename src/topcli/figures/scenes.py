@@ -1,24 +1,23 @@
-"""Figures of packaged scenes, and panels of bodies and traces of vectors."""
+"""Figures of packaged scenes, and the panel of a body."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from topcli.analysis.columns import ATTITUDES, QUATERNION
 from topcli.arithmetic.quaternions import matrices
 from topcli.config.load import load_experiment
-from topcli.contracts import Array, Outcome
+from topcli.contracts import Outcome
 from topcli.errors import RunError
-from topcli.figures.body import TRACE, TRACE_FAR, BodyArtist, body_of
+from topcli.figures.body import Body, BodyArtist, body_of
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Drawable, Grid
-from topcli.figures.scene3d import arrow, pair_of_lines, projection
+from topcli.figures.space import SPATIAL
 from topcli.store.manifest import StoredRun
 
 
@@ -83,38 +82,22 @@ class _Columns(dict[str, Any]):
         return self[name]
 
 
-SHADOW, FRAME, START = "0.87", "0.45", "#D55E00"
-LENGTH = 1.18
-"""Length of the axes of a frame, relative to the longest vector."""
-BACK = "its rear part"
-VECTORS = {"omega": r"\omega", "gamma": r"\gamma"}
-
-
-def _finite(data: Mapping[str, np.ndarray], scene: str, names: Sequence[str]) -> Array:
-    """Columns (m, k) of the run of ``scene``; rows padded with nan are left out."""
-    values = np.column_stack([data[f"{scene}:{name}"] for name in names])
-    return values[np.isfinite(values).all(axis=1)]
-
-
-def _rotations(data: Mapping[str, np.ndarray], scene: str) -> Array:
-    """Attitudes (m, 3, 3) of the rows of a run."""
-    return matrices(_finite(data, scene, ATTITUDES[QUATERNION]))
-
-
 @dataclass(frozen=True)
 class BodyPanel:
-    """Body of the run of ``scene`` after the part ``until`` of its rows, with the trace of its axis until then."""
+    """A body in the run of ``scene`` after the part ``until`` of its rows, with the trace of its axis until then."""
 
     title: str
     scene: str
     until: float
+    body: Body = field(repr=False)
+    projection: ClassVar[str] = SPATIAL
 
     def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
         """Draw into ``axes``; ``styles`` is not used."""
-        experiment = load_experiment(self.scene)
-        body, rotations = body_of(experiment.top, experiment.y0), _rotations(data, self.scene)
+        attitudes = np.column_stack([data[f"{self.scene}:{name}"] for name in ATTITUDES[QUATERNION]])
+        rotations = matrices(attitudes[np.isfinite(attitudes).all(axis=1)])
         last = round(self.until * (len(rotations) - 1))
-        artist = BodyArtist(axes, body, rotations[: last + 1] @ body.axis)
+        artist = BodyArtist(axes, self.body, rotations[: last + 1] @ self.body.axis)
         artist.show(last, 0, rotations[last])
         for line in artist.new:
             line.set_linewidth(0.8 * line.get_linewidth() / 1.9)
@@ -124,67 +107,20 @@ class BodyPanel:
         axes.set_title(self.title)
 
 
-@dataclass(frozen=True)
-class VectorPanel:
-    """Curve of the vector ``vector`` of the run of ``scene``, seen from the body or, ``in_space``, from outside.
-
-    It is drawn in parallel projection with the three axes of its frame, a tick on each, and its shadow on the plane
-    below. The part behind the plane through the origin and across the line of sight is paler. The legend is up to the
-    layout.
-    """
-
-    title: str
-    vector: str
-    scene: str
-    in_space: bool = False
-    view: tuple[float, float] = (24.0, 32.0)
-
-    def curve(self, data: Mapping[str, np.ndarray]) -> Array:
-        """Points (m, 3) of the curve in its frame."""
-        points = _finite(data, self.scene, [f"{self.vector}{i}" for i in (1, 2, 3)])
-        return np.einsum("mij,mj->mi", _rotations(data, self.scene), points) if self.in_space else points
-
-    def paint(self, axes: Any, data: Mapping[str, np.ndarray], styles: object) -> None:
-        """Draw into ``axes``; ``styles`` is not used."""
-        points = self.curve(data)
-        size = float(np.linalg.norm(points, axis=1).max())
-        points, camera = points / size, projection(*self.view)
-        flat = points @ camera.T
-        floor = np.column_stack([points[:, :2], np.full(len(points), min(0.0, points[:, 2].min() - 0.1))])
-        floor = floor @ camera.T
-        axes.plot(floor[:, 0], floor[:, 1], "-", color=SHADOW, lw=2.8, zorder=1, label="shadow below")
-        self._frame(axes, camera, size)
-        name = rf"$\boldsymbol{{{VECTORS[self.vector]}}}$"
-        near = {"color": TRACE, "lw": 1.1, "zorder": 6, "label": name}
-        pair_of_lines(
-            axes, flat, flat[:, 2] >= 0.0, (near, {"color": TRACE_FAR, "lw": 0.8, "zorder": 3, "label": BACK})
-        )
-        look = {"ms": 4.0, "mec": "white", "mew": 0.6, "zorder": 8, "label": "start"}
-        axes.plot([flat[0, 0]], [flat[0, 1]], "D", color=START, **look)
-        shown = np.vstack([flat[:, :2], floor[:, :2], 1.1 * LENGTH * camera[:2].T, np.zeros((1, 2))])
-        low, high = shown.min(axis=0) - 0.1, shown.max(axis=0) + 0.1
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-        axes.set_axis_off()
-        axes.set_title(self.title)
-
-    def _frame(self, axes: Any, camera: Array, size: float) -> None:
-        """Draw the three axes of the frame, labelled by the components of the vector or of space.
-
-        Each has a tick at the same value, where the longest vector has the length ``size``.
-        """
-        value = tick_value(size)
-        for i, axis in enumerate(LENGTH * np.eye(3)):
-            tip = camera @ axis
-            arrow(axes, (0.0, 0.0), tip[:2], FRAME, 0.7, zorder=2)
-            name = rf"${VECTORS[self.vector]}_{i + 1}$" if not self.in_space else ("$x$", "$y$", "$z$")[i]
-            axes.text(*(1.1 * tip[:2]), name, ha="center", va="center", color="0.25", zorder=9)
-            at, across = value / size / LENGTH * tip[:2], np.array([-tip[1], tip[0]]) / math.hypot(*tip[:2])
-            axes.plot(*np.array([at - 0.02 * across, at + 0.02 * across]).T, "-", color=FRAME, lw=0.7, zorder=2)
-            side = 0.08 * across * (-1.0 if across[1] > 0.0 or i == 2 else 1.0)
-            axes.text(*(at + side), f"{value:g}", ha="center", va="center", color="0.25", fontsize=8, zorder=9)
+BODIES = {
+    "euler_attitude": ("(a) Euler", 0.45),
+    "lagrange_attitude": ("(b) Lagrange", 0.93),
+    "kowalevski_attitude": ("(c) Kowalevski", 0.5),
+}
+"""Title, and part of the rows, for each scene of the figure ``body``."""
 
 
-def tick_value(size: float) -> float:
-    """Largest of the numbers 1, 2 and 5 times a power of ten that is at most ``size``."""
-    power = 10.0 ** math.floor(math.log10(size))
-    return power * next(digit for digit in (5, 2, 1) if digit * power <= size * (1.0 + 1e-12))
+def load_body(request: Request) -> Loaded:
+    """Load the bodies of the scenes. Raises UsageError and RunError."""
+    panels = []
+    for scene, (title, until) in BODIES.items():
+        experiment = load_experiment(scene)
+        panels.append(BodyPanel(title, scene, until, body_of(experiment.top, experiment.y0)))
+    heading = r"fixed directions: momentum $\boldsymbol{m}$, vertical $\boldsymbol{p}$"
+    layout = Grid(figsize=(7.0, 3.1), ncols=3, heading=heading)
+    return _load("body", {scene: (scene, ()) for scene in BODIES}, panels, layout, request)

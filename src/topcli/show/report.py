@@ -145,13 +145,21 @@ class Report(ABC):
 
 
 def draw_panel(panel: Drawable, data: Mapping[str, np.ndarray], ax: Axes | None) -> Axes:
-    """Draw ``panel`` into ``ax`` in the style of its owner; into new axes in the style of topcli's figures."""
-    own = ax is None
+    """Draw ``panel`` into ``ax`` in the style of its owner; into new axes in the style of topcli's figures.
+
+    A three-dimensional picture replaces two-dimensional axes by others at their place.
+    """
+    own, projection = ax is None, getattr(panel, "projection", None)
     with styled() if own else nullcontext():
         if ax is None:
             from matplotlib import pyplot
 
-            ax = pyplot.subplots(figsize=_WIDTH)[1]
+            ax = pyplot.figure(figsize=_WIDTH).add_subplot(projection=projection)
+        elif projection and ax.name != projection:
+            figure, place, box = ax.figure, ax.get_subplotspec(), ax.get_position().bounds
+            ax.remove()
+            of = {"projection": projection}
+            ax = figure.add_subplot(place, **of) if place else figure.add_axes(box, **of)
         panel.paint(ax, data, defaultdict(dict, {REFERENCE: REFERENCE_LOOK}))
         texts = ax.get_legend_handles_labels()[1]
         if len(texts) > 1 and ax.get_legend() is None:
@@ -306,12 +314,13 @@ class MotionReport(Motion, Report):
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Axes to draw into. By default, new axes are made.
+            Axes to draw into. By default, new axes are made. The pictures of the Euler and the Lagrange top are
+            three-dimensional; for them, two-dimensional axes are replaced by three-dimensional ones at their place.
 
         Returns
         -------
         matplotlib Axes
-            The axes.
+            The axes of the picture.
 
         Raises
         ------
