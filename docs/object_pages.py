@@ -12,7 +12,7 @@ Page = list[str]
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "Experiments and studies": (
-        *("run", "compare", "sweep", "order", "roundoff", "lyapunov", "frequencies", "integrability", "discover"),
+        *("run", "compare", "sweep", "order", "roundoff", "lyapunov", "frequencies", "integrability"),
         *("lax", "stress", "claims", "analyse", "motion", "check"),
     ),
     "Arrays without files": ("simulate", "simulate_ensemble", "step"),

@@ -22,7 +22,6 @@ HOMES = {
     "check": "topcli.show.report",
     "claims": "topcli.show.report",
     "compare": "topcli.show.report",
-    "discover": "topcli.show.report",
     "figure": "topcli.figures.catalogue",
     "frequencies": "topcli.show.report",
     "integrability": "topcli.show.report",

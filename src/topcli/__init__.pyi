@@ -12,7 +12,6 @@ from topcli.show.report import analyse as analyse
 from topcli.show.report import check as check
 from topcli.show.report import claims as claims
 from topcli.show.report import compare as compare
-from topcli.show.report import discover as discover
 from topcli.show.report import frequencies as frequencies
 from topcli.show.report import integrability as integrability
 from topcli.show.report import lax as lax

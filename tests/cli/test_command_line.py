@@ -163,8 +163,8 @@ def test_an_option_with_another_meaning_would_be_found(change: dict[str, Any]) -
 
 COMMON = {
     "--out": "run sweep bench compare analyse order roundoff stress lyapunov plot report animate table",
-    "--results": "report plot animate table verify show discover list-runs",
-    "--format": "run table plot compare analyse order roundoff stress lyapunov",
+    "--results": "report plot animate table verify show list-runs",
+    "--format": "run table plot compare analyse order roundoff lyapunov",
     "--force": "run plot report animate table init",
     "--quiet": "run sweep bench plot report animate table verify init",
 }

@@ -78,7 +78,6 @@ def test_another_comparison_is_kept_and_replaced_in_all_formats(cli: Callable[..
         "report swept --out page.html",
         "table swept --rows scheme --value max_error",
         "animate turning --out turning.gif --seconds 0.2",
-        "discover short",
         "plot sweep swept --x scheme --y max_error --out pictures",
         "show swept --row 1",
     ],

@@ -80,6 +80,8 @@ def refused(cli: Cli, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
 MISTAKES = """
 rnu
     error: no such command 'rnu'; did you mean 'run'? (see topcli --help)
+discover results/mine
+    error: no such command 'discover'; topcli integrability finds the integrals of a map; for an orbit, see docs/integr
 run
     error: missing argument 'CONFIG' (see topcli run --help)
 run kowalevski_hk --thread 2
@@ -363,8 +365,6 @@ cite bohlin-d
     did you mean 'bohlin-
 cite hk+kahan
     did you mean 'kahan-li
-discover results/nin
-    'results/nin': no such file or folder, and no run of this name in results
 integrability kowalevsky
     did you mean 'kowalevski'
 integrability euler midpoint

@@ -46,7 +46,6 @@ STUDY = {
 
 
 REPORTS: dict[str, Callable[[Path], Report]] = {
-    "discover": lambda out: topcli.discover(topcli.run("euler_hk", out, name="seen", N=300).folder),
     "integrability": lambda out: topcli.integrability("suslov"),
     "lyapunov": lambda out: topcli.lyapunov("kowalevski_generic_hk", spectrum=True, overrides=["N=5000"]),
     "frequencies": lambda out: topcli.frequencies("kowalevski_generic_hk", overrides=["N=5000"]),

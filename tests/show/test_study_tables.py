@@ -31,7 +31,6 @@ CASES: dict[str, Callable[[], StudyReport]] = {
     "lyapunov": lambda: topcli.lyapunov("kowalevski_hk", spectrum=True, overrides=["N=2000", "h=0.05"]),
     "frequencies": lambda: topcli.frequencies("kowalevski_generic_hk", angle=["gamma1,gamma2"], overrides=["N=2000"]),
     "integrability": lambda: topcli.integrability("euler"),
-    "discover": lambda: topcli.discover(topcli.run("euler_hk", "results", progress=False).folder),
     "check": lambda: topcli.check(schemes=["dg4"], top="kowalevski"),
     "compare": lambda: topcli.compare(*SCHEMES, config="kowalevski_generic_hk", overrides=["N=300"]),
     "analyse": lambda: topcli.analyse(

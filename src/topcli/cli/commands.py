@@ -121,13 +121,6 @@ GROUPS: dict[str, dict[str, Entry]] = {
             STUDY,
             ("topcli integrability euler hk", "topcli integrability kowalevski hk --set h=0.1"),
         ),
-        "discover": Entry(
-            STUDY,
-            (
-                "topcli discover results/euler_hk",
-                "topcli discover results/euler_hk results/euler_bs --degree 3",
-            ),
-        ),
         "lyapunov": Entry(
             STUDY,
             (
@@ -205,6 +198,7 @@ GONE = {
         (f"{study} --style" for study in ("analyse", "compare", "lyapunov", "order", "roundoff")),
         "draw the report in Python on axes of your own style: report.plot(ax)",
     ),
+    "discover": "topcli integrability finds the integrals of a map; for an orbit, see docs/integrability.md",
 }
 """What to use instead of commands and options of earlier versions."""
 

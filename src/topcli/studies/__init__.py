@@ -46,7 +46,6 @@ STUDIES = {
     "analyse": StudyPlace("topcli.studies.analyse:ANALYSE", "Analyse a time series that another program computed."),
     "lax": StudyPlace("topcli.studies.lax:LAX", "Check Lax forms (pairs L, M) of a top and the spectrum of L."),
     "check": StudyPlace("topcli.studies.check:CHECK", "Check the declared properties of schemes and tops."),
-    "discover": StudyPlace("topcli.studies.discover:DISCOVER", "Find polynomials that stay constant along orbits."),
     "integrability": StudyPlace(
         "topcli.studies.integrability:INTEGRABILITY", "Collect evidence on the integrability of a scheme's map."
     ),
