@@ -18,7 +18,7 @@ def test_every_command_loads_a_plugin(cli: Callable[..., Said], name: str) -> No
     for option in ("--plugin", "--scheme-file"):
         said = cli(*name.split(), option, "nowhere.py")
         assert "plugin nowhere.py: no such file" in said.out + said.err
-        assert said.code == (0 if name == "doctor" else 2)
+        assert said.code == 2
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ fields cannot look alike. The fields that the cells under a heading must show ar
 from __future__ import annotations
 
 import json
-import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +26,7 @@ from topcli.figures.catalogue import FIGURES
 from topcli.runs.report import ENSEMBLE, INVARIANTS, report_markdown
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import all_schemes
-from topcli.studies import find_study, health
+from topcli.studies import find_study
 from topcli.studies.bench import measure as bench
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.studies.stress.cases import CASES
@@ -468,32 +467,3 @@ def test_a_list_shows_its_items_and_they_have_the_fields_of_what_is_registered(c
         assert {key: item[key] for key in fields.split()} == json.loads(
             json.dumps({key: getattr(one, key) for key in fields.split()}, default=dict)
         )
-
-
-def test_doctor_shows_what_it_found(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    environment = {"python": "3.77.1", "cpu": "Abacus 9", "numba": None}
-    cache = {"folder": "/nowhere", "entries": 123, "bytes": 45678, "kept between processes": False}
-    plugins = [{"name": "first", "state": "registers one"}, {"name": "second", "state": "failed: no good"}]
-    found = {"environment": environment, "cache": cache, "threads": 91, "plugins": plugins, "problems": ["a", "b"]}
-    monkeypatch.setattr(health, "diagnosis", lambda: {**found, "problems": list(found["problems"])})
-    document = cli("doctor", "--json").json()
-    assert {key: document[key] for key in found} == found
-    assert [cells_of(line) for line in cli("doctor").out.splitlines()] == [
-        *([key, str(value)] for key, value in environment.items()),
-        *([f"cache {key}", str(value)] for key, value in cache.items()),
-        ["CPU threads", "91"],
-        *([f"plugin {one['name']}", one["state"]] for one in plugins),
-        ["problems", "a; b"],
-    ]
-
-
-def test_doctor_finds_this_machine_well(cli: Cli) -> None:
-    """Against the folder's files and the machine's own count."""
-    found = cli("doctor", "--json").json()
-    before = {path: path.stat().st_size for path in Path(found["cache"]["folder"]).rglob("*") if path.is_file()}
-    assert found["threads"] == len(os.sched_getaffinity(0))
-    assert 0 < found["cache"]["entries"] <= len(before)
-    assert 0 < found["cache"]["bytes"] <= sum(before.values())
-    assert found["cache"]["kept between processes"] is True
-    assert found["environment"]["topcli"] == topcli.__version__
-    assert found["problems"] == []

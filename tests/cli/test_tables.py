@@ -26,7 +26,6 @@ COMMANDS = [
     "list schemes",
     "list scenes",
     "list figures",
-    "doctor",
     "compare hk hybrid bohlin-a rk4 taylor --set N=40",
     "lax kowalevski hk rk4 --set N=40",
     "run euler_ensemble --set N=40",

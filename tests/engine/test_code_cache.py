@@ -14,7 +14,7 @@ import pytest
 from conftest import GEN, ROOT, Said
 from injected import python_process
 from steppers import EXPLODE
-from topcli.engine import code_cache, native
+from topcli.engine import native
 from topcli.engine.native import native as compiled
 from topcli.engine.run import Run
 from topcli.tops.kowalevski import Kowalevski
@@ -78,9 +78,8 @@ def test_a_folder_that_another_could_fill_is_not_used(cache: Path, harm: str, cl
     before = sorted(os.listdir(cache))
     assert not works().cached
     assert sorted(os.listdir(cache)) == before
-    report = cli("doctor", "--json").json()
-    assert not report["cache"]["kept between processes"]
-    assert any("not used" in problem and str(cache) in problem for problem in report["problems"])
+    (line,) = (line for line in cli("--version").out.splitlines() if str(cache) in line)
+    assert "(not used: " in line
 
 
 @pytest.mark.slow
@@ -88,11 +87,8 @@ def test_a_folder_that_another_could_fill_is_not_used(cache: Path, harm: str, cl
 def test_a_file_that_another_could_write_is_not_used(cache: Path, harm: str) -> None:
     (path,) = cache.glob("*.o")
     {**HARM, "fifo": fifo}[harm](path)
-    (problem,) = code_cache.cache_state().problems
-    assert str(path) in problem
     assert not works().cached  # and writes a file of its own in its place
     assert works().cached
-    assert code_cache.cache_state().problems == ()
 
 
 @pytest.mark.slow

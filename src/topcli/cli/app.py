@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import platform
 import re
 from collections.abc import Iterator, Mapping, MutableMapping
 from functools import cache
@@ -14,9 +15,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from topcli import __version__
 from topcli.cli.commands import COMMANDS, GONE, GROUPS, STUDY, examples_of
 from topcli.cli.output import emit, print_error, print_message, print_message_text
-from topcli.errors import ExitCode, TopcliError, UsageError, clipped
+from topcli.errors import ExitCode, TopcliError, clipped
 from topcli.studies import STUDIES, find_study
 
 _TYPE = re.compile(r" <[^>]*>$")
@@ -26,21 +28,14 @@ _IN_WORDS = (
     (re.compile(r"x>=([\d.]+)(?=\]$)"), r"at least \1"),
 )
 """Defaults in words without parentheses, and bounds in words."""
-FAILED_PLUGINS = "topcli.plugins.failed"
-"""Key of the messages about the files of ``--plugin`` that failed, in the context of ``topcli doctor``."""
 
 
-def _load_plugins(ctx: typer.Context, paths: list[Path] | None) -> None:
-    """Register what the files given by ``--plugin`` define; ``topcli doctor`` reports those that fail."""
+def _load_plugins(paths: list[Path] | None) -> None:
+    """Register what the files given by ``--plugin`` define."""
     for path in paths or ():
         from topcli.schemes.registry import load_plugin_file
 
-        try:
-            load_plugin_file(path)
-        except UsageError as error:
-            if ctx.command.name != "doctor":
-                raise
-            ctx.meta.setdefault(FAILED_PLUGINS, []).append(str(error))
+        load_plugin_file(path)
 
 
 def _with_plugins(
@@ -274,16 +269,21 @@ def _say_usage(error: Any) -> None:
 
 def _print_version(asked: bool) -> None:
     if asked:
-        from topcli import __version__
+        from topcli.engine.code_cache import cache_folder, cache_problem
+        from topcli.store.provenance import installed
 
+        packages = ", ".join(f"{package} {installed(package)}" for package in ("numba", "numpy"))
+        problem = cache_problem()
         emit(f"topcli {__version__}")
+        emit(f"Python {platform.python_version()}, {packages}")
+        emit(f"cache of machine code: {cache_folder()}{f' (not used: {problem})' if problem else ''}")
         raise typer.Exit
 
 
 @app.callback()
 def _topcli(
     version: Annotated[
-        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+        bool, typer.Option("--version", help="Print versions and exit.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     pass

@@ -180,7 +180,6 @@ GROUPS: dict[str, dict[str, Entry]] = {
         "cite": Entry("listing.cite", ("topcli cite", "topcli cite hk kowalevski")),
         "init": Entry("inspect.init", ("topcli init", "topcli init heavy.toml --top heavy --scheme hk")),
         "schema": Entry("inspect.schema", ("topcli schema", "topcli schema > topcli.schema.json")),
-        "doctor": Entry("inspect.doctor", ("topcli doctor", "topcli doctor --plugin mine.py")),
     },
 }
 """Commands by the group in which the help lists them, in its order."""
@@ -199,6 +198,7 @@ GONE = {
         "draw the report in Python on axes of your own style: report.plot(ax)",
     ),
     "discover": "topcli integrability finds the integrals of a map; for an orbit, see docs/integrability.md",
+    "doctor": "use topcli --version",
 }
 """What to use instead of commands and options of earlier versions."""
 

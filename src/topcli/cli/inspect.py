@@ -1,4 +1,4 @@
-"""``topcli show``, ``init``, ``schema`` and ``doctor``."""
+"""``topcli show``, ``init`` and ``schema``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from topcli.cli.app import FAILED_PLUGINS
 from topcli.cli.options import (
     Force,
     Json,
@@ -34,7 +33,6 @@ from topcli.cli.output import (
     print_document,
     print_json,
     print_message,
-    print_table,
     prose_width,
 )
 from topcli.errors import UsageError, quoted
@@ -167,28 +165,6 @@ def schema() -> None:
     from topcli.config.schema import config_schema
 
     print_document(config_schema())
-
-
-def doctor(context: typer.Context, as_json: Json = False) -> None:
-    """Report versions, CPU, compilation cache and plugins.
-
-    A plugin that could not be loaded is listed as a problem.
-    """
-    from topcli.studies.health import diagnosis
-
-    data = diagnosis()
-    data["problems"] += context.meta.get(FAILED_PLUGINS, [])
-    if as_json:
-        print_json("doctor", data)
-        return
-    facts = {
-        **data["environment"],
-        **{f"cache {key}": value for key, value in data["cache"].items()},
-        "CPU threads": data["threads"],
-        **({f"plugin {plugin['name']}": plugin["state"] for plugin in data["plugins"]} or {"plugins": "none"}),
-        "problems": "; ".join(data["problems"]) or "none",
-    }
-    print_table([], [[key, str(value)] for key, value in facts.items()], numbers=False)
 
 
 def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool) -> None:

@@ -180,33 +180,12 @@ def _remove_oldest(folder: int, suffix: str) -> None:
             os.unlink(name, dir_fd=folder)
 
 
-@dataclass(frozen=True)
-class CacheState:
-    """Number and total size of the usable files, and the reasons for not using the others."""
-
-    entries: int
-    size: int
-    problems: tuple[str, ...]
-
-
-def cache_state() -> CacheState:
-    """State of the current user's cache."""
-    path = cache_folder()
+def cache_problem() -> str:
+    """Reason not to use the current user's cache; empty if there is none."""
     try:
-        with _opened(path) as folder:
-            used, problems = [], []
-            for name, about in _entries(folder, (CODE, SETUP)):
-                reason = _distrust(about) if stat.S_ISREG(about.st_mode) else "it is not a regular file"
-                if reason:
-                    problems.append(f"{path / name} is not used: {reason}; remove it")
-                else:
-                    used.append(about.st_size)
-            more = [f"{len(problems) - 3} more files in {path} are not used"] if len(problems) > 3 else []
-            return CacheState(len(used), sum(used), (*problems[:3], *more))
+        with _opened(cache_folder()):
+            return ""
     except FileNotFoundError:
-        return CacheState(0, 0, ())
-    except UntrustedError as error:
-        advice = "make it yours alone with chmod 700, remove it, or choose another with NUMBA_CACHE_DIR"
-        return CacheState(0, 0, (f"the cache of compiled code is not used: {error}; {advice}",))
+        return ""
     except OSError as error:
-        return CacheState(0, 0, (f"the cache of compiled code is not used: {path}: {error.strerror}",))
+        return str(error)

@@ -116,7 +116,7 @@ def _compiler_missing(package: str, error: BaseException) -> RunError:
     reason = (str(error).strip() or type(error).__name__).splitlines()[0]
     return RunError(
         f"the compiler cannot be loaded: {package}: {reason}",
-        f"is {package} installed, and is there enough memory (ulimit -v)? topcli doctor shows the versions",
+        f"is {package} installed, and is there enough memory (ulimit -v)? topcli --version shows the versions",
     )
 
 

@@ -1,23 +1,13 @@
-"""Checks behind ``topcli verify``, and the diagnosis of the installation by ``topcli doctor``.
-
-Stored results are runs, ensembles, sweeps with their series, and studies. The diagnosis has versions, CPU, threads,
-the cache of compiled code, and plugins.
-"""
+"""Checks of stored results (runs, ensembles, sweeps with their series, and studies) by ``topcli verify``."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-from topcli.engine.code_cache import cache_folder, cache_state
-from topcli.engine.ensemble import default_threads
-from topcli.engine.native import native
 from topcli.errors import UsageError
-from topcli.schemes.plugins import PluginFailure, distribution_of, plugin_failures, registry
 from topcli.store.files import DamagedError, check_study, read_json
 from topcli.store.manifest import MANIFEST
 from topcli.store.parts import parts_of
-from topcli.store.provenance import environment, installed
 from topcli.store.verify import CheckedFile, CheckedRun, check_run
 from topcli.sweeps.journal import JOURNAL, damaged_lines
 from topcli.sweeps.run import SERIES, is_sweep
@@ -73,49 +63,3 @@ def check_all(name: str, out: Path) -> list[CheckedRun]:
     if not checked:
         raise missing_result(name, out)
     return checked
-
-
-EXTRAS = ("scipy", "pandas", "matplotlib", "typer", "rich", "ruamel.yaml", "platformdirs")
-
-
-def _probe(x: Any, n: int) -> int:
-    x[0] = x[0] + 1.0
-    return n + 1
-
-
-def diagnosis() -> dict[str, Any]:
-    """Environment, cache, threads, plugins and problems of this installation, as plain data."""
-    import numpy as np
-
-    problems: list[str] = []
-    folder = cache_folder()
-    native(_probe, "pq")
-    again = native(_probe, "pq")
-    if again(np.zeros(1), 1) != 2:
-        problems.append("compiled code gives wrong results on this machine")
-    state = cache_state()
-    problems += state.problems
-    if not again.cached and not state.problems:
-        problems.append(f"compiled code is not kept: {folder} cannot be written or loaded; every process recompiles")
-    failures = plugin_failures()
-    plugins = []
-    for entry, found in registry.installed.items():
-        if isinstance(found, PluginFailure):
-            about = f"failed: {found.reason}"
-        else:
-            about = f"registers {', '.join(found) or 'nothing'}"
-            problems += [] if found else [f"plugin {entry.name} registers nothing"]
-        plugins.append({"name": entry.name, "distribution": distribution_of(entry), "state": about})
-    problems += map(str, failures)
-    return {
-        "environment": {**environment(), **{package: installed(package) for package in EXTRAS}},
-        "cache": {
-            "folder": str(folder),
-            "entries": state.entries,
-            "bytes": state.size,
-            "kept between processes": again.cached,
-        },
-        "threads": default_threads(),
-        "plugins": plugins,
-        "problems": problems,
-    }
