@@ -285,10 +285,8 @@ sweep study.yaml --dask local:2 --threads 3
     error: --threads cannot be used with --dask; each worker has its own number
 sweep study.yaml --dask nowhere
     error: --dask 'nowhere': neither a number of workers nor the address of a scheduler
-sweep study.yaml --time-limit -1
-    error: --time-limit -1: must be a number of seconds, at least 0
-sweep study.yaml --set "grid.h={from: 0.001, to: 0.01, count: 100001}"
-    error: study.yaml:3: 100001 rows; a sweep of more than 100000 needs --yes
+sweep study.yaml --yes
+    error: no such option: --yes; a sweep of any size runs without it
 table swept --results nowhere --rows h --value max_error
     no such file or folder, and no run of this name in nowhere; did you mean results/swept?
 table results/swpt --rows h --value max_error

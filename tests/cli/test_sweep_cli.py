@@ -184,7 +184,7 @@ def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
 """),
 )
 def test_exit_codes_count_the_rows_that_finished(finished: int, failed: int, interrupted: bool, code: int) -> None:
-    """Of four rows; with --fail-fast the only one that finished may have failed."""
+    """Of four rows; of a sweep that was stopped, the only one that finished may have failed."""
     plan = SimpleNamespace(survey=SimpleNamespace(count=4))
     result: Any = SimpleNamespace(finished=finished, failed=failed, interrupted=interrupted, plan=plan)
     assert exit_code(result) == code

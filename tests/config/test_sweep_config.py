@@ -37,8 +37,6 @@ grid: {scheme: [hk, rk4], h: [0.1, 0.2, 0.3]}
     [('hk', 0.1), ('hk', 0.2), ('hk', 0.3), ('rk4', 0.1), ('rk4', 0.2), ('rk4', 0.3)]
 zip: [{scheme: [hk, hk], N: [10, 20]}, {top.c0: [1, 2]}]
     [('hk', 10, 1.0), ('hk', 10, 2.0), ('hk', 20, 1.0), ('hk', 20, 2.0)]
-grid: {h: [0.1]}; include: [{scheme: rk4, top.c0: 3}]
-    [(0.1, 'hk', 1.0), (0.01, 'rk4', 3.0)]
 grid: {scheme: [hk, rk4], h: [0.1, 0.2]}; exclude: [{scheme: hk, h: 0.2}]
     [('hk', 0.1), ('rk4', 0.1), ('rk4', 0.2)]
 grid: {h: {from: 0.1, to: 0.4, count: 4}}
@@ -60,7 +58,7 @@ grid: {output.every: [100]}
 
 @pytest.mark.parametrize(("sections", "keys"), cases_of(KEYS))
 def test_keys_of_rows(sections: str, keys: list[str]) -> None:
-    """The last key of a grid varies fastest; included rows come last and take the rest from the base."""
+    """The last key of a grid varies fastest; the rest is that of the base."""
     found = rows(**parse_yaml(sections.replace("; ", "\n"), "x")[0])
     assert [row.keys for row in found] == ast.literal_eval(keys[0])
     for row in found:
@@ -73,7 +71,7 @@ def test_keys_of_rows(sections: str, keys: list[str]) -> None:
 def test_keys_set_what_they_name() -> None:
     (component,) = rows(grid={"initial.gamma3": [0.6]})
     assert component.initial == (2.0, 0.0, 0.0, math.sqrt(1.0 - 0.6 * 0.6), 0.0, 0.6)
-    (row,) = rows(include=[{"scheme": {"name": "hybrid", "branch": "sign"}, "top.c0": 3, "h": 0.5, "N": 7}])
+    (row,) = rows(zip={"scheme": [{"name": "hybrid", "branch": "sign"}], "top.c0": [3], "h": [0.5], "N": [7]})
     assert (row.h, row.N, json.loads(row.top)["c0"], json.loads(row.scheme)["branch"]) == (0.5, 7, 3.0, "sign")
 
 

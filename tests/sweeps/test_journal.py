@@ -20,7 +20,6 @@ from injected import fork, in_fork
 from sweeping import DATA, MANY, sweep, table, without_origin
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError, UsageError
-from topcli.store.series import read_series
 from topcli.studies.health import check_all
 from topcli.sweeps.journal import FinishedRows, Journal, damaged_lines
 from topcli.sweeps.plan import survey
@@ -197,39 +196,6 @@ def test_a_full_or_failing_disk_is_no_wrong_usage(
     assert sweep(tmp_path).finished == 4
 
 
-SERIES = {**DATA, "store": "series", "include": [{"scheme": "rk2", "h": 0.03}]}
-
-
-def stored_series(out: Path) -> set[str]:
-    return {path.parent.name for path in (out / "study" / "series").glob("*/manifest.json")}
-
-
-def test_series_that_a_killed_process_has_not_stored_are_stored(tmp_path: Path) -> None:
-    """Rows are in the journal before their series are stored; so are those of a sweep that stored none at first."""
-    sweep(tmp_path, {**SERIES, "store": "none"})
-    wanted = {row["digest"][:16] for row in table(tmp_path)}
-    assert len(wanted) == 5
-    assert sweep(tmp_path, SERIES).ran == 0
-    assert stored_series(tmp_path) == wanted
-    for row in table(tmp_path):
-        energy = read_series(tmp_path / "study" / "series" / row["digest"][:16] / "series.parquet")["energy"]
-        assert abs(energy - energy[0]).max() == row["max_deviation.energy"]
-    lost = sorted(wanted)[1]
-    (tmp_path / "study" / "series" / lost / "manifest.json").unlink()
-    for path in (tmp_path / "study" / "series" / lost).iterdir():
-        path.unlink()
-    assert sweep(tmp_path, SERIES).ran == 0
-    assert stored_series(tmp_path) == wanted
-
-
-def test_a_sweep_without_all_of_its_series_is_not_finished(tmp_path: Path) -> None:
-    result = sweep(tmp_path, SERIES, stop=lambda: bool(list(tmp_path.glob("study/series/*/manifest.json"))))
-    assert result.interrupted
-    assert not (tmp_path / "study" / "manifest.json").exists()
-    assert not sweep(tmp_path, SERIES).interrupted
-    assert len(stored_series(tmp_path)) == 5
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -270,16 +236,13 @@ def test_every_flipped_bit_and_every_cut_of_a_journal_is_found(tmp_path: Path) -
     assert check_all(str(tmp_path / "study"), tmp_path)[0].damaged
 
 
-def test_verify_covers_the_journal_and_the_stored_series_of_a_finished_sweep(tmp_path: Path) -> None:
-    sweep(tmp_path, SERIES)
-    folder = tmp_path / "study"
+def test_verify_covers_the_journal_of_a_finished_sweep(tmp_path: Path) -> None:
+    sweep(tmp_path)
+    path = tmp_path / "study" / "journal.jsonl"
     assert not any(one.damaged for one in check_all("study", tmp_path))
-    for path in [folder / "journal.jsonl", *sorted(folder.glob("series/*/series.parquet"))[:2]]:
-        content = path.read_bytes()
-        path.write_bytes(content.replace(b"\n", b"", 1) if path.suffix == ".jsonl" else content[:-1])
-        (damaged,) = [one for one in check_all("study", tmp_path) if one.damaged]
-        assert [file.name for file in damaged.files if file.damaged] == [path.name]
-        path.write_bytes(content)
+    path.write_bytes(path.read_bytes().replace(b"\n", b"", 1))
+    (damaged,) = [one for one in check_all("study", tmp_path) if one.damaged]
+    assert [file.name for file in damaged.files if file.damaged] == [path.name]
 
 
 @pytest.mark.slow

@@ -21,8 +21,7 @@ from topcli.runs import references
 from topcli.runs.references import SharedReferences, reference_of
 from topcli.sweeps import batch as recording
 from topcli.sweeps import row_results
-from topcli.sweeps.batch_run import BatchRun
-from topcli.sweeps.row_results import KeptRuns, Results, Work, results_of_rows, unfinished
+from topcli.sweeps.row_results import Results, Work, results_of_rows, unfinished
 from topcli.tops.kowalevski import Kowalevski
 
 ERRORS = {**DATA, "grid": {"initial.omega1": [0.25, 0.5, 0.75]}, "measure": ["max_error", "steps"]}
@@ -55,48 +54,10 @@ def slow_reference(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> list[
     return clock
 
 
-def test_a_reference_beyond_the_time_limit_is_a_missing_value(slow_reference: list[float]) -> None:
-    """Each reference has 20 s for itself, and the three rows together have 60 s for their steps."""
-    found = results_of_rows(rows_of(ERRORS), ERRORS["measure"], time_limit=20.0)
-    assert found.outcome == ["completed"] * 3
-    assert found.done == [True] * 3
-    assert np.isnan(found.values["max_error"]).tolist() == [False, True, False]
-    assert found.values["steps"] == [60.0] * 3
-    assert [text.partition("; ")[2] for text in found.message] == [
-        "",
-        "max_error: the reference takes more than the time limit of 20 s",
-        "",
-    ]
-    assert slow_reference[0] == 100.0 + 10.0 + 21.0 + 10.0
-
-
 def test_a_stop_during_a_reference_leaves_the_row_unfinished(slow_reference: list[float]) -> None:
-    found = results_of_rows(rows_of(ERRORS), ERRORS["measure"], 50.0, lambda: slow_reference[0] > 130.0)
+    found = results_of_rows(rows_of(ERRORS), ERRORS["measure"], lambda: slow_reference[0] > 130.0)
     assert found.done == [True, False, False]
     assert slow_reference[0] == 131.0
-
-
-def test_a_measure_beyond_the_time_limit_stops_its_row_alone(clock: list[float]) -> None:
-    """Two rows after the first one are together stopped after 40 s, and repeated by themselves."""
-
-    class Slow(BatchRun):
-        initial = np.empty(0)
-
-        def finished(self, initial: Any) -> Any:
-            self.initial = initial[:, 0]
-            return super().finished(initial)
-
-        def one_step(self, states: Any, h: float) -> Any:
-            for _ in range(100 if (self.initial == 0.5).any() else 0):
-                clock[0] += 1.0
-                check_stop()
-            return super().one_step(states, h)
-
-    found = results_of_rows(rows_of(ERRORS), ("reversal_defect",), time_limit=20.0, kept=KeptRuns(Slow))
-    assert found.outcome == ["completed", "interrupted", "completed"]
-    assert found.message[1] == "stopped; the time limit is 20 s"
-    assert np.isnan(found.values["reversal_defect"]).tolist() == [False, True, False]
-    assert clock[0] == 100.0 + 41.0 + 21.0
 
 
 def test_finished_rows_do_not_wait_for_those_of_a_slow_batch(

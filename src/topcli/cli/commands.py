@@ -199,6 +199,10 @@ GONE = {
     ),
     "discover": "topcli integrability finds the integrals of a map; for an orbit, see docs/integrability.md",
     "doctor": "use topcli --version",
+    "run --fail-fast": "give one config a call to stop at the first run that fails",
+    "sweep --fail-fast": "failures are reported at once; Ctrl-C stops a sweep, and the same command continues it",
+    "sweep --time-limit": "shorten the rows with N, T or output.every",
+    "sweep --yes": "a sweep of any size runs without it",
 }
 """What to use instead of commands and options of earlier versions."""
 

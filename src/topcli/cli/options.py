@@ -57,7 +57,6 @@ HELP = {
     "--component": "Use only this component or recorded column.",
     "--config": "Read the experiment from a config or scene.",
     "--dry-run": "Print the plan and run nothing.",
-    "--fail-fast": "Stop at the first run, or row of a sweep, that fails.",
     "--force": "Replace existing results or files.",
     "--format": "Write files in this format.",
     "--json": "Print the result as one JSON document.",
@@ -111,7 +110,6 @@ Quiet = Annotated[bool, option("--quiet", "-q")]
 Verbose = Annotated[bool, option("--verbose", "-v")]
 Markdown = Annotated[bool, option("--markdown")]
 DryRun = Annotated[bool, option("--dry-run")]
-FailFast = Annotated[bool, option("--fail-fast")]
 RetryFailed = Annotated[bool, option("--retry-failed")]
 Threads = Annotated[int | None, option("--threads", metavar="COUNT", min=1, default="all CPUs")]
 Out = Annotated[Path, option("--out", metavar="DIR")]

@@ -12,7 +12,6 @@ import typer
 
 from topcli.cli.options import (
     DryRun,
-    FailFast,
     Force,
     Json,
     Out,
@@ -289,7 +288,6 @@ def run(
     threads: Threads = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
-    fail_fast: FailFast = False,
 ) -> None:
     """Run experiments and report on their conservation laws.
 
@@ -324,7 +322,7 @@ def run(
             code, report = _run_config(config, request, options, display)
             codes.append(code)
             reports.append(report)
-            if code is ExitCode.INTERRUPTED or (code and fail_fast):
+            if code is ExitCode.INTERRUPTED:
                 break
     if as_json:
         print_json("run", {"runs": reports})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import DryRun, FailFast, Json, Out, Quiet, RetryFailed, Sets, Threads
+from topcli.cli.options import DryRun, Json, Out, Quiet, RetryFailed, Sets, Threads
 from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table
 from topcli.cli.run import Interruption
 from topcli.errors import ExitCode, UsageError, counted, shortened
@@ -36,13 +36,6 @@ SweepFile = Annotated[
     str,
     typer.Argument(metavar="SWEEP", help="Sweep file or name of a packaged sweep.", autocompletion=complete_sweep),
 ]
-Yes = Annotated[bool, typer.Option("--yes", help="Run a sweep even if it has more than 100000 rows.")]
-TimeLimit = Annotated[
-    float,
-    typer.Option(
-        "--time-limit", metavar="SECONDS", help="Stop the run of a row after this many seconds.", show_default="none"
-    ),
-]
 Dask = Annotated[
     str | None,
     typer.Option("--dask", metavar="ADDRESS", help="Use a Dask cluster: tcp://host:port, or local:4 (4 workers)."),
@@ -60,15 +53,12 @@ def _varied(sweep: Sweep) -> list[str]:
     for axis in sweep.axes:
         for key, column in zip(axis.keys, axis.columns, strict=True):
             values[key].update(map(repr, column))
-    for extra in sweep.include:
-        for key, value in extra.items():
-            values[key].add(repr(value))
     return [f"{key} ({counted(len(known), 'value')})" for key, known in values.items()]
 
 
 def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> None:
     from topcli.sweeps.plan import REASONS
-    from topcli.sweeps.run import MANY_ROWS, planned, rows_to_run
+    from topcli.sweeps.run import planned, rows_to_run
 
     plan, changed = planned(sweep, out, options)
     limit = LISTED_ROWS if as_json else SHOWN_ROWS
@@ -109,8 +99,6 @@ def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> N
         emit(f"repeated: {counted(plan.repeated, 'row')}, equal to an earlier one and computed once")
     if plan.left:
         emit(f"kept, not current: {counted(plan.left, 'finished row')} of an earlier sweep file")
-    if plan.survey.count > MANY_ROWS:
-        emit(f"{plan.survey.count} rows: the run needs --yes")
 
 
 def exit_code(result: SweepResult) -> ExitCode:
@@ -140,10 +128,7 @@ def sweep(
     sets: Sets = None,
     out: Out = Path("results"),
     dry_run: DryRun = False,
-    yes: Yes = False,
     retry_failed: RetryFailed = False,
-    fail_fast: FailFast = False,
-    time_limit: TimeLimit = 0.0,
     threads: Threads = None,
     dask: Dask = None,
     as_json: Json = False,
@@ -161,10 +146,8 @@ def sweep(
 
     if dask is not None and threads is not None:
         raise UsageError("--threads cannot be used with --dask; each worker has its own number of threads")
-    if not time_limit >= 0.0:
-        raise UsageError(f"--time-limit {time_limit:g}: must be a number of seconds, at least 0")
     loaded = load_sweep(file, sets or [])
-    options = SweepOptions(yes, retry_failed, fail_fast, time_limit, threads)
+    options = SweepOptions(retry_failed, threads)
     if dry_run:
         _dry_run(loaded, out, options, as_json)
         return

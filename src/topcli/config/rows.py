@@ -27,7 +27,7 @@ from topcli.config.files import BARE
 from topcli.config.models import Count, Output, StepSize, canonical
 from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_initial, read_scheme, read_top, top_with, vectors_of
-from topcli.config.sweep import MISSING, Assignment, Sweep
+from topcli.config.sweep import Assignment, Sweep
 from topcli.contracts import Top
 from topcli.tops import TOPS
 
@@ -193,7 +193,7 @@ class RowReader:
         return row
 
     def _read(self, number: int, values: Assignment, problems: Problems) -> Row | None:
-        named = tuple(path[1] for at, path in self._paths["initial"] if len(path) == 2 and values[at] is not MISSING)
+        named = tuple(path[1] for _, path in self._paths["initial"] if len(path) == 2)
         top = self._section("top", self._top, values, problems, named)
         if top is None:
             return None
@@ -242,40 +242,38 @@ class RowReader:
     def _value(self, key: str, values: Assignment, otherwise: Any) -> Any:
         """Value of a key in a row: its own, or ``otherwise``."""
         at = self._at.get(key)
-        return otherwise if at is None or values[at] is MISSING else values[at]
+        return otherwise if at is None else values[at]
 
     def _raw(self, section: str, values: Assignment) -> Any:
         """Section of a row as plain data: that of the base with the values of the row laid over it."""
-        raw = self.sweep.base.get(section, MISSING)
+        raw = self.sweep.base.get(section)
         for at, path in self._paths[section]:
-            if values[at] is MISSING:
-                continue
             if len(path) == 1:
                 raw = values[at]
                 continue
             if not isinstance(raw, dict):
-                raw = {} if raw is MISSING else {BARE.get(section, ""): raw}
+                raw = {} if raw is None else {BARE.get(section, ""): raw}
             value = values[at] if len(path) == 2 else {**(raw.get(path[1]) or {}), path[2]: values[at]}
             raw = {**raw, path[1]: value}
         return raw
 
     def _given(self, section: str, values: Assignment, problems: Problems) -> Any:
-        """Section of a row as plain data; MISSING, which is reported, if there is none."""
+        """Section of a row as plain data; None, which is reported, if there is none."""
         raw = self._raw(section, values)
-        if raw is MISSING:
+        if raw is None:
             problems.add((section,), "missing; give it in base, or vary it")
         return raw
 
     def _top(self, values: Assignment, problems: Problems, named: tuple[str, ...]) -> _Part | None:
         raw = self._given("top", values, problems)
-        if raw is MISSING:
+        if raw is None:
             return None
         _, top = read_top(raw, dict.fromkeys([*self._vectors, *named]), problems)
         return None if top is None else _top_part(top)
 
     def _scheme(self, values: Assignment, problems: Problems, cls: type[Top]) -> _Part | None:
         raw = self._given("scheme", values, problems)
-        read = None if raw is MISSING else read_scheme(raw, cls, problems)
+        read = None if raw is None else read_scheme(raw, cls, problems)
         if read is None:
             return None
         scheme, options = read
@@ -365,7 +363,7 @@ class RowReader:
                 return None
             free = {draw.vector: [0.0, 0.0, 1.0] for draw in section.draws(cls) if draw.kind in ABSOLUTE}
         raw = self._raw("initial", values)
-        made = dict(raw) if isinstance(raw, dict) else {} if raw is MISSING else raw
+        made = dict(raw) if isinstance(raw, dict) else {} if raw is None else raw
         for vector in vectors_of(cls) if isinstance(raw, dict) else ():  # single components lie in their vectors
             single = {key: made.pop(key) for key in vector.components if key in made}
             if len(vector.components) == 1:  # it is a number
@@ -442,7 +440,7 @@ class RowReader:
         labels: dict[str, Callable[[Assignment, Row, _Part, _Part], Any]] = {
             "h": lambda values, row, top, scheme: row.h,
             "N": lambda values, row, top, scheme: row.N,
-            "T": lambda values, row, top, scheme: row.N * row.h if values[at] in (MISSING, None) else float(values[at]),
+            "T": lambda values, row, top, scheme: row.N * row.h if values[at] is None else float(values[at]),
             "output.every": lambda values, row, top, scheme: row.every,
             "scheme": lambda values, row, top, scheme: scheme.label,
             "top": lambda values, row, top, scheme: (
@@ -457,15 +455,13 @@ class RowReader:
         whole = key in ("sample", "seed")
         drawn = any(key in (name, name.rstrip("0123456789")) for name in self.sweep.drawn) and first == "initial"
         if whole or drawn:  # the centre of the draws
-            return lambda values, row, top, scheme: (
-                int(values[at]) if whole and values[at] is not MISSING else _shown(values[at])
-            )
+            return lambda values, row, top, scheme: int(values[at]) if whole else _shown(values[at])
         return labels.get(key) or labels[f"{first}."]
 
 
 def _shown(value: Any) -> Any:
     """Value of a key in a column: numbers and text as they are, others as JSON; None for one that is absent."""
-    if value is MISSING or value is None:
+    if value is None:
         return None
     return value if isinstance(value, (str, int, float)) and not isinstance(value, bool) else json.dumps(value)
 
@@ -493,9 +489,9 @@ class _RowDocument(Document):
         if path and path[0] == "initial" and len(path) == 2:  # a component lies in its vector
             keys[1:1] = [key for key in varied if key.startswith(f"initial.{path[1]}")]
         for key in keys:
-            if varied.get(key, MISSING) is MISSING:
+            if key not in varied:
                 continue
-            listed = [where for where in places if where[0:1] in (("zip",), ("include",)) and where[-1] == key]
+            listed = [where for where in places if where[0:1] == ("zip",) and where[-1] == key]
             for where in (("grid", key), ("zip", key), ("random", "count"), *listed):
                 if where in places:
                     return places[where]

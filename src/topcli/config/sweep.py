@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, Field
 
@@ -53,23 +53,18 @@ class SweepFile(BaseModel):
     base: Any = Field(description="an experiment: its top, initial, scheme, h and N or T")
     grid: Any = None
     zip: Any = None
-    include: Any = None
     exclude: Any = None
     random: Any = None
     measure: tuple[str, ...] | None = None
-    store: Literal["none", "series"] | None = None
 
 
-class _Missing:
-    """The value of a key that a row does not set."""
-
-    def __repr__(self) -> str:
-        return "MISSING"
-
-
-MISSING: Any = _Missing()
+GONE = {
+    "include": "unknown key; list further rows in zip, or run a second sweep",
+    "store": "unknown key; `topcli show SWEEP --row NUMBER` prints a row as a config for topcli run",
+}
+"""What to use instead of keys of earlier versions."""
 Assignment = tuple[Any, ...]
-"""Values of the varied keys in one row, in the order of ``Sweep.keys``; MISSING where the base has the word."""
+"""Values of the varied keys in one row, in the order of ``Sweep.keys``."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +88,6 @@ class Sweep:
     name: str
     document: Document
     axes: tuple[Axis, ...]
-    include: tuple[Mapping[str, Any], ...]
     exclude: tuple[Mapping[str, Any], ...]
     keys: tuple[str, ...]
     ranges: Mapping[str, Range]
@@ -113,11 +107,6 @@ class Sweep:
     def measures(self) -> tuple[str, ...]:
         """Names of the measures."""
         return tuple(self.document.data.get("measure") or ())
-
-    @property
-    def store(self) -> str:
-        """``series`` if every row keeps its run folder, otherwise ``none``."""
-        return self.document.data.get("store") or "none"
 
     @cached_property
     def random(self) -> dict[str, Any]:
@@ -140,7 +129,7 @@ class Sweep:
     @property
     def count(self) -> int:
         """Number of rows, without looking which ones are excluded."""
-        return math.prod(map(len, self.axes)) * bool(self.axes) + len(self.include)
+        return math.prod(map(len, self.axes))
 
     @property
     def count_left(self) -> int:
@@ -148,15 +137,11 @@ class Sweep:
         return sum(1 for _ in self.assignments()) if self.exclude else self.count
 
     def assignments(self) -> Iterator[Assignment]:
-        """Yield the values of the varied keys row by row; the last axis varies fastest, included rows come last."""
-        lacking = (MISSING,) * (len(self.keys) - sum(len(axis.keys) for axis in self.axes))
+        """Yield the values of the varied keys row by row; the last axis varies fastest."""
         exclusions = [[(self.keys.index(key), value) for key, value in row.items()] for row in self.exclude]
-        for chosen in _product(self.axes) if self.axes else ():
-            values = chosen + lacking
+        for values in _product(self.axes):
             if not any(all(values[at] == value for at, value in row) for row in exclusions):
                 yield values
-        for extra in self.include:
-            yield tuple(extra.get(key, MISSING) for key in self.keys)
 
     def resolved(self) -> dict[str, Any]:
         """Return the sweep file as plain data with the scene of ``base`` and all overrides written out."""
@@ -240,6 +225,9 @@ def _sweep(document: Document, default_name: str) -> Sweep:
     if "base" not in data and "top" in data:
         problems.add((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
         problems.raise_any()
+    for key in GONE.keys() & data.keys():
+        problems.add((key,), GONE[key])
+    problems.raise_any()
     validate(SweepFile, data, (), problems)
     name = default_name if data.get("name") is None else data["name"]
     if data.get("name") is None and (fault := name_fault(default_name)):
@@ -249,15 +237,14 @@ def _sweep(document: Document, default_name: str) -> Sweep:
         problems.add(("measure",), f"names {quoted(str(measure))} twice")
     base = _base(data.get("base"), problems) if "base" in data else {}
     axes = Axes(data, base, problems)
-    include = axes.rows("include")
-    keys = tuple(dict.fromkeys([*axes.values, *(key for row in include for key in row)]))
-    exclude = axes.rows("exclude")
+    keys = tuple(axes.values)
+    exclude = axes.exclusions()
     axes.check_exclusions(exclude)
     axes.check_drawn(keys)
     problems.raise_any()
-    sweep = Sweep(name, document, tuple(axes.axes), include, exclude, keys, axes.ranges)
+    sweep = Sweep(name, document, tuple(axes.axes), exclude, keys, axes.ranges)
     if not keys:
-        problems.add((), "varies nothing: give grid, zip, include or random; for example grid: {h: [0.1, 0.2]}")
+        problems.add((), "varies nothing: give grid, zip or random; for example grid: {h: [0.1, 0.2]}")
     elif sweep.count > MAX_SWEEP_ROWS:
         problems.add((), f"{sweep.count} rows; a sweep has at most {MAX_SWEEP_ROWS}")
     elif next(sweep.assignments(), None) is None:
@@ -353,18 +340,18 @@ class Axes:
         elif lists and len(columns) == len(lists):
             self.axes.append(Axis(tuple(columns), tuple(columns.values())))
 
-    def rows(self, name: str) -> tuple[Mapping[str, Any], ...]:
-        """Return the entries of ``include`` or ``exclude``, each a section of keys with one value."""
-        raw = self.data.get(name)
+    def exclusions(self) -> tuple[Mapping[str, Any], ...]:
+        """Return the entries of ``exclude``, each a section of keys with one value."""
+        raw = self.data.get("exclude")
         entries = [raw] if isinstance(raw, dict) else [] if raw is None else raw
         if not isinstance(entries, list) or raw == []:
             given = "an empty one" if raw == [] else describe(raw)
-            self.problems.add((name,), f"must be a list of rows such as [{{scheme: hk, h: 0.1}}], not {given}")
+            self.problems.add(("exclude",), f"must be a list of rows such as [{{scheme: hk, h: 0.1}}], not {given}")
             return ()
         rows = []
         for index, entry in enumerate(entries):
-            row = dict(_dotted(self._section(entry, (name, index), f"{name}: [{{scheme: hk, h: 0.1}}]")))
-            known = [self._known(key, (name, index, key)) for key in row]  # every one is reported
+            row = dict(_dotted(self._section(entry, ("exclude", index), "exclude: [{scheme: hk, h: 0.1}]")))
+            known = [self._known(key, ("exclude", index, key)) for key in row]  # every one is reported
             if row and all(known):
                 rows.append(row)
         return tuple(rows)
@@ -443,7 +430,7 @@ def known_keys(data: dict[str, Any], base: dict[str, Any]) -> list[str]:
 def _given(data: dict[str, Any], base: dict[str, Any], key: str) -> Iterator[Any]:
     """Yield every value of ``key`` in the base and in the sections that vary it, valid or not."""
     yield base.get(key)
-    for name in ("grid", "zip", "include", "exclude"):
+    for name in ("grid", "zip", "exclude"):
         raw = data.get(name)
         for section in raw if isinstance(raw, list) else [raw]:
             values = section.get(key) if isinstance(section, dict) else None

@@ -18,7 +18,7 @@ import numpy as np
 from topcli.config.document import Problems
 from topcli.config.models import OUTSIDE_IDENTITY
 from topcli.config.rows import RowReader
-from topcli.config.sweep import MISSING, Sweep
+from topcli.config.sweep import Sweep
 from topcli.contracts import Outcome
 from topcli.errors import TopcliError, counted
 from topcli.figures.sweep import Choice, curves
@@ -340,8 +340,7 @@ def _parts(sweep: Sweep) -> Parts:
     parts: dict[tuple[str, str], None] = {}
     seen: set[tuple[object, ...]] = set()
     for row_number, values in enumerate(sweep.assignments()):
-        # of other keys, such as vectors, it matters only whether they are there
-        kind = tuple(id(value) if chooses else value is MISSING for chooses, value in zip(chosen, values, strict=True))
+        kind = tuple(id(value) for chooses, value in zip(chosen, values, strict=True) if chooses)
         if kind not in seen:
             seen.add(kind)
             if row := reader.read(row_number, values, problems):

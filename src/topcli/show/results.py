@@ -404,7 +404,7 @@ def sweep(
     """
     loaded = load_sweep(file, overrides)
     with Progress(loaded.name, progress, unit="rows") as bar:
-        options = SweepOptions(confirmed=True, retry_failed=retry_failed, threads=threads, on_progress=bar)
+        options = SweepOptions(retry_failed=retry_failed, threads=threads, on_progress=bar)
         if dask is None:
             return SweepReport(run_sweep(loaded, Path(out), options))
         from topcli.sweeps.cluster import run_on_cluster

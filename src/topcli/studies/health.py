@@ -1,4 +1,4 @@
-"""Checks of stored results (runs, ensembles, sweeps with their series, and studies) by ``topcli verify``."""
+"""Checks of stored results (runs, ensembles, sweeps and studies) by ``topcli verify``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from topcli.store.manifest import MANIFEST
 from topcli.store.parts import parts_of
 from topcli.store.verify import CheckedFile, CheckedRun, check_run
 from topcli.sweeps.journal import JOURNAL, damaged_lines
-from topcli.sweeps.run import SERIES, is_sweep
+from topcli.sweeps.run import is_sweep
 from topcli.sweeps.sweep_list import missing_result
 
 
@@ -38,15 +38,14 @@ def _study(path: Path) -> CheckedRun:
     return CheckedRun(path.parent, True, (CheckedFile(path.name, damaged, reason),))
 
 
-def _checked(place: Path) -> list[CheckedRun]:
-    """Results in a folder or file; a sweep comes before its stored series."""
+def _checked(place: Path) -> CheckedRun | None:
+    """Result in a folder or file; None if there is none."""
     if place.is_file():
-        return [_study(place)]
+        return _study(place)
     checked = check_run(place)
     if checked is None and is_sweep(place):
         checked = _unfinished_sweep(place)
-    series = sorted((place / SERIES).iterdir()) if is_sweep(place) and (place / SERIES).is_dir() else []
-    return [run for run in (checked, *map(check_run, series)) if run is not None]
+    return checked
 
 
 def check_all(name: str, out: Path) -> list[CheckedRun]:
@@ -57,7 +56,7 @@ def check_all(name: str, out: Path) -> list[CheckedRun]:
     try:
         place = Path(name)
         places = [place] if place.exists() else [out / name, *(part.folder for part in parts_of(out, name))]
-        checked = [run for place in places for run in _checked(place)]
+        checked = [run for run in map(_checked, places) if run is not None]
     except OSError as error:
         raise UsageError(f"{name[:400]}: cannot be read ({error.strerror})") from None
     if not checked:

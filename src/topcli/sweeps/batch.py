@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -158,8 +157,7 @@ class BatchRecorder:
     """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
 
     Pieces of different runs may be added from different threads, those of a run in the order of time. Errors are
-    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_of`` chooses. It is
-    computed for each run within a context ``limited()``, which may end it by a RunError.
+    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_of`` chooses.
     """
 
     def __init__(
@@ -167,12 +165,11 @@ class BatchRecorder:
         experiment: Experiment,
         measures: Sequence[Measure],
         initial: Array,
-        limited: Callable[[], AbstractContextManager[None]] = nullcontext,
         reference: str | None = None,
     ) -> None:
         if fault := rows_fault(experiment, measures):
             raise UsageError(fault)
-        self.experiment, self.initial, self._limited = experiment, initial, limited
+        self.experiment, self.initial = experiment, initial
         self._reference = reference_of(experiment.top, reference, judged=experiment.scheme)
         top, every = experiment.top, experiment.output.every
         needs = {need for measure in measures for need in measure.needs}
@@ -207,8 +204,7 @@ class BatchRecorder:
             return None
         experiment = self.experiment
         try:
-            with self._limited():
-                return REFERENCES.states(self._reference, self.initial[i], experiment.h, n)
+            return REFERENCES.states(self._reference, self.initial[i], experiment.h, n)
         except RunError as error:
             self._faults[need][i] = str(error)
             return None

@@ -1,22 +1,20 @@
-"""Run of a batch, side by side or one by one, under a time limit, recording the data for its measures."""
+"""Run of a batch, side by side or one by one, recording the data for its measures."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from topcli.config.models import Experiment
-from topcli.contracts import Array, StopAsked, check_stop
+from topcli.contracts import Array, check_stop
 from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
 from topcli.engine.fingerprint import same_method
 from topcli.engine.loop import state_after
 from topcli.engine.tile import Piece
-from topcli.errors import RunError
 from topcli.sweeps.batch import Batch, BatchRecorder, bytes_per_run
 from topcli.sweeps.measures import Measure
 
@@ -30,37 +28,6 @@ MAX_RUNS = 4096
 def batch_size(experiment: Experiment, measures: Sequence[Measure], budget: int = BATCH_BYTES) -> int:
     """Number of runs whose records fit into ``budget`` bytes, at least 1."""
     return max(1, min(MAX_RUNS, budget // bytes_per_run(experiment, measures)))
-
-
-class Limit:
-    """Time limit of some rows, ``seconds`` for each; 0 for none. Once it is reached, ``over`` and ``stop`` are true."""
-
-    def __init__(self, seconds: float = 0.0, rows: int = 1, stop: Callable[[], bool] = lambda: False) -> None:
-        self.seconds, self._stop = seconds, stop
-        self._deadline = time.perf_counter() + seconds * rows if seconds else float("inf")
-
-    @property
-    def over(self) -> bool:
-        """True once the time has passed."""
-        return time.perf_counter() > self._deadline
-
-    def stop(self) -> bool:
-        """True once the rows are to stop, for whatever reason."""
-        return self.over or self._stop()
-
-    @contextmanager
-    def apart(self) -> Iterator[None]:
-        """Limit the block by as many seconds for itself, which do not count for the rows. Raises RunError."""
-        began, deadline = time.perf_counter(), self._deadline
-        self._deadline = began + self.seconds if self.seconds else float("inf")
-        try:
-            yield
-        except StopAsked:
-            if self._stop():
-                raise
-            raise RunError(f"the reference takes more than the time limit of {self.seconds:g} s") from None
-        finally:
-            self._deadline = deadline + (time.perf_counter() - began)
 
 
 MAX_CODES = 256
@@ -105,9 +72,8 @@ class BatchRun:
         change the values.
     threads : int, optional
         Number of threads, which does not change the values; all CPUs by default.
-    limit : Limit, optional
-        Its ``stop()`` is called between chunks; once it returns true, the unfinished runs are ``interrupted``. The
-        reference of each run is computed within ``apart()``, see ``BatchRecorder``.
+    stop : callable, optional
+        Called between chunks; once it returns true, the unfinished runs are ``interrupted``.
     reference : str, optional
         Reference of the errors, ``"taylor"`` or ``"exact"``; by default the closed form if it is as accurate.
     """
@@ -119,14 +85,14 @@ class BatchRun:
         *,
         count: int = 1,
         threads: int | None = None,
-        limit: Limit | None = None,
+        stop: Callable[[], bool] = lambda: False,
         reference: str | None = None,
     ) -> None:
         self.experiment, self.measures = experiment, tuple(measures)
         self.size = batch_size(experiment, self.measures)
         """Number of runs whose records fit into memory."""
-        self.limit, self._reference = limit or Limit(), reference
-        self._stop = lambda: self.limit.stop()
+        self.stop, self._reference = stop, reference
+        self._stop = lambda: self.stop()
         count = min(count, self.size)
         self._recorder: BatchRecorder | None = None
         self._recording = 0.0
@@ -173,7 +139,7 @@ class BatchRun:
     def finished(self, initial: Array) -> Batch:
         """Run from the states ``initial`` (runs, d) and return what was recorded."""
         self._run.begin(initial)
-        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self.limit.apart, self._reference)
+        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self._reference)
         self._initial = None
         before, self._recording = self._run.run_seconds, 0.0
         began = time.perf_counter()

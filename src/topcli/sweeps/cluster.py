@@ -225,8 +225,8 @@ class Cluster:
 
 
 def batch_digest(batch: Sequence[Row], work: Work, token: str) -> str:
-    """Digest of a task: its rows, measures and time limit, and the job."""
-    content = [[row.digest for row in batch], list(work.measures), work.time_limit, token]
+    """Digest of a task: its rows and measures, and the job."""
+    content = [[row.digest for row in batch], list(work.measures), token]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 

@@ -28,7 +28,7 @@ from topcli.errors import TopcliError
 from topcli.schemes.plugins import users_error
 from topcli.store.provenance import cpu_name
 from topcli.sweeps.batch import evaluate
-from topcli.sweeps.batch_run import BatchRun, Limit
+from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.measures import Measure, resolve_measures
 from topcli.tops import CUSTOM, TOPS
 
@@ -84,7 +84,6 @@ class Results:
 def results_of_rows(
     rows: Sequence[Row],
     measures: Sequence[str],
-    time_limit: float = 0.0,
     stop: Callable[[], bool] = lambda: False,
     seconds: float = float("inf"),
     *,
@@ -99,9 +98,6 @@ def results_of_rows(
         Rows, best with those of equal top, scheme, h, N and output next to each other.
     measures : sequence of str
         Names of the measures.
-    time_limit : float, optional
-        Seconds after which a row is stopped, 0 for never. Rows that are stepped side by side share their time. The
-        reference of a row, which other rows may need too, has as many for itself.
     stop : callable, optional
         Asked between chunks; once it returns true, unfinished rows are given up and are not ``done``.
     seconds : float, optional
@@ -132,7 +128,7 @@ def results_of_rows(
         return stop() or time.perf_counter() - began > seconds
 
     for shared, places in groups.items():
-        group = _Group(shared, tuple(measures), time_limit, stop, results, pace, kept or _kept)
+        group = _Group(shared, tuple(measures), stop, results, pace, kept or _kept)
         group.run([(at, rows[at].initial) for at in places], ended)
         if ended():
             break
@@ -148,11 +144,10 @@ class Work:
     """
 
     measures: tuple[str, ...]
-    time_limit: float = 0.0
 
     def __call__(self, rows: Sequence[Row], stop: Callable[[], bool] = lambda: False) -> Results:
         """Evaluate rows."""
-        return results_of_rows(rows, self.measures, self.time_limit, stop, PIECE_SECONDS)
+        return results_of_rows(rows, self.measures, stop, PIECE_SECONDS)
 
 
 def unfinished(rows: Sequence[Row], results: Results) -> list[Row]:
@@ -255,7 +250,6 @@ class _Group:
 
     shared: Shared
     measures: tuple[str, ...]
-    time_limit: float
     stop: Callable[[], bool]
     results: Results
     pace: Pace
@@ -278,20 +272,15 @@ class _Group:
             size = max(1, min(run.size, 8 * size, int(size * self.pace.seconds / taken)))
 
     def _piece(self, run: BatchRun, rows: list[tuple[int, tuple[float, ...]]]) -> None:
-        run.limit = limit = Limit(self.time_limit, len(rows), self.stop)
+        run.stop = self.stop
         faults: dict[int, list[str]] = {}
         try:
-            with stopping_when(limit.stop), np.errstate(all="ignore"):  # extreme values are outcomes
+            with stopping_when(self.stop), np.errstate(all="ignore"):  # extreme values are outcomes
                 batch = run.finished(np.array([state for _, state in rows]))
                 figures = evaluate(
                     run.measures, batch, lambda i, name, reason: faults.setdefault(i, []).append(f"{name}: {reason}")
                 )
         except StopAsked:
-            if len(rows) > 1 and not self.stop():
-                for row in rows:
-                    self._piece(run, [row])
-            elif not self.stop():
-                self._ended(rows[0][0], Outcome.INTERRUPTED, f"stopped; {self._limit_text}")
             return
         except Exception as error:
             if len(rows) > 1:  # so that only the rows that fail are lost
@@ -304,23 +293,13 @@ class _Group:
         results = self.results
         for i, (place, _) in enumerate(rows):
             ending = batch.endings[i]
-            message = "; ".join([ending.message, *faults.get(i, ())])
             if ending.outcome is Outcome.INTERRUPTED:
-                if not limit.over:
-                    continue
-                message += f"; {self._limit_text}"
-            self._ended(place, ending.outcome, message)
+                continue
+            results.outcome[place] = ending.outcome.value
+            results.message[place] = "; ".join([ending.message, *faults.get(i, ())])
+            results.done[place] = True
             for name, values in columns.items():
                 results.values[name][place] = values[i]
-
-    @property
-    def _limit_text(self) -> str:
-        return f"the time limit is {self.time_limit:g} s"
-
-    def _ended(self, place: int, outcome: Outcome, message: str) -> None:
-        """Store the outcome of a row."""
-        self.results.outcome[place], self.results.message[place] = outcome.value, message
-        self.results.done[place] = True
 
     def _failed(self, places: list[int], error: Exception) -> None:
         """Store the failure of rows that did not become runs."""

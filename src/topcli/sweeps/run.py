@@ -1,8 +1,7 @@
 """Run the unfinished rows of a sweep, batch by batch, and store them in the folder ``<out>/<name>``.
 
 The folder holds ``sweep.yaml`` (the resolved sweep file), the journal of finished rows, ``rows.parquet`` (the tidy
-table of finished rows), ``manifest.json`` (written last) and, with ``store: series``, a run folder for each row in
-``series/``.
+table of finished rows) and ``manifest.json`` (written last).
 """
 
 from __future__ import annotations
@@ -15,18 +14,17 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from topcli.config.load import load_experiment
 from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep, load_sweep
 from topcli.engine.ensemble import default_threads
 from topcli.errors import TopcliError, UsageError
 from topcli.runs.decision import require_no_link
 from topcli.store.files import io_failure, require_writable, sync, write_text, write_whole
-from topcli.store.manifest import MANIFEST, stored_run
+from topcli.store.manifest import MANIFEST
 from topcli.store.parts import LOCK, owner, take_lock
 from topcli.store.provenance import Commit, now
 from topcli.sweeps.journal import COMPLETED, JOURNAL, FinishedRows, Journal
@@ -36,9 +34,6 @@ from topcli.sweeps.rows import ROWS_FILE
 from topcli.sweeps.rows_file import manifest_text, write_rows
 
 SWEEP_FILE = "sweep.yaml"
-SERIES = "series"
-MANY_ROWS = 10**5
-"""Rows above which a sweep runs only if it is confirmed."""
 SHOWN_WARNINGS = 3
 IN_FLIGHT = 2
 """Batches in flight for each worker."""
@@ -58,11 +53,7 @@ begin; rows that are not done are left out."""
 class SweepOptions:
     """Options and callbacks of a sweep, which do not change what it computes."""
 
-    confirmed: bool = False
-    """True if it may have more than ``MANY_ROWS`` rows."""
     retry_failed: bool = False
-    fail_fast: bool = False
-    time_limit: float = 0.0
     threads: int | None = None
     """Batches that are evaluated at the same time."""
     batch_scale: int = 1
@@ -103,8 +94,6 @@ class _Tally:
     done: int = 0
     failed: int = 0
     ran: int = 0
-    broken: bool = field(default=False)
-    """True after a failure, with ``fail_fast``."""
 
 
 def require_sweep_folder(folder: Path) -> None:
@@ -135,16 +124,6 @@ def _remove_temporary(folder: Path) -> None:
 def is_sweep(folder: Path) -> bool:
     """True if ``folder`` is that of a sweep."""
     return any(os.path.exists(folder / name) for name in (JOURNAL, SWEEP_FILE))  # False for a name that is too long
-
-
-def require_confirmed(sweep: Sweep, options: SweepOptions) -> None:
-    """Raise UsageError for a sweep of very many rows that is not confirmed."""
-    if sweep.count > MANY_ROWS and not options.confirmed:
-        place = sweep.document.place(("grid",)) or sweep.document.place(())
-        raise UsageError(
-            f"{place + ': ' if place else ''}{sweep.count} rows; a sweep of more than {MANY_ROWS} needs --yes",
-            "--dry-run prints the plan",
-        )
 
 
 def earlier_file(folder: Path) -> dict[str, Any] | None:
@@ -206,7 +185,6 @@ def run_sweep(
     before anything runs, and RunError if writing fails; finished rows are kept.
     """
     began = time.perf_counter()
-    require_confirmed(sweep, options)
     surveyed = survey(sweep)
     for line in surveyed.warnings[:SHOWN_WARNINGS]:
         options.on_message(f"warning: {sweep.name}: {line}")
@@ -249,9 +227,6 @@ class _Runner:
         self.started = now()
         self._written, self._table_seconds = time.monotonic(), 0.0
 
-    def _stop(self) -> bool:
-        return self.tally.broken or self.options.stop()
-
     def run(self, backend: Backend | None, began: float, commit: Commit) -> SweepResult:
         """Run the rows of the plan, and write the table and the manifest."""
         threads = self.options.threads or default_threads()
@@ -260,11 +235,11 @@ class _Runner:
         if self.plan.to_run:
             rows = (row for row, _ in rows_to_run(self.plan))
             made = batches(rows, threads, self.options.batch_scale)
-            work = Work(self.sweep.measures, self.options.time_limit)
-            for batch, results in (backend or in_threads(threads))(made, work, self._stop):
+            work = Work(self.sweep.measures)
+            for batch, results in (backend or in_threads(threads))(made, work, self.options.stop):
                 self._keep(batch, results)
         outcomes = self._table()
-        complete = sum(outcomes.values()) == self.survey.count and (self.sweep.store != SERIES or self._store_all())
+        complete = sum(outcomes.values()) == self.survey.count
         interrupted = self.options.stop() and not complete
         seconds = time.perf_counter() - began
         if complete:
@@ -292,7 +267,6 @@ class _Runner:
         for i in which:
             if results.outcome[i] != COMPLETED:
                 self.tally.failed += 1
-                self.tally.broken |= self.options.fail_fast
                 self.options.on_failure(batch[i], results.outcome[i], results.message[i])
         self.tally.done += len(which)
         self.tally.ran += len(which)
@@ -300,27 +274,6 @@ class _Runner:
         self.options.on_progress(self.tally.done, self.survey.count - self.plan.repeated, note)
         if time.monotonic() - self._written > max(TABLE_SECONDS, 20.0 * self._table_seconds):
             self._table()
-
-    def _store_all(self) -> bool:
-        """Store the series of all rows that ran in this call or have none; False if the sweep is stopped before."""
-        for row in RowReader(self.sweep).rows():
-            if self.options.stop():
-                return False
-            stored = stored_run(self.folder / SERIES / row.digest[:16])
-            if self.plan.status[row.number] in REASONS or stored is None or stored.interrupted:
-                self._store_series(row)
-        return not self.options.stop()
-
-    def _store_series(self, row: Row) -> None:
-        """Run a row again into a run folder of its own."""
-        from topcli.runs.decision import RunOptions
-        from topcli.runs.run import run_experiment
-
-        try:
-            experiment = load_experiment(row.config(row.digest[:16]))
-            run_experiment(experiment, self.folder / SERIES, RunOptions(stop=self.options.stop))
-        except TopcliError as error:
-            self.options.on_message(f"warning: row {row.number}: its series cannot be stored: {error}")
 
     def _table(self) -> dict[str, int]:
         """Write ``rows.parquet``; the numbers of its current rows by outcome."""
