@@ -33,7 +33,8 @@ def scene_of(form: str) -> str:
 
 def command(scheme: Scheme) -> str:
     """Command whose result the picture shows."""
-    return f"topcli run {scene_of(scheme.top)} --set scheme={scheme.name} --set h={STEP} --set N={STEPS} --name trial"
+    settings = (f"scheme={scheme.name}", f"h={STEP}", f"N={STEPS}", "name=trial")
+    return f"topcli run {scene_of(scheme.top)} {' '.join(f'--set {text}' for text in settings)}"
 
 
 @cache

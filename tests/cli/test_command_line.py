@@ -17,7 +17,7 @@ from documentation import read_page
 from topcli.cli.app import all_commands, app
 from topcli.cli.commands import FIRST_EXAMPLES, GROUPS, examples_of
 from topcli.config.files import scene_files, sweep_files
-from topcli.config.load import load_named
+from topcli.config.load import load
 from topcli.config.sweep import load_sweep
 from topcli.figures.catalogue import FIGURES
 from topcli.paper.ledger import claim_names
@@ -89,7 +89,7 @@ def test_every_help_ends_with_two_examples_that_exist(name: str, cli: Callable[.
         assert unknown(context) == []
         sets, config = context.params.get("sets"), (context.params.get("configs") or [context.params.get("config")])[0]
         if sets and config != "experiment.yaml":
-            load_sweep(context.params["file"], sets) if name == "sweep" else load_named(config or "kowalevski_hk", sets)
+            load_sweep(context.params["file"], sets) if name == "sweep" else load(config or "kowalevski_hk", sets)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_an_option_with_another_meaning_would_be_found(change: dict[str, Any]) -
 COMMON = {
     "--out": "run sweep bench compare analyse order roundoff stress lyapunov plot report animate table",
     "--results": "report plot animate table verify show list-runs",
-    "--format": "run table plot compare analyse order roundoff lyapunov",
+    "--format": "table plot compare analyse order roundoff lyapunov",
     "--force": "run plot report animate table init",
     "--quiet": "run sweep bench plot report animate table verify init",
 }

@@ -19,7 +19,7 @@ from topcli import __version__
 from topcli.__main__ import main
 from topcli.cli import options
 from topcli.config.files import scene_files
-from topcli.config.load import load_experiment, load_named
+from topcli.config.load import load, load_experiment
 from topcli.engine.run import Run
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
@@ -105,7 +105,7 @@ def test_one_failure_does_not_stop_the_other_runs(cli, in_tmp: Path) -> None:
     "settings", [("h=1.0", "initial.omega=[1e200, 1e200, 1e200]"), ("h=1e155",)], ids=["motion", "square of h"]
 )
 def test_blow_up_is_reported_and_its_rows_kept(cli, in_tmp: Path, settings: tuple[str, ...]) -> None:
-    said = cli("run", HK, "--name", "far", "--set", "N=50", *(word for text in settings for word in ("--set", text)))
+    said = cli("run", HK, *(word for text in ("name=far", "N=50", *settings) for word in ("--set", text)))
     assert said.code == 1
     assert "blew up at step 1 (t = 1" in said.err
     report = json.loads((in_tmp / "results" / "far" / "report.json").read_text())
@@ -141,16 +141,17 @@ def test_runs_with_numbers_of_any_size_end_or_are_refused(cli, scene: str, size:
 
 @pytest.mark.slow
 def test_run_and_show_name_a_changed_run_by_its_digest(cli) -> None:
-    name = load_named("kowalevski_hk", ["h=0.01", "N=20"]).name
+    name = load("kowalevski_hk", ["h=0.01", "N=20"], rename=True).name
     sets = ("--set", "h=0.01", "--set", "N=20")
     said = cli("run", "kowalevski_hk", *sets)
     assert f"{name}: completed 20 steps (t = 0.2) -> results/{name} (ran)" in said.err
-    assert f"-> results/{name} (rewritten as csv)" in cli("run", "kowalevski_hk", *sets, "--format", "csv").err
+    csv = ("--set", "output.format=csv")
+    assert f"-> results/{name} (ran)" in cli("run", "kowalevski_hk", *sets, *csv).err
     assert cli("show", "kowalevski_hk", *sets, "--json").json()["config"]["name"] == name
     shown = cli("show", "kowalevski_hk", *sets).out
     Path("shown.yaml").write_text(shown)
     assert cli("show", "shown.yaml").out == shown
-    assert f"{name}: will be rewritten as parquet" in cli("run", "shown.yaml", "--dry-run").out
+    assert f"{name}: will run again" in cli("run", "shown.yaml", "--dry-run").out
     assert sorted(path.name for path in Path("results").iterdir()) == [name]
     stored = cli("show", f"results/{name}/config.yaml")
     assert (stored.code, cli("show", f"results/{name}").out) == (0, stored.out)
@@ -181,11 +182,11 @@ def test_init_needs_no_scheme(cli, suffix: str) -> None:
 
 @pytest.mark.slow
 def test_python_m_topcli_and_streams(tmp_path: Path) -> None:
-    done = topcli_process("run", HK, "--name", "kowalevski_hk", "--set", "N=100", "--json", cwd=tmp_path)
+    done = topcli_process("run", HK, "--set", "name=kowalevski_hk", "--set", "N=100", "--json", cwd=tmp_path)
     assert done.returncode == 0
     assert json.loads(done.stdout)["runs"][0]["outcome"] == "completed"
     assert done.stderr == ""
-    done = topcli_process("run", HK, "--name", "kowalevski_hk", "--set", "N=100", cwd=tmp_path)
+    done = topcli_process("run", HK, "--set", "name=kowalevski_hk", "--set", "N=100", cwd=tmp_path)
     assert not {"\x1b", "━"} & set(done.stdout + done.stderr), "neither colours nor boxes in a pipe"
 
 
@@ -305,10 +306,10 @@ def test_a_csv_file_is_analysed_and_drawn(cli: Callable[..., Any]) -> None:
 
 
 def test_what_the_tables_leave_out_is_said(cli: Callable[..., Any]) -> None:
-    cli("run", "euler_gamma_hk", "--set", "N=50", "--name", "free", "--quiet")
+    cli("run", "euler_gamma_hk", "--set", "N=50", "--set", "name=free", "--quiet")
     said = cli("analyse", "results/free/series.parquet", "--config", "euler_hk")
     assert said.err == "not read: gamma1, gamma2, gamma3; the config's initial state has no such components\n"
-    cli("run", "heavy_hk", "--set", "N=50", "--name", "heavy", "--quiet", "--format", "csv")
+    cli("run", "heavy_hk", "--set", "N=50", "--set", "name=heavy", "--quiet", "--set", "output.format=csv")
     names, *lines = [line.split(",") for line in Path("results/heavy/series.csv").read_text().splitlines()]
     lines[-1][names.index("omega2")] = "1e5"
     Path("left.csv").write_text("\n".join(map(",".join, [names, *lines])) + "\n")

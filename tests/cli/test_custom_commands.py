@@ -46,7 +46,8 @@ def test_runs_and_comparisons_agree_with_an_independent_integration(cli, config:
     found = cli("compare", *schemes, "--config", "v.yaml", "--json").json()["schemes"]
     assert [scheme["scheme"] for scheme in found] == schemes
     for scheme in found:
-        assert cli("run", "v.yaml", "--set", f"scheme={scheme['scheme']}", "--name", scheme["scheme"]).code == 0
+        name = scheme["scheme"]
+        assert cli("run", "v.yaml", "--set", f"scheme={name}", "--set", f"name={name}").code == 0
         series = read_series(Path("results") / scheme["scheme"] / "series.parquet")
         last = np.array([series[name][-1] for name in ("w1", "w2", "w3")])
         error = np.linalg.norm(last - exact(4.0))
@@ -104,7 +105,7 @@ def test_sweeps_tables_pictures_and_pages(cli, config: Path) -> None:
 
 def test_a_run_resumes_from_its_own_config(cli, config: Path) -> None:
     first = cli("run", "v.yaml")
-    again = cli("run", "results/v/config.yaml", "--name", "v")
+    again = cli("run", "results/v/config.yaml", "--set", "name=v")
     assert "up to date" in again.err
     assert first.out == again.out
     Path("v.yaml").write_text(VOLTERRA.replace("- k*w2)/A", "- k*w2 + 0)/A"))

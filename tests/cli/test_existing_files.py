@@ -27,8 +27,8 @@ WRITERS = {
 @pytest.fixture
 def stored(cli: Callable[..., Said], in_tmp: Path) -> Callable[..., Said]:
     """Call a command in a folder with a run, a run with attitudes and a sweep."""
-    assert cli("run", "euler_hk", *SHORT, "--name", "short", "-q").code == 0
-    assert cli("run", "euler_attitude", "--set", "N=50", "--name", "turning", "-q").code == 0
+    assert cli("run", "euler_hk", *SHORT, "--set", "name=short", "-q").code == 0
+    assert cli("run", "euler_attitude", "--set", "N=50", "--set", "name=turning", "-q").code == 0
     study = "name: swept\nbase: {top: euler, initial: {omega: [1, 0.5, 0.2]}, h: 0.1, N: 10}\n"
     (in_tmp / "swept.yaml").write_text(study + "grid: {scheme: [hk, rk4]}\nmeasure: [max_error]\n")
     assert cli("sweep", "swept.yaml", "-q").code == 0
@@ -109,7 +109,7 @@ def test_order_takes_step_sizes_and_duration_from_set(cli: Callable[..., Said]) 
 
 
 def test_a_stored_run_is_resumed_by_its_name_or_path(cli: Callable[..., Said], in_tmp: Path) -> None:
-    assert cli("run", "euler_hk", *SHORT, "--name", "mine", "-q").code == 0
+    assert cli("run", "euler_hk", *SHORT, "--set", "name=mine", "-q").code == 0
     for name in ("mine", "results/mine", "results/mine/", "./results/mine", str(in_tmp / "results" / "mine")):
         said = cli("run", name, "--resume")
         assert (said.code, "-> results/mine (up to date)" in said.err) == (0, True), said.err

@@ -37,7 +37,7 @@ STOPS = [signal.SIGINT, signal.SIGTERM]
 def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> None:
     """Remains of a signal at the third checkpoint are continued to the end of a run that was never stopped."""
     steps = ["--set", "N=12000000", "--set", "output.every=50000", "--checkpoint-every", "0"]
-    arguments = ["run", HK, "--name", "long", *steps]
+    arguments = ["run", HK, "--set", "name=long", *steps]
     at_a_checkpoint = Disk(tmp_path, 3, meanwhile=signal_to_self(number), only="replace checkpoint")
     said = command_in_fork(arguments, tmp_path, at_a_checkpoint)
     if number != signal.SIGKILL:
@@ -70,7 +70,7 @@ def test_a_signal_after_the_last_step_changes_nothing(tmp_path: Path, number: si
     """The result is complete, and says so: nothing is left that could be continued."""
     (tmp_path / "one.yaml").write_text(SWEEP)
     many = ["--set", "ensemble={random: {count: 3, gamma: sphere}}"] if kind == "ensemble" else []
-    run = ["run", HK, "--name", "one", "--set", "N=500", *many]
+    run = ["run", HK, "--set", "name=one", "--set", "N=500", *many]
     command, last = (["sweep", "one.yaml"], "rows") if kind == "sweep" else (run, "manifest")
     late = Disk(tmp_path, 1, meanwhile=signal_to_self(number), only=f"replace {last}")
     said = command_in_fork(command, tmp_path, late)
@@ -106,8 +106,8 @@ def test_a_file_that_may_not_grow_is_closed_and_readable(tmp_path: Path, suffix:
     code = (
         f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}));"
         "from topcli.__main__ import main;"
-        f"sys.argv = ['topcli', 'run', {HK!r}, '--out', {str(tmp_path)!r}, '--format', {suffix!r}, '--quiet',"
-        "'--name', 'x', '--set', 'N=300000']; main()"
+        f"sys.argv = ['topcli', 'run', {HK!r}, '--out', {str(tmp_path)!r}, '--quiet',"
+        f"'--set', 'output.format={suffix}', '--set', 'name=x', '--set', 'N=300000']; main()"
     )
     done = python_process(code, cwd=tmp_path)
     assert done.returncode == 1, done.stderr

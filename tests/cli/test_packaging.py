@@ -58,7 +58,7 @@ def run_python(python: Path, where: Path, *arguments: str, **environment: str) -
 
 def use(python: Path, where: Path, package: Path, **environment: str) -> None:
     """Run a scene of each file format and list the schemes with the topcli in ``package``, in the folder ``where``."""
-    short = ("run", "kowalevski-hk", "--name", "short", "--set", "N=100", "-q")
+    short = ("run", "kowalevski-hk", "--set", "name=short", "--set", "N=100", "-q")
     run_python(python, where, "-m", "topcli", *short, **environment)
     assert (where / "results" / "short" / "series.parquet").exists()
     asked = (

@@ -38,7 +38,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_an_installed_scheme_equals_the_built_in_bit_for_bit(installed: Path, tmp_path: Path) -> None:
     for scheme in ("bohlin-a", "example-bohlin-a"):
-        settings = ["--set", f"scheme={scheme}", "--set", f"name={scheme}", "--set", "N=20000", "--format", "csv"]
+        settings = ["--set", f"scheme={scheme}", "--set", f"name={scheme}", "--set", "N=20000"]
+        settings += ["--set", "output.format=csv"]
         done = topcli_process("run", HK, *settings, "--quiet", cwd=tmp_path, path=installed)
         assert (done.returncode, done.stderr) == (0, "")
     ours, theirs = (tmp_path / "results" / name / "series.csv" for name in ("bohlin-a", "example-bohlin-a"))

@@ -116,7 +116,9 @@ run kowalevski_hk --set name=figures
     pictures
 run kowalevski_hk --set h=0
     h: must not be zero
-run kowalevski_hk --format xlsx
+run kowalevski_hk --format csv
+    error: no such option: --format; use --set output.format=csv
+run kowalevski_hk --set output.format=xlsx
     format
     parquet
 run minee --resume
@@ -127,10 +129,10 @@ run kowalevski_hk --resume --force
     --resume continues a run and --force repeats it
 run kowalevski_hk --checkpoint-every nan
     must be a number of seconds
-run kowalevski_hk --name ""
-    error: --name must not be empty
-run kowalevski_hk euler_hk --name ""
-    error: --name '': names a single run, but 2 configs are given
+run kowalevski_hk --name mine
+    error: no such option: --name; use --set name=NAME
+run kowalevski_hk --set 'name=""'
+    name: must not be empty
 run kowalevski_hk --plugin nowhere.py
     nowhere.py
     no such file
@@ -349,10 +351,8 @@ compare hk taylor --set output.attitude=quaternion
     output.attitude: a comparison records no attitude; add --set
 sweep study.yaml --set base.output.attitude=quaternion
     output.attitude: a sweep records no attitude
-run kowalevski_hk --set name=x --name y
-    --name 'y': --set name=x names the run too; keep one of them
-run kowalevski_hk --name a/b
-    --name must not contain a path separator: 'a/b'
+run kowalevski_hk --set name=a/b
+    name: must not contain a path separator: 'a/b'
 report mine --out old.html
     error: --out old.html: exists already; choose another name or folder, or use --force to replace it
 report mine --out bare.html --force

@@ -96,7 +96,7 @@ def test_a_scheme_of_many_tops_is_described_once_for_those_that_it_is_the_same_f
 
 @pytest.mark.slow
 def test_runs_are_listed_with_sweeps_also_unfinished_ones(cli: Callable[..., Said]) -> None:
-    cli("run", "euler_hk", "--set", "N=50", "--name", "one", "--quiet")
+    cli("run", "euler_hk", "--set", "N=50", "--set", "name=one", "--quiet")
     cli(
         "sweep",
         "heavy_drift",

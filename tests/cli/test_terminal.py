@@ -190,7 +190,7 @@ def test_control_characters_in_file_names_are_escaped(cli, in_tmp: Path) -> None
 def test_foreign_runs_are_listed_as_data(cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:
     from topcli.cli import output
 
-    cli("run", HK, "--name", "kowalevski_hk", "--set", "N=20", "--quiet")
+    cli("run", HK, "--set", "name=kowalevski_hk", "--set", "N=20", "--quiet")
     folder = in_tmp / "results" / "kowalevski_hk"
     manifest = json.loads((folder / "manifest.json").read_text())
     hostile = manifest | {"outcome": EVIL + LONG, "ended": EVIL, "config": manifest["config"] | {"h": EVIL}}

@@ -159,7 +159,7 @@ def places_of_numbers(data: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[
 
 
 @pytest.mark.slow
-@settings(CONFIG, max_examples=500)
+@examples(500)
 @given(data=st.sampled_from(NUMBERED), choice=st.data())
 def test_numbers_of_any_size_give_an_experiment_or_are_refused(data: dict[str, Any], choice: st.DataObject) -> None:
     """Each number of each packaged config; invariants and constants of the experiment exist, finite or not."""

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from cases import table_of
-from topcli.config.load import load, load_experiment, load_named
+from topcli.config.load import load, load_experiment
 from topcli.config.load import load_experiment as single_from
 from topcli.config.models import changed_name, name_fault
 from topcli.schemes.registry import all_schemes
@@ -149,7 +149,7 @@ SCENE = "kowalevski_hk"
 """),
 )
 def test_an_override_that_changes_nothing_keeps_the_name(overrides: list[str]) -> None:
-    assert load_named(SCENE, overrides).name == SCENE
+    assert load(SCENE, overrides, rename=True).name == SCENE
 
 
 @pytest.mark.parametrize(
@@ -164,24 +164,24 @@ def test_an_override_that_changes_nothing_keeps_the_name(overrides: list[str]) -
     ],
 )
 def test_an_override_that_changes_the_run_changes_its_name(scene: str, override: str) -> None:
-    found = load_named(scene, [override])
+    found = load(scene, [override], rename=True)
     assert found.name == found.resolved()["name"] == f"{scene}-{load(scene, [override]).digest[:6]}"
     assert found.digest == load(scene, [override]).digest
 
 
 def test_a_name_that_is_given_wins(tmp_path: Path) -> None:
-    assert load_named(SCENE, ["h=0.01"], "mine").name == "mine"
-    assert load_named(SCENE, ["h=0.01", "name=mine"]).name == "mine"
-    assert load_named(SCENE, [], "mine").name == "mine"
+    assert load(SCENE, ["h=0.01"], {"name": "mine"}, rename=True).name == "mine"
+    assert load(SCENE, ["h=0.01", "name=mine"], rename=True).name == "mine"
+    assert load(SCENE, [], {"name": "mine"}, rename=True).name == "mine"
     file = tmp_path / "file.yaml"
     file.write_text(load(SCENE).to_yaml().replace(SCENE, "inside"))
-    assert load_named(file, ["h=0.01"]).name.startswith("inside-")
+    assert load(file, ["h=0.01"], rename=True).name.startswith("inside-")
 
 
 def test_a_config_that_overrides_complete_has_a_name(tmp_path: Path) -> None:
     file = tmp_path / "part.yaml"
     file.write_text("top: euler\ninitial: {omega: [1, 1, 1]}\nh: 0.1\nN: 10\n")
-    found = load_named(file, ["scheme=hk"])
+    found = load(file, ["scheme=hk"], rename=True)
     assert found.name == f"part-{found.digest[:6]}"
 
 

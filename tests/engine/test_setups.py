@@ -217,7 +217,7 @@ def test_a_dead_process_costs_time_only(folder: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.slow
 def test_the_report_shows_set_up_and_accuracy(folder: Path, cli: Callable[..., Said]) -> None:
-    config = ("run", "kowalevski_hk", "--set", "scheme=exact", "--set", "N=1000", "--name", "one")
+    config = ("run", "kowalevski_hk", "--set", "scheme=exact", "--set", "N=1000", "--set", "name=one")
     said = cli(*config, "--verbose")
     assert "round-off at most about 3e-15 (eps |omega|²/c in gamma)" in said.err
     (first,) = cli(*config, "--json").json()["runs"]
@@ -231,7 +231,7 @@ def test_the_report_shows_set_up_and_accuracy(folder: Path, cli: Callable[..., S
     text = Path("results/one/report.md").read_text()
     assert f"loading the set-up {second['seconds']['setup']:.3g} s" in text
     assert f"changes the states by up to {second['accuracy']['sensitivity']:.0e}." in text
-    (stepped,) = cli("run", "kowalevski_hk", "--set", "N=10", "--name", "two", "--json").json()["runs"]
+    (stepped,) = cli("run", "kowalevski_hk", "--set", "N=10", "--set", "name=two", "--json").json()["runs"]
     assert "setup" not in stepped["seconds"]
     assert "accuracy" not in stepped
 

@@ -66,7 +66,7 @@ def looked_at(there: Mapping[str, Any]) -> Folder:
 def test_decision(case: dict[str, Any]) -> None:
     folder, options = looked_at(case.get("there", {})), RunOptions(**dict.fromkeys(case.get("options", ()), True))
     mine = Identity(config(case.get("format", "parquet")), 64 * "a", "code")
-    for verb in {"run", "leave", "rewrite"} & case.keys():
+    for verb in {"run", "leave"} & case.keys():
         start = next((left for left in folder.sources if left.done == case.get("step")), None)
         notes = tuple(case.get("notes", ()))
         assert decide(mine, folder, options) == Decision(verb, case[verb], start, notes)  # type: ignore[arg-type]

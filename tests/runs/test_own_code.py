@@ -116,7 +116,7 @@ def test_an_experiment_of_topcli_is_its_config() -> None:
 @pytest.mark.parametrize("name", ["heun", "rk4"])
 def test_an_edited_file_does_not_replace_the_earlier_run(cli: Callable[..., Said], folder: Path, name: str) -> None:
     """Under rk4 alike, although that is topcli's own scheme; with --force the earlier run is renamed, and said so."""
-    command = ("run", "rotor.yaml", "--plugin", "gyrostat.py", "--set", f"scheme={name}", "--name", "rotor")
+    command = ("run", "rotor.yaml", "--plugin", "gyrostat.py", "--set", f"scheme={name}", "--set", "name=rotor")
     assert cli(*command).code == 0
     registry.unload_plugin_files()
     manifest = json.loads(Path("results/rotor/manifest.json").read_text())
@@ -180,7 +180,7 @@ def test_a_run_keeps_the_source_of_own_code(cli: Callable[..., Said], folder: Pa
     (folder / "turning" / "equations.py").write_text("def field" + equations.replace("\n    ", "\n"))
     (folder / "gyrostat.py").write_text(HELPED)
     settings = ("--set", f"scheme={scheme}", "--set", f"N={N}", "--set", "T=null")
-    assert cli("run", "rotor.yaml", "--plugin", "gyrostat.py", *settings, "--name", "kept").code == 0
+    assert cli("run", "rotor.yaml", "--plugin", "gyrostat.py", *settings, "--set", "name=kept").code == 0
     kept = {path.name: path.read_text() for path in Path("results/kept").glob("source.*")}
     assert kept == {
         "source.gyrostat.py": HELPED,
@@ -193,5 +193,5 @@ def test_a_run_keeps_the_source_of_own_code(cli: Callable[..., Said], folder: Pa
     assert cli("verify", "kept").code == 0
     Path("results/kept/source.gyrostat.py").write_text("# other\n")
     assert "source.gyrostat.py: damaged" in cli("verify", "kept").err
-    assert cli("run", "kowalevski_hk", "--plugin", "gyrostat.py", "--set", "N=20", "--name", "plain").code == 0
+    assert cli("run", "kowalevski_hk", "--plugin", "gyrostat.py", "--set", "N=20", "--set", "name=plain").code == 0
     assert not list(Path("results/plain").glob("source.*"))

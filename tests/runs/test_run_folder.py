@@ -1,4 +1,4 @@
-"""Run folders: whole or not at all, rewritten in another format, and no result ever lost."""
+"""Run folders: whole or not at all, and no result ever lost."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from conftest import examples
 from resuming import FILES, NAME, after, small
-from topcli.config.load import load, load_experiment
+from topcli.config.load import load_experiment
 from topcli.contracts import Outcome
-from topcli.engine.ensemble import EnsembleRun
-from topcli.engine.run import Run
 from topcli.errors import RunError, UsageError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import decision_on, run_experiment
@@ -118,89 +116,12 @@ def test_result_written_meanwhile_is_set_aside(tmp_path: Path) -> None:
     assert stored_run(writer.set_aside).manifest["digest"] == other.stored.manifest["digest"]
 
 
-MANY = ["ensemble={random: {count: 5, seed: 3, gamma: sphere}}", "h=0.01", "N=40"]
-
-
 def bits(values: np.ndarray) -> Any:
     return values.tolist() if values.dtype.kind == "O" else values.view(np.int64).tolist()
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-
-
-def without_time(text: bytes) -> dict[str, Any]:
-    """A report without the seconds, which differ between runs."""
-    return {key: value for key, value in json.loads(text).items() if key != "seconds"}
-
-
-@pytest.fixture
-def never_computes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From here on, starting the time loop fails."""
-
-    def refuse(*arguments: Any, **options: Any) -> None:
-        raise AssertionError("computed again")
-
-    for loop in (Run, EnsembleRun):
-        monkeypatch.setattr(loop, "__iter__", refuse)
-
-
-def test_a_run_is_rewritten_as_a_direct_run_would_be(tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    direct = {kind: run_experiment(small(f"output.format={kind}"), tmp_path / kind) for kind in ("csv", "parquet")}
-    run_experiment(small(), tmp_path)
-    first = contents(tmp_path / "kowalevski_hk")
-    request.getfixturevalue("never_computes")
-    made = run_experiment(small(CSV), tmp_path)
-    assert (made.status, made.stored.series.name, made.set_aside) == ("rewritten as csv", "series.csv", None)
-    found, wanted = contents(made.stored.folder), contents(direct["csv"].stored.folder)
-    assert found.keys() == wanted.keys()
-    assert found["series.csv"] == wanted["series.csv"]
-    assert found["config.yaml"] == wanted["config.yaml"]
-    assert (found["report.json"], found["report.md"]) == (first["report.json"], first["report.md"])
-    assert without_time(found["report.json"]) == without_time(wanted["report.json"])
-    old, new = json.loads(first["manifest.json"]), json.loads(found["manifest.json"])
-    assert new["config"] == {**old["config"], "output": {**old["config"]["output"], "format": "csv"}}
-    assert new["rewritten"]["from"] == ["series.parquet"]
-    same = ("digest", "code", "outcome", "started", "ended", "seconds", "environment", "step")
-    assert [new[key] for key in same] == [old[key] for key in same]
-    assert made.stored.damage() == {}
-    assert run_experiment(small(CSV), tmp_path).status == "up to date"
-
-    back = run_experiment(small(), tmp_path)
-    assert back.status == "rewritten as parquet"
-    about, direct_about = (
-        {key: value for key, value in pq.read_metadata(path).metadata.items() if key.startswith(b"topcli.")}
-        for path in (back.stored.series, direct["parquet"].stored.series)
-    )
-    assert about == direct_about
-    assert about.keys() >= {b"topcli.config", b"topcli.digest", b"topcli.environment", b"topcli.outcome"}
-    columns, wanted = read_series(back.stored.series), read_series(direct["parquet"].stored.series)
-    assert {name: bits(values) for name, values in columns.items()} == {k: bits(v) for k, v in wanted.items()}
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["csv", "kowalevski_hk", "parquet"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("store", ["final", "statistics"])
-def test_an_ensemble_is_rewritten_with_all_its_tables(
-    tmp_path: Path, store: str, request: pytest.FixtureRequest
-) -> None:
-    def many(kind: str) -> Any:
-        return load("kowalevski_hk", [*MANY, f"ensemble.store={store}", f"output.format={kind}"])
-
-    run_experiment(many("parquet"), tmp_path)
-    direct = contents(run_experiment(many("csv"), tmp_path / "direct").stored.folder)
-    request.getfixturevalue("never_computes")
-    made = run_experiment(many("csv"), tmp_path)
-    assert made.status == "rewritten as csv"
-    found = contents(made.stored.folder)
-    tables = {name for name in direct if name.endswith(".csv")}
-    assert tables == ({"trajectories.csv"} if store == "statistics" else {"series.csv", "trajectories.csv"})
-    assert {name: found[name] for name in tables} == {name: direct[name] for name in tables}
-    assert found.keys() == direct.keys()
-    assert made.stored.manifest["trajectories"] == "trajectories.csv"
-    back = run_experiment(many("parquet"), tmp_path)
-    assert back.status == "rewritten as parquet"
-    assert back.stored.damage() == {}
 
 
 @pytest.mark.slow
@@ -223,37 +144,19 @@ def test_a_failure_keeps_the_earlier_format(tmp_path: Path, at: str, monkeypatch
         with pytest.raises(RunError, match="no space left on the device"):
             run_experiment(small(CSV), tmp_path)
     assert contents(first) == before
-    assert run_experiment(small(CSV), tmp_path).status == "rewritten as csv"
-    assert [path.name for path in tmp_path.iterdir()] == ["kowalevski_hk"]
-
-
-def test_damaged_tables_are_computed_again_whatever_their_size(tmp_path: Path, monkeypatch) -> None:
-    """Rewriting would give a damaged large file a valid checksum; a run in the same format compares its size only."""
-    monkeypatch.setattr("topcli.store.manifest.CHECKED_AT_ONCE", 0)
-    series = run_experiment(small(CSV), tmp_path).stored.series
-    text = series.read_bytes()
-    series.write_bytes(text[:-3] + bytes([text[-3] ^ 1]) + text[-2:])
-    said: list[str] = []
-    made = run_experiment(small(), tmp_path, RunOptions(on_message=said.append))
-    assert made.status == "ran"
-    assert "series.csv is damaged" in said[0]
-    assert made.stored.damage() == {}
+    assert run_experiment(small(CSV), tmp_path).status == "ran"
+    assert [path.name for path in tmp_path.glob("[!.]*")] == ["kowalevski_hk"]
 
 
 @pytest.mark.slow
 def test_the_step_at_which_a_run_left_its_motion_stays_in_its_tables(tmp_path: Path) -> None:
-    """HK with so long a step that gamma² grows to 2e59, as parquet, csv and parquet again."""
+    """HK with so long a step that gamma² grows to 2e59."""
     big = ["h=2", "N=1000"]
     first = run_experiment(load_experiment("kowalevski_hk", big), tmp_path)
     about = pq.read_metadata(first.stored.series).metadata
     left = first.stored.manifest["left_motion"]
     assert json.loads(about[b"topcli.left_motion"]) == left
     assert 0 < left["step"] < 1000
-    assert run_experiment(load_experiment("kowalevski_hk", [*big, CSV]), tmp_path).status == "rewritten as csv"
-    again = run_experiment(load_experiment("kowalevski_hk", big), tmp_path)
-    assert again.status == "rewritten as parquet"
-    assert again.stored.manifest["left_motion"] == left
-    assert pq.read_metadata(again.stored.series).metadata[b"topcli.left_motion"] == about[b"topcli.left_motion"]
 
 
 SIZES = st.sampled_from([0.001, 0.002])
@@ -329,7 +232,7 @@ class ResultsMachine(RuleBasedStateMachine):
             self.reached |= {} if h in self.done else {h: max(steps[0], self.reached.get(h, 0))}
             return
         begun = "resumed" if decision.source else "ran"
-        status = {"run": begun, "rewrite": f"rewritten as {suffix}", "leave": "up to date"}[decision.verb]
+        status = {"run": begun, "leave": "up to date"}[decision.verb]
         assert result.status == status
         kept = decision.verb != "leave" and any(path.match(f"{NAME}/notes*") for path in before)
         assert result.set_aside is not None or not kept

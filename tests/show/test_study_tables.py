@@ -172,8 +172,8 @@ def test_what_a_study_stores_is_drawn_by_plot_by_path_or_by_name(cli: Cli) -> No
 
 @pytest.mark.slow
 def test_a_run_has_its_report_as_a_table(cli: Cli) -> None:
-    cli("run", "euler_hk", "--set", "N=100", "--name", "one", "--quiet")
-    report = cli("run", "euler_hk", "--set", "N=100", "--name", "one", "--json").json()["runs"][0]
+    cli("run", "euler_hk", "--set", "N=100", "--set", "name=one", "--quiet")
+    report = cli("run", "euler_hk", "--set", "N=100", "--set", "name=one", "--json").json()["runs"][0]
     rows = list(csv.DictReader(io.StringIO(cli("table", "one", "--format", "csv").out)))
     assert [float(row["max_deviation"]) for row in rows] == [one["max_deviation"] for one in report["invariants"]]
     assert re.search(r"conservation laws|invariant", cli("table", "one").out)

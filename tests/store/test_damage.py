@@ -324,7 +324,7 @@ def test_a_damaged_manifest_is_reported_and_kept(cli, in_tmp: Path, monkeypatch:
     assert [(run["name"], run["outcome"]) for run in listed] == [("fine", "completed"), (NAME, "damaged")]
     monkeypatch.setattr(Run, "__iter__", None)  # refused before anything is computed
     for more in ((), ("--force",), ("--resume",), ("--dry-run",)):
-        said = cli("run", NAME, "--name", NAME, "--set", "N=300", *more)
+        said = cli("run", NAME, "--set", f"name={NAME}", "--set", "N=300", *more)
         assert said.code == 2
         assert f"results/{NAME}: holds a damaged run ({MANIFEST}: " in said.err
     said = cli("verify", NAME)

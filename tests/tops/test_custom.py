@@ -338,7 +338,7 @@ def test_states_of_an_array_and_of_a_box() -> None:
 @pytest.mark.parametrize("suffix", ["yaml", "toml"])
 def test_a_starting_config_runs(cli, suffix: str) -> None:
     assert cli("init", "--top", "custom", f"mine.{suffix}").code == 0
-    found = cli("run", f"mine.{suffix}", "--set", "N=100", "--name", "mine")
+    found = cli("run", f"mine.{suffix}", "--set", "N=100", "--set", "name=mine")
     assert found.err.startswith("mine: completed 100 steps")
     assert load(f"mine.{suffix}").resolved()["top"] == EXAMPLE
     assert fits(json.loads(Path("topcli.schema.json").read_text()), load(f"mine.{suffix}").resolved())

@@ -43,7 +43,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "run.run",
             (
                 "topcli run kowalevski_hybrid",
-                "topcli run experiment.yaml --set h=0.01 --set T=50 --name coarse",
+                "topcli run experiment.yaml --set h=0.01 --set name=coarse",
             ),
             {1: "a run failed, or its state left its energy surface", 3: "some of several runs failed"},
         ),
@@ -199,6 +199,8 @@ GONE = {
     ),
     "discover": "topcli integrability finds the integrals of a map; for an orbit, see docs/integrability.md",
     "doctor": "use topcli --version",
+    "run --format": "use --set output.format=csv",
+    "run --name": "use --set name=NAME",
     "run --fail-fast": "give one config a call to stop at the first run that fails",
     "sweep --fail-fast": "failures are reported at once; Ctrl-C stops a sweep, and the same command continues it",
     "sweep --time-limit": "shorten the rows with N, T or output.every",

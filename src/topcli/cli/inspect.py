@@ -67,7 +67,7 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Show a config, a scheme, a top, or a row of a sweep."""
-    from topcli.config.load import load_named
+    from topcli.config.load import load
     from topcli.studies.scheme_page import generated_source, scheme_data, scheme_forms, schemes_text
     from topcli.studies.top_page import top_data, top_text
     from topcli.tops import forms, top_names
@@ -102,7 +102,7 @@ def show(
             emit_text(schemes_text(schemes, prose_width()))
         return
     with hint_instead([config], show_hint):
-        experiment = load_named(config, sets or [])
+        experiment = load(config, sets or [], rename=True)
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
     else:

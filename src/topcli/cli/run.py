@@ -21,7 +21,6 @@ from topcli.cli.options import (
     Threads,
     Verbose,
     complete_config,
-    format_option,
 )
 from topcli.cli.output import (
     ProgressDisplay,
@@ -82,7 +81,6 @@ class _Request:
 
     out: Path
     overrides: tuple[str, ...]
-    name: str | None
     dry_run: bool
     quiet: bool
     as_json: bool
@@ -182,7 +180,7 @@ def _say_failure(name: str, result: RunResult, code: ExitCode) -> None:
 def _experiment(config: str, request: _Request, resume: bool) -> Experiment | EnsembleExperiment:
     """Experiment of a config or scene; to resume, also that of a run in the folder of results, by its name or path."""
     from topcli.config.files import SUFFIXES, is_config
-    from topcli.config.load import load, load_named
+    from topcli.config.load import load
 
     if not is_config(config):
         from topcli.runs.decision import config_to_resume
@@ -192,7 +190,7 @@ def _experiment(config: str, request: _Request, resume: bool) -> Experiment | En
         name = os.path.basename(os.path.abspath(config)) if inside else config
         data = config_to_resume(request.out, name)
         if data and resume:
-            return load({**data, "name": request.name or name}, request.overrides)
+            return load({**data, "name": name}, request.overrides)
         if data:
             stored = request.out / name / "config.yaml"
             where = f"; its config is {stored}" if stored.is_file() else ""  # a killed run has none yet
@@ -202,7 +200,7 @@ def _experiment(config: str, request: _Request, resume: bool) -> Experiment | En
             )
         if resume and not (config.endswith(SUFFIXES) or os.path.exists(config) or os.path.dirname(config)):
             raise missing_result(config, request.out)
-    return load_named(config, request.overrides, request.name)
+    return load(config, request.overrides, rename=True)
 
 
 def _run_config(
@@ -250,16 +248,6 @@ Configs = Annotated[
         autocompletion=complete_config,
     ),
 ]
-Name = Annotated[
-    str | None,
-    typer.Option(
-        "--name",
-        metavar="NAME",
-        help="Name the run.",
-        show_default="name of the config; with --set, also digits of a hash",
-    ),
-]
-Format = Annotated[str | None, format_option("parquet", "csv", default="output.format of the config")]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Continue an interrupted or killed run from its last checkpoint.")
 ]
@@ -276,9 +264,7 @@ CheckpointEvery = Annotated[
 def run(
     configs: Configs,
     sets: Sets = None,
-    name: Name = None,
     out: Out = Path("results"),
-    output_format: Format = None,
     force: Force = False,
     resume: Resume = False,
     retry_failed: RetryFailed = False,
@@ -293,25 +279,20 @@ def run(
 
     Each experiment or ensemble is stored in a folder of its own, with its time series and its report. The folder has
     the name of the config. If --set changes the experiment, digits of a hash of the experiment are appended to this
-    name.
+    name, unless --set name=NAME gives another one.
 
     A long run writes checkpoints. Ctrl-C or SIGTERM stops the run with exit code 130 and keeps the rows recorded so
     far. To continue an interrupted or killed run, give --resume and its config or folder; the result is the same as
     without the interruption. --force repeats a run that exists already. If the earlier run of the same name is of a
     different experiment, it is renamed and kept.
     """
-    if output_format not in (None, "parquet", "csv"):
-        raise UsageError(f"unknown format {quoted(output_format)}; use parquet or csv")
-    if name is not None and len(configs) > 1:
-        raise UsageError(f"--name {quoted(name)}: names a single run, but {len(configs)} configs are given")
     if resume and force:
         raise UsageError("--resume continues a run and --force repeats it; use one of them")
     if not checkpoint_every >= 0.0:
         raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds, at least 0")
     from topcli.runs.decision import RunOptions
 
-    overrides = (*(sets or ()), *([f"output.format={output_format}"] if output_format else ()))
-    request = _Request(out, overrides, name, dry_run, quiet, as_json, verbose, len(configs) > 1)
+    request = _Request(out, tuple(sets or ()), dry_run, quiet, as_json, verbose, len(configs) > 1)
     reports: list[dict[str, Any]] = []
     codes: list[ExitCode] = []
     display = ProgressDisplay(len(configs), quiet)

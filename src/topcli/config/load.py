@@ -14,7 +14,6 @@ from topcli.config.files import (
     drop_partner,
     find_config,
     first_sentence,
-    override_label,
     parse_override,
     read_document,
     scene_files,
@@ -25,7 +24,7 @@ from topcli.config.sections import read_columns, read_initial, read_scheme, read
 from topcli.config.written import read_written, with_written_numbers
 from topcli.contracts import Top, checked_rotation
 from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
-from topcli.errors import ConfigError, StepTooLongError, TopcliError, UsageError, quoted
+from topcli.errors import ConfigError, StepTooLongError, TopcliError, quoted
 from topcli.tops import CUSTOM, TOPS, forms
 
 if TYPE_CHECKING:
@@ -86,18 +85,6 @@ def load_experiment(
         commands = "`topcli run`, `topcli compare` and topcli.simulate take another precision"
         raise ConfigError(document.message(("precision",), f"computed in doubles here; {commands}"))
     return loaded if crossings else loaded.of_all_steps()
-
-
-def load_named(
-    source: Path | str, overrides: Sequence[str] = (), name: str | None = None
-) -> Experiment | EnsembleExperiment:
-    """Load the experiment or ensemble of a run, under ``name`` or the name by ``load``. Raises as ``load``."""
-    given = next((text for text in overrides if parse_override(text)[0] == ("name",)), None)
-    if name is not None and given is not None:
-        raise UsageError(f"--name {quoted(name)}: {override_label(given)} names the run too; keep one of them")
-    if name is not None and (fault := name_fault(name)):
-        raise UsageError(f"--name {fault}")
-    return load(source, overrides, {} if name is None else {"name": name}, rename=True)
 
 
 def read_config(

@@ -1,4 +1,4 @@
-"""Decision whether to run, resume, rewrite or keep a stored run, made before anything is written."""
+"""Decision whether to run, resume or keep a stored run, made before anything is written."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ CHECKPOINT_SECONDS = 10.0
 
 _REFUSALS = {
     NO_FOLDER: ("output folder {folder.out}: {wrong}; choose another with --out",),
-    UNREADABLE: ("{wrong}; nothing was written", "choose another folder with --out, or another name with --name"),
+    UNREADABLE: (
+        "{wrong}; nothing was written",
+        "choose another folder with --out, or another name with --set name=...",
+    ),
     OCCUPIED: (
         "{folder.target}: {wrong}; nothing was written",
-        "move it away, or choose another folder with --out or another name with --name",
+        "move it away, or choose another folder with --out or another name with --set name=...",
     ),
 }
 """Lines of the error for each of ``store.folder.FAULTS``."""
@@ -70,7 +73,7 @@ class Decision:
     ``source`` is the run to be continued, None to start from step 0.
     """
 
-    verb: Literal["run", "rewrite", "leave"]
+    verb: Literal["run", "leave"]
     action: str
     source: Resumable | None = None
     notes: tuple[str, ...] = ()
@@ -85,15 +88,13 @@ def decide(identity: Identity, folder: Folder, options: RunOptions) -> Decision:
     if folder.fault:
         kind, wrong = folder.fault
         raise UsageError(*(line.format(folder=folder, wrong=wrong) for line in _REFUSALS[kind]))
-    current = run is not None and run.complete(identity.digests)
+    current = run is not None and run.complete(identity.digests) and run.series.suffix == f".{identity.format}"
     failed = run is not None and run.outcome is not Outcome.COMPLETED
     source = _source(identity, folder) if options.resume and (folder.damage or not current) else None
     decision = _run(identity, folder, options, source)
     if run and current and not folder.damage and not options.force and not (failed and options.retry_failed):
         hint = f"; the existing run ended as {run.outcome.value}; --retry-failed runs it again" if failed else ""
-        if run.series.suffix == f".{identity.format}":
-            return Decision("leave", f"up to date{hint}")
-        decision = Decision("rewrite", f"will be rewritten as {identity.format}")
+        return Decision("leave", f"up to date{hint}")
     if folder.linked:
         raise _link_error(folder.target)
     return decision
@@ -103,7 +104,7 @@ def _link_error(target: Path) -> UsageError:
     """Error for a run that would replace the symbolic link ``target``."""
     return UsageError(
         f"{target}: is a symbolic link, which no run can replace; nothing was written",
-        "remove it, or choose another name with --name",
+        "remove it, or choose another name with --set name=...",
     )
 
 
@@ -126,7 +127,7 @@ def _run(identity: Identity, folder: Folder, options: RunOptions, source: Resuma
     if not options.force and source is None:
         raise UsageError(
             f"{folder.target}: holds {_other(identity, folder.run.manifest)}; nothing was written",
-            "choose another name with --name or another folder with --out, or use --force, which renames "
+            "choose another name with --set name=... or another folder with --out, or use --force, which renames "
             "the earlier run",
         )
     return Decision("run", f"{begin}; the existing different run is renamed, not overwritten", source, notes)
@@ -178,7 +179,7 @@ def _source(identity: Identity, folder: Folder) -> Resumable | None:
         if (written := best.about["config"].get("output", {}).get("format", wanted)) != wanted:
             raise UsageError(
                 f"{best.where.folder}: the unfinished run, at step {best.done}, is written as {written}, not {wanted}",
-                f"resume it with --format {written}; once finished, it is rewritten if {wanted} is asked for",
+                f"resume it with --set output.format={written}",
             )
         return best
     if not folder.sources:

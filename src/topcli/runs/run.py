@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,26 +12,21 @@ from topcli.contracts import Outcome
 from topcli.errors import UsageError
 from topcli.runs.decision import Decision, RunOptions, decide, difference
 from topcli.runs.identity import Identity, prepared
-from topcli.runs.recording import Origin, Recording, SingleRecording, config_text, table_metadata
+from topcli.runs.recording import Origin, Recording, SingleRecording
 from topcli.store.checkpoint import Checkpoint
 from topcli.store.folder import Folder, Resumable, RunWriter
 from topcli.store.manifest import StoredRun, stored_run
-from topcli.store.parts import is_result, remove_own
 from topcli.store.provenance import Commit, environment, now
-from topcli.store.series import copy_series
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
-
-_TABLES = ("series", "trajectories")
-"""Entries of a manifest that name tables; they are the same file if an ensemble keeps no rows."""
 
 
 @dataclass(frozen=True)
 class RunResult:
     """A run folder, its report, and the ``status`` of the call.
 
-    The status is ``"ran"``, ``"resumed"``, ``"up to date"`` or, with the format, ``"rewritten as csv"``.
+    The status is ``"ran"``, ``"resumed"`` or ``"up to date"``.
     ``set_aside`` is the new folder of an earlier run that was moved away, because it is a different one or holds files
     that this one does not.
     """
@@ -64,7 +57,7 @@ def decision_on(
 ) -> tuple[Identity, Decision]:
     """Identity of an experiment, and the decision on it. Raises UsageError for a run that would be refused."""
     identity = prepared(experiment, options.resume).identity
-    return identity, decide(identity, Folder.look(out, identity.name, identity.format), options)
+    return identity, decide(identity, Folder.look(out, identity.name), options)
 
 
 def run_experiment(
@@ -72,21 +65,21 @@ def run_experiment(
 ) -> RunResult:
     """Run an experiment or ensemble into the folder ``out/<name>``, unless it has been run before.
 
-    A finished run of the same experiment and code is not repeated unless ``force``, or if it failed ``retry_failed``;
-    one in another format is rewritten from its stored tables.
+    A finished run of the same experiment and code is not repeated unless ``force``, if it failed ``retry_failed``, or
+    if the format of its tables is another.
     A different experiment of that name is refused; with ``force`` it is renamed.
 
     Raises UsageError before anything is written, and RunError if writing fails; what remains can be read or resumed.
     """
     ready, tell = prepared(experiment, options.resume), options.on_message
     identity, name = ready.identity, ready.identity.name
-    folder = Folder.look(out, name, identity.format)
+    folder = Folder.look(out, name)
     decision = decide(identity, folder, options)
     for note in decision.notes:
         tell(f"{name}: {note}")
     if decision.verb != "run":
         assert folder.run is not None
-        return _finished_result(identity, folder.run, out, decision.verb == "rewrite")
+        return RunResult(folder.run, folder.run.report(), "up to date")
     source, displace = decision.source, options.force or options.retry_failed
     with Commit() as commit, RunWriter(out, name, identity.digests, source and source.where, displace) as writer:
         if writer.complete is not None:
@@ -132,41 +125,3 @@ def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], 
         raise writer.failure(error) from error
     tell(f"{writer.name}: the run was complete when it was killed; it has been renamed into place")
     return RunResult(stored, stored.report(), "resumed", writer.set_aside)
-
-
-def _finished_result(identity: Identity, run: StoredRun, out: Path, rewrite: bool) -> RunResult:
-    """Result of a finished run, as it is or with its tables written again in the format of ``identity``.
-
-    The earlier folder is then removed after the new one is complete; if it holds files of the user it is renamed.
-    Raises RunError if reading or writing fails; the earlier run is unchanged.
-    """
-    if not rewrite:
-        return RunResult(run, run.report(), "up to date")
-    manifest, suffix = run.manifest, identity.format
-    tables = {manifest[key]: f"{Path(manifest[key]).stem}.{suffix}" for key in _TABLES if key in manifest}
-    metadata = table_metadata(identity, manifest.get("environment", {}))
-    with RunWriter(out, identity.name, identity.digests, displace=False) as writer:
-        try:
-            for name in manifest["files"]:
-                if name in tables:
-                    target = writer.folder / tables[name]
-                    writer.sha256[target.name] = copy_series(run.folder / name, target, metadata, _ended(manifest))
-                elif is_result(name):
-                    shutil.copyfile(run.folder / name, writer.folder / name)
-            kept = {key: value for key, value in manifest.items() if key != "files"}
-            kept |= {key: tables[manifest[key]] for key in _TABLES if key in manifest}
-            rewritten = {"from": sorted(tables), "at": now()}
-            kept |= {"name": identity.name, "config": identity.config, "rewritten": rewritten}
-            stored = writer.commit(kept, {"config.yaml": config_text(identity)})
-        except OSError as error:
-            if stored_run(run.folder) is not None:  # not moved yet: the unplaced copy is of no use
-                remove_own(writer.folder)
-            raise writer.failure(error, f"the run is kept as {run.series.suffix[1:]}") from error
-    return RunResult(stored, stored.report(), f"rewritten as {suffix}", writer.set_aside)
-
-
-def _ended(manifest: dict[str, Any]) -> dict[str, str]:
-    """Metadata of tables that are known at the end of a run."""
-    ended = {"topcli.outcome": manifest["outcome"], "topcli.message": manifest.get("message", "")}
-    left = manifest.get("left_motion")
-    return ended if left is None else {**ended, "topcli.left_motion": json.dumps(left)}

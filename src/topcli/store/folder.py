@@ -95,12 +95,8 @@ class Folder:
         return self.out / self.name
 
     @classmethod
-    def look(cls, out: Path, name: str, suffix: str = "") -> Folder:
-        """Look at the place, before a run that is written in the format ``suffix``.
-
-        If a finished run has another format, it may have to be rewritten. Its large files are then compared whole,
-        because the new ones get checksums of their own.
-        """
+    def look(cls, out: Path, name: str) -> Folder:
+        """Look at the place."""
         target = out / name
         try:
             if out.exists() and not out.is_dir():
@@ -121,7 +117,7 @@ class Folder:
         sources = (*_left_by_killed(parts), *_interrupted(places, name))
         left = [] if sources else [*(part.folder for part in parts if not part.alive), *places]
         damaged_checkpoint = next((path for folder in left if (path := folder / CHECKPOINT).exists()), None)
-        damage = run.damage(quick=not suffix or run.series.suffix == f".{suffix}") if run else {}
+        damage = run.damage(quick=True) if run else {}
         return cls(out, name, None, run, damage, target.is_symlink(), parts, sources, damaged_checkpoint)
 
 

@@ -335,19 +335,6 @@ def series_length(path: Path) -> int:
         raise _unreadable(path, error) from None
 
 
-def copy_series(source: Path, target: Path, metadata: Mapping[str, str], ended: Mapping[str, str]) -> str:
-    """Write the series ``source`` in the format of ``target``, which gets the same bits; return the SHA-256 of it.
-
-    A Parquet file gets the ``metadata`` and those known at the end of the run, ``ended``. Memory does not grow with the
-    number of rows. Raises RunError if the source is damaged, and OSError if the target cannot be written.
-    """
-    with SeriesWriter(target, series_names(source), metadata) as writer:
-        for rows in series_pieces(source):
-            writer.write(rows)
-        writer.finish(ended)
-        return writer.sha256
-
-
 def read_metadata(path: Path) -> dict[str, str]:
     """Metadata in the schema of a Parquet file; empty if the file is missing or cannot be read."""
     import pyarrow as pa
