@@ -21,7 +21,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
-from typing import Any, ClassVar, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -568,33 +568,6 @@ class Stepper:
         return tuple(double_of(c) for c in self.constants)
 
 
-class Setup(Protocol):
-    """Part of a closed form that depends only on the initial state and the top; the engine stores it on disk.
-
-    ``y0`` is an initial state, shape (d,), and ``p`` the constants of the top. If the class belongs to topcli and its
-    objects need no arguments, other processes use it too.
-    """
-
-    seconds: float
-    """Typical time to compute the set-up of one initial state."""
-
-    def needed(self, y0: Array, p: Floats) -> bool:
-        """True if the motion needs a set-up that this process does not have yet."""
-        ...
-
-    def compute(self, y0: Array, p: Floats) -> bytes:
-        """Compute the set-up, use it from then on, and return it. Raises RunError."""
-        ...
-
-    def use(self, y0: Array, p: Floats, data: bytes) -> None:
-        """Use a set-up that ``compute`` has returned, in any process. Raises ValueError for other data."""
-        ...
-
-    def code(self) -> str:
-        """Text that changes with everything that the set-up depends on, apart from ``y0`` and ``p``."""
-        ...
-
-
 class Accuracy(NamedTuple):
     """Limits of the accuracy of a closed form along one motion, in the units of the state."""
 
@@ -616,9 +589,6 @@ class Sampler:
         ``states(y0, h, n, p)`` takes the initial state, shape (d,), the step size, the step numbers, shape (m,), and
         the constants of the top. It returns the states after these numbers of steps, shape (m, d). For a Poincaré
         section, the numbers ``n`` may be fractions, because the section needs states between two steps.
-    setup : Setup, optional
-        Slow work that ``states`` needs once for each initial state. If this work has not been done before, ``states``
-        does it.
     accuracy : callable, optional
         ``accuracy(y0, h, n, p)`` returns an ``Accuracy``, which contains the limits of the accuracy of the states after
         ``n`` steps; ``n`` has shape (m,).
@@ -629,7 +599,6 @@ class Sampler:
     """
 
     states: Callable[[Array, float, Any, Floats], Array]
-    setup: Setup | None = None
     accuracy: Callable[[Array, float, NDArray[np.int64], Floats], Accuracy] | None = None
     attitude: Callable[[Array, Array, float, NDArray[np.int64], Floats], Array] | None = None
 

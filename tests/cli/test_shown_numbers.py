@@ -113,7 +113,7 @@ verdict of %s: verdict
     columns.append((f"first swing spacing of {reference['swing']}", "first_swing_spacing"))
     columns.append((f"ns per step{closed}", "nanoseconds_per_step"))
     columns.append(("compile or load, s", "compile_seconds"))
-    yield schemes, [*columns, ("set-up, s", "setup_seconds")] if closed else columns
+    yield schemes, columns
 
 
 def lax_forms(data: Any) -> Iterator[Expected]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -23,18 +22,16 @@ from topcli.analysis.tally import InvariantTally
 from topcli.arithmetic.elliptic import landen
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, check_stop, stopping_when
-from topcli.engine import ensemble, setups, tile
+from topcli.engine import ensemble, tile
 from topcli.engine.ensemble import EnsembleRun, Execution
 from topcli.engine.precise_numbers import LONG, Rational
 from topcli.engine.run import Run, nanoseconds_per_step
-from topcli.engine.setups import Setups
 from topcli.errors import RunError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 from topcli.schemes.any_top import dmv, rk2_rk4_dop853
 from topcli.schemes.any_top.taylor import MAX_EXPANSIONS, SHORTEST_REACH
 from topcli.schemes.kowalevski import exact
-from topcli.schemes.kowalevski.exact import ExactSetup
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
@@ -135,41 +132,15 @@ def test_dop853_gives_up_a_hopeless_step_early() -> None:
     assert rk2_rk4_dop853.TRIAL < ending.counters["evaluations"] < rk2_rk4_dop853.TRIAL + 15
 
 
-def test_the_set_up_of_a_closed_form_stops_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(setups, "stored_setup", lambda words: None)
+def test_the_set_up_of_a_closed_form_stops_when_asked(impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exact, "_kept", dict)
     asked = AskedAt(3)
     with stopping_when(asked), pytest.raises(StopAsked):
-        ExactSetup().compute(np.array(GEN), (1.0,))
+        exact.exact_states(np.array(GEN), 0.1, np.array([1]), (1.0,))
     assert asked.count == 3
     run = Run(Kowalevski(), built("exact"), GEN, 0.1, 10, stop=AskedAt(3))
     found = run.collect()
     assert (found.ending.outcome, found.n.tolist()) == (Outcome.INTERRUPTED, [0])
-
-
-def test_waiting_for_a_set_up_of_another_process_ends_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    ended = threading.Event()
-
-    class Worker:
-        def __init__(self, setup: Any, p: Any) -> None: ...
-
-        def compute(self, y0: Any) -> bytes | None:
-            assert ended.wait(60.0)
-            return None
-
-        def close(self) -> None:
-            ended.set()
-
-    monkeypatch.setattr(setups, "_Worker", Worker)
-    monkeypatch.setattr(setups, "POLL_SECONDS", 0.001)
-    monkeypatch.setattr(setups, "setup_processes", lambda setup, count, threads: 1)
-    monkeypatch.setattr(setups, "stored_setup", lambda words: None)
-    monkeypatch.setattr(exact, "_kept", dict)
-    asked = AskedAt(4)
-    with stopping_when(asked), pytest.raises(StopAsked):
-        next(iter(Setups(ExactSetup(), np.tile(GEN, (3, 1)), (1.0,), 1)))
-    assert asked.count == 4
-    assert ended.is_set()
 
 
 def test_a_trajectory_that_goes_on_by_itself_stops_when_asked(impatient: None) -> None:

@@ -8,19 +8,22 @@ changes by one ulp. Typical errors at t = 100 are 1e-15.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from itertools import product
+from pathlib import Path
 
 import mpmath
 import numpy as np
 import pytest
 
 from cases import numbers_of
-from conftest import GEN
+from conftest import GEN, Said
 from steppers import built
 from topcli.analysis.reference import reference_states
-from topcli.contracts import Sampler
+from topcli.contracts import Accuracy, Sampler
+from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.schemes.kowalevski.closed_form.course import TURN, Phase
 from topcli.schemes.kowalevski.closed_form.setup import has_triple_root
@@ -222,3 +225,32 @@ def test_threads_do_not_share_the_precision_of_mpmath() -> None:
     _kept().clear()
     for y, found in zip(starts, together, strict=True):
         np.testing.assert_array_equal(found, states(y, 0.5, n))
+
+
+@pytest.mark.slow
+def test_the_report_shows_the_accuracy(cli: Callable[..., Said], in_tmp: Path) -> None:
+    config = ("run", "kowalevski_exact", "--set", "N=1000", "--set", "name=one")
+    assert "round-off at most about 3e-15 (eps |omega|²/c in gamma)" in cli(*config, "--verbose").err
+    (report,) = cli(*config, "--json").json()["runs"]
+    assert set(report["accuracy"]) == set(Accuracy._fields)
+    text = Path("results/one/report.md").read_text()
+    assert f"changes the states by up to {report['accuracy']['sensitivity']:.0e}." in text
+    (stepped,) = cli("run", "kowalevski_hk", "--set", "N=10", "--set", "name=two", "--json").json()["runs"]
+    assert "accuracy" not in stepped
+
+
+@pytest.mark.slow
+def test_the_sensitivity_is_the_change_by_one_ulp() -> None:
+    """Next to the separatrix omega3 = 2, where an ulp grows like e^(t/√2)."""
+    y = np.array([1e-6, 0.0, 2.0, 0.0, 0.0, 1.0])
+    moved = np.nextafter(y, np.where(y == 0.0, 0.0, 9.0))
+    n = np.arange(0, 40, 2)
+    change = np.abs(states(moved, 1.0, n) - states(y, 1.0, n)).max()
+    assert exact_accuracy(y, 1.0, n, (1.0,)).sensitivity == change
+    assert change == pytest.approx(2.59e-5, rel=0.05)
+    assert exact_accuracy(np.array([2.0, 0, 0, 1.0, 0, 0]), 1.0, n, (1.0,)).round_off == 0.0
+
+
+def test_what_the_closed_form_refuses_ends_the_run() -> None:
+    with pytest.raises(RunError, match="too weak"):
+        Run(Kowalevski(c0=1e-300), built("exact"), GEN, 0.1, 5).collect()

@@ -298,10 +298,10 @@ def reversal(top: Top, method: Method, states: Array, h: float, precise: Precise
     """Reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
 
     The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may be
-    below round-off. A closed form that is set up for each state is tried at two of the states. For a ``precise``
-    run of the method, all steps are taken in its arithmetic.
+    below round-off. A closed form, which may be set up for each state, is tried at two of the states. For a
+    ``precise`` run of the method, all steps are taken in its arithmetic.
     """
-    if isinstance(method, Sampler) and method.setup is not None:
+    if isinstance(method, Sampler):
         states = states[:: max(1, len(states) // 2)][:2]
     factors = [1.0]
     while 2.0 * factors[-1] * abs(h) <= 0.4:

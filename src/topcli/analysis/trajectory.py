@@ -45,9 +45,8 @@ class Trajectory:
         States in the order of ``top.components``.
     ending : Ending
         Outcome of the run, its last or failed step, and its event counts.
-    compile_seconds, run_seconds, setup_seconds : float
-        Wall times in seconds, in this order: for compiling or loading the machine code, for the steps, and for the
-        set-up of a closed form.
+    compile_seconds, run_seconds : float
+        Wall times in seconds for compiling or loading the machine code, and for the steps.
     modified : tuple of Invariant
         Modified integrals of the scheme: functions of the state and of h that the scheme conserves.
     rows : tuple of InvariantRow or None
@@ -87,7 +86,6 @@ class Trajectory:
     run_seconds: float
     modified: tuple[Invariant, ...] = ()
     rows: tuple[InvariantRow, ...] | None = None
-    setup_seconds: float = 0.0
     attitude: Array | None = None
     attitude_form: str = ""
     quantities: tuple[Quantity, ...] = ()
@@ -121,8 +119,7 @@ class Trajectory:
             fields |= {"attitude": q, "attitude_form": attitude}
         ending = ending.with_left(step_of_leaving(run.top, n, states) if len(n) else None, run.h)
         seconds = run.compile_seconds, run.run_seconds
-        ready = run.setup.seconds if run.setup else 0.0
-        return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, setup_seconds=ready, **fields)
+        return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, **fields)
 
     @property
     def t(self) -> Array:
@@ -211,9 +208,8 @@ class Ensemble:
         Columns of the DataFrame that ``trajectories()`` returns.
     modified : tuple of tuple of Invariant
         Modified integrals (functions of the state and of h that the scheme conserves) for each trajectory.
-    compile_seconds, run_seconds, setup_seconds : float
-        Wall times in seconds, in this order: for compiling or loading the machine code, for the steps, and for the
-        set-ups of a closed form.
+    compile_seconds, run_seconds : float
+        Wall times in seconds for compiling or loading the machine code, and for the steps.
     quantities : tuple of Quantity
         Formulas given in ``output.quantities`` of the config.
 
@@ -244,7 +240,6 @@ class Ensemble:
     modified: tuple[tuple[Invariant, ...], ...]
     compile_seconds: float
     run_seconds: float
-    setup_seconds: float = 0.0
     quantities: tuple[Quantity, ...] = ()
 
     @property

@@ -333,7 +333,6 @@ def with_attitude(loop: Loop, top: Top, order: int) -> Loop:
         width=loop.width + head,
         seconds=loop.seconds + sum(code.seconds for code in turning.codes),
         cached=loop.cached and all(code.cached for code in turning.codes),
-        prepare=None,
         sampled=False,
     )
 

@@ -1,4 +1,4 @@
-"""Cache of object code and set-ups on disk; files that another user could have written are not used.
+"""Cache of object code on disk; files that another user could have written are not used.
 
 A user who can write a file here decides what later processes execute. The folder and each file are therefore opened
 without following a symbolic link at the end of the path, and used only if they are a folder and a regular file, owned
@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CACHE_ENTRIES = 1024
-"""Number of entries of each kind that the cache keeps; the oldest ones are removed."""
-CODE, SETUP = ".o", ".setup"
-"""Suffixes of object code and of set-ups of closed forms."""
+"""Number of entries that the cache keeps; the oldest ones are removed."""
+CODE = ".o"
+"""Suffix of object code."""
 _DIRECTORY = getattr(os, "O_DIRECTORY", 0)
 _NOFOLLOW = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
 
@@ -146,22 +146,6 @@ def store_code(identity: str, code: ObjectCode) -> None:
     key = _key(identity)
     about = {"key": key, "signature": code.signature, "symbol": code.symbol, "needs": code.needs}
     store_content(f"{key}{CODE}", json.dumps(about).encode() + b"\n" + code.code)
-
-
-def stored_setup(identity: str) -> bytes | None:
-    """Stored set-up of a closed form with this ``identity``; None if absent or damaged."""
-    key = _key(identity)
-    rest = stored_content(f"{key}{SETUP}")
-    if rest is None:
-        return None
-    header, _, data = rest.partition(b"\n")
-    return data if header == key.encode() else None
-
-
-def store_setup(identity: str, data: bytes) -> None:
-    """Store a set-up of a closed form atomically; do nothing if the folder cannot be used."""
-    key = _key(identity)
-    store_content(f"{key}{SETUP}", key.encode() + b"\n" + data)
 
 
 def _entries(folder: int, suffixes: tuple[str, ...]) -> list[tuple[str, os.stat_result]]:

@@ -29,11 +29,10 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, StopAsked, Top, stopping_when
+from topcli.contracts import Array, Method, Outcome, Sampler, Stepper, Top
 from topcli.engine.loop import Loop, loop_of, more_parameters, step_refused
 from topcli.engine.native import CompileError, native
 from topcli.engine.run import Endings, Run
-from topcli.engine.setups import Setups, SetupTime
 from topcli.engine.tile import (
     LANES_SIGNATURE,
     Lanes,
@@ -182,10 +181,6 @@ class EnsembleRun(TileContext, Generic[Kept]):
         self.begin(y0)
         self.code = execution.code or EnsembleCode(top, method, execution.tile or tile_of(len(self.y0)))
         self.p, self.tile, self.run_seconds = self.code.p, self.code.tile, 0.0
-        self.setup: SetupTime | None = None
-        """Time waited for the set-ups of a closed form; None for a method that has none."""
-        if isinstance(method, Sampler) and method.setup is not None:
-            self.setup = SetupTime()
         self.buffer = RowBuffer()
 
     def begin(self, y0: Array) -> None:
@@ -306,16 +301,7 @@ class EnsembleRun(TileContext, Generic[Kept]):
     def _one_by_one(self) -> Iterator[tuple[Kept, int]]:
         """Run trajectory after trajectory in the time loop of single runs."""
         stride = math.gcd(self.every, self.N)  # so that step N is among the rows
-        setup = self.method.setup if isinstance(self.method, Sampler) else None
-        order: Iterator[int] = iter(range(len(self.y0)))
-        if setup is not None:
-            order = iter(Setups(setup, self.y0, tuple(self.p.tolist()), self.threads, self.setup))
-        while True:
-            try:
-                with stopping_when(self.stop):
-                    i = next(order)
-            except (StopIteration, StopAsked):
-                return
+        for i in range(len(self.y0)):
             run = Run(self.top, self.single_loop(), self.y0[i], self.h, self.N, stride, self.stop)
             for chunk in run:
                 asked = chunk.n % self.every == 0

@@ -17,7 +17,6 @@ import numpy as np
 from topcli.arithmetic.fused import unlikely
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, check_stop, same_state
 from topcli.engine.native import CompileError, native, native_text
-from topcli.engine.setups import SetupTime, prepare
 from topcli.engine.source import place_of
 from topcli.errors import SchemeCodeError
 
@@ -172,8 +171,6 @@ class Loop:
     compiled: bool = True
     returns_early: bool = False
     advice: Callable[[Sequence[float], float], str] | None = None
-    prepare: Callable[[Array, Array], SetupTime] | None = None
-    """``prepare(y0, p)`` loads or computes the set-up of a closed form."""
     sampled: bool = False
     """True for a closed form: the time of a call is that of the states that it records."""
 
@@ -217,9 +214,7 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
     """
     if isinstance(method, Sampler):
         enter, sample = _sampled_loop(method, d)
-        setup = method.setup
-        ready = None if setup is None else lambda y0, p: prepare(setup, y0, tuple(p.tolist()))
-        return Loop(enter, sample, d + 1, returns_early=True, prepare=ready, sampled=True)  # it takes no steps
+        return Loop(enter, sample, d + 1, returns_early=True, sampled=True)  # it takes no steps
     traits: dict[str, Any] = {
         "width": method.width,
         "counters": method.counters,

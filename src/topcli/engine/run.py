@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, overload
 
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Ending, Method, Outcome, StopAsked, Top, stopping_when
 from topcli.engine.loop import Loop, loop_of
-from topcli.engine.setups import SetupTime
 from topcli.errors import SchemeCodeError
 
 OUTCOMES = tuple(Outcome)
@@ -240,8 +238,6 @@ class Run:
         self.compile_seconds = self._loop.seconds
         self.cached = self._loop.cached
         self.run_seconds = 0.0
-        self.setup: SetupTime | None = None
-        """Time to load or compute the set-up of a closed form; None for a method that has none."""
         self.ending: Ending | None = None
         chunk_steps = CHUNK_STEPS if self._loop.compiled else PLAIN_STEPS
         if self._type is np.object_:
@@ -278,9 +274,6 @@ class Run:
             self._position.chunk_steps,
         )
         out = np.empty(chunk_rows * d, dtype=self._type)
-        if self._loop.prepare is not None:
-            with suppress(StopAsked), stopping_when(self._stop):
-                self.setup = self._loop.prepare(self._y0, self._p)
         if self._position.done < 0:
             with np.errstate(all="ignore"):
                 self._loop.enter(self._y0, work, self._p, self._step)

@@ -21,7 +21,7 @@ from topcli.engine.run import OUTCOMES
 from topcli.runs.decision import RunOptions
 from topcli.runs.recorder import crossing_columns, tallied_rows
 from topcli.runs.recording import Recording
-from topcli.runs.report import EndingTally, ensemble_markdown, ensemble_report, setup_message
+from topcli.runs.report import EndingTally, ensemble_markdown, ensemble_report
 from topcli.store.checkpoint import Checkpoint
 from topcli.store.series import SeriesWriter
 
@@ -198,8 +198,6 @@ class EnsembleRecording(Recording):
     def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
         """Run into the tables; the report, its Markdown, and entries of the manifest. Raises OSError."""
         experiment, N = self.experiment, self.experiment.first.N
-        if message := setup_message(experiment, options.threads):
-            options.on_message(f"{experiment.name}: {message}")
         self._varied = varied_parameters(experiment)
         self._tables: dict[str, SeriesWriter] = {}
         self._observed: list[tuple[Array, int]] = []
@@ -271,8 +269,5 @@ def _add_seconds(seconds: dict[str, Any], run: EnsembleRun[Any]) -> None:
     """Add the times of the latest group."""
     seconds["compile"] += run.compile_seconds
     seconds["compile_cached"] &= run.cached
-    if run.setup is not None:
-        seconds["setup"] = seconds.get("setup", 0.0) + run.setup.seconds
-        seconds["setup_cached"] = seconds.get("setup_cached", True) and run.setup.cached
     seconds["run"] += run.run_seconds
     seconds["threads"] = run.threads

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from topcli.analysis.reference import MAX_TAYLOR_STEPS, reference_obstacle, reference_states
 from topcli.contracts import Array, Sampler, Scheme, Top, check_stop
-from topcli.engine.setups import prepare
 from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
@@ -81,8 +80,6 @@ class Reference:
         if self.closed_form is None:
             return reference_states(self.top, y0.tolist(), n * h, max_steps)
         p = self.top.constants()
-        if self.closed_form.setup is not None:
-            prepare(self.closed_form.setup, y0, p)
         states = np.empty((len(n), len(y0)))
         for start in range(0, len(n), CLOSED_STATES):
             check_stop()

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from topcli.analysis.algebraic_growth import DigitGrowth
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
-    from topcli.engine.setups import SetupTime
 
 SCHEMA_VERSION = 1
 
@@ -367,43 +366,16 @@ class Timed(Protocol):
         ...
 
     run_seconds: float
-    setup: SetupTime | None
 
 
 def seconds_of(run: Timed) -> dict[str, Any]:
-    """Times of a run, as ``report.json`` holds them; that of the set-up only for closed forms that have one."""
-    setup = run.setup
-    return {
-        "compile": run.compile_seconds,
-        "compile_cached": run.cached,
-        **({} if setup is None else {"setup": setup.seconds, "setup_cached": setup.cached}),
-        "run": run.run_seconds,
-    }
+    """Times of a run, as ``report.json`` holds them."""
+    return {"compile": run.compile_seconds, "compile_cached": run.cached, "run": run.run_seconds}
 
 
 def seconds_note(seconds: Mapping[str, Any]) -> str:
     """Times of a run in a sentence."""
-    parts = [f"Compiling or loading the code took {seconds['compile']:.3g} s"]
-    if "setup" in seconds:
-        parts.append(f"{'loading' if seconds['setup_cached'] else 'computing'} the set-up {seconds['setup']:.3g} s")
-    return f"{', '.join(parts)}, and the run {seconds['run']:.3g} s."
-
-
-def setup_message(experiment: EnsembleExperiment, threads: int | None = None) -> str:
-    """Expected time of the set-ups of an ensemble, in one line; empty if it is below a second."""
-    from topcli.engine.ensemble import default_threads
-    from topcli.engine.setups import setup_estimate, setup_processes
-
-    method = experiment.first.method()
-    if not isinstance(method, Sampler) or method.setup is None:
-        return ""
-    count = experiment.count
-    processes = setup_processes(method.setup, count, threads or default_threads())
-    if processes == 0:
-        return ""
-    seconds = setup_estimate(method.setup, count) / processes
-    where = "1 process" if processes == 1 else f"{processes} processes"
-    return f"the set-up of {count} closed forms takes about {seconds:.0f} s in {where}, less if some are stored"
+    return f"Compiling or loading the code took {seconds['compile']:.3g} s, and the run {seconds['run']:.3g} s."
 
 
 def accuracy_data(method: Method, experiment: Experiment, steps: int) -> dict[str, Any]:

@@ -153,7 +153,6 @@ def ensemble_of(experiment: EnsembleExperiment, threads: int | None = None) -> E
         quantities=first.quantities,
         compile_seconds=sum(part.run.compile_seconds for part in parts),
         run_seconds=sum(part.run.run_seconds for part in parts),
-        setup_seconds=sum(part.run.setup.seconds for part in parts if part.run.setup),
     )
 
 

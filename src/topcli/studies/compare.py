@@ -171,8 +171,6 @@ def _order(scheme: Data, rational: bool) -> str | None:
 def _single_columns(data: Data) -> list[Column]:
     schemes = data["schemes"]
     closed = ", of a closed form per state" if any(scheme["closed_form"] for scheme in schemes) else ""
-    set_up = "set-up, s" if any(scheme["setup_seconds"] is not None for scheme in schemes) else ""
-
     return [
         Column("outcome", "outcome"),
         Column("", "message"),
@@ -186,7 +184,6 @@ def _single_columns(data: Data) -> list[Column]:
         Column(_swing_label(data), "first_swing_spacing", "{:.4f}".format),
         Column(f"ns per step{closed}", "nanoseconds_per_step", "{:.1f}".format),
         Column("compile or load, s", "compile_seconds", "{:.3f}".format, ""),
-        Column(set_up, "setup_seconds", "{:.3f}".format, ""),
     ]
 
 

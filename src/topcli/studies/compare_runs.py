@@ -99,7 +99,6 @@ def _figures(
         "nanoseconds_per_step": nanoseconds if reached_end else None,  # of a few steps it says little
         "compile_seconds": trajectory.compile_seconds,
         "closed_form": isinstance(method, Sampler),
-        "setup_seconds": trajectory.setup_seconds if isinstance(method, Sampler) and method.setup else None,
     }
 
 

@@ -164,7 +164,7 @@ class BatchRun:
         usable = np.flatnonzero(np.isfinite(states).all(axis=1))
         code = self._code
         loop = None if self.side_by_side else code.single_loop()
-        if loop and loop.compiled and not loop.prepare:  # a run for each state would cost as much as hundreds of steps
+        if loop and loop.compiled:  # a run for each state would cost as much as hundreds of steps
             for i in usable:
                 end = state_after(loop, states[i], code.p, h)
                 if end is not None:

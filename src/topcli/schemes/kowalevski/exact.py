@@ -6,14 +6,10 @@ inverses; a state then costs the solution of one scalar equation and a rational 
 
 from __future__ import annotations
 
-import hashlib
 import math
-import platform
-import sys
 import threading
 from fractions import Fraction
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,13 +17,11 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Accuracy, Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.closed_form import EPS, WEAK, Motion, motion_bytes, motion_from, set_up
+from topcli.schemes.kowalevski.closed_form import EPS, Motion, set_up
 from topcli.schemes.registry import scheme
 
 KEPT = 64
 """Motions kept in memory."""
-AT_ONCE = 2.0**-17
-"""Time after which a stored motion, in its own units, must be next to its initial state."""
 
 
 @cache
@@ -133,56 +127,6 @@ def exact_accuracy(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Accu
     return Accuracy(round_off, reason, float(np.abs(change).max()))
 
 
-class ExactSetup:
-    """Set-up of the closed form: half periods and tables of a motion."""
-
-    seconds = 0.06
-
-    def _key(self, y0: Array, p: Floats) -> tuple[Floats, float] | None:
-        """State and c in the units of the motion; None if it has no set-up."""
-        y, c = tuple(float(v) for v in y0), float(p[0])
-        if _at_rest(y, c) or _is_free(y, c):
-            return None
-        _, scaled, gravity = _in_units(y, c)
-        return scaled, gravity
-
-    def needed(self, y0: Array, p: Floats) -> bool:
-        """True if the motion has a set-up that is not in memory."""
-        key = self._key(y0, p)
-        return key is not None and key not in _kept()
-
-    def compute(self, y0: Array, p: Floats) -> bytes:
-        """Set up the motion and return it as bytes. Raises RunError."""
-        key = self._key(y0, p)
-        return b"" if key is None else motion_bytes(_keep(key, set_up(*key)))
-
-    def use(self, y0: Array, p: Floats, data: bytes) -> None:
-        """Take a stored motion. Raises ValueError."""
-        key = self._key(y0, p)
-        if key is None:
-            return
-        motion = motion_from(data)
-        try:
-            with np.errstate(all="ignore"):
-                found = motion.states(np.array([0, 1]), AT_ONCE)
-                near = np.abs(found - key[0]).max() <= 10.0 * AT_ONCE * max(1.0, *map(abs, key[0])) + WEAK / abs(key[1])
-        except Exception as error:  # of attributes that are missing or of another kind
-            raise ValueError(f"no stored motion: {error}") from None
-        if not near:
-            raise ValueError("the motion of another state")
-        _keep(key, motion)
-
-    def code(self) -> str:
-        """Digest of the sources of this package and of topcli's arithmetic, and the versions that they use."""
-        from importlib.metadata import version
-
-        here, digest = Path(__file__).parent, hashlib.sha256()
-        for path in sorted((*here.rglob("*.py"), *here.parents[1].glob("arithmetic/*.py"))):
-            digest.update(path.name.encode() + path.read_bytes())
-        versions = sys.version.split()[0], np.__version__, version("mpmath"), platform.machine()
-        return " ".join((digest.hexdigest(), *versions))
-
-
 @scheme(
     "exact",
     top="kowalevski",
@@ -211,6 +155,6 @@ class ExactSetup:
 def build_exact(top: Top, options: NoOptions) -> Sampler:
     """The scheme evaluates the exact motion of the Kowalevski top at any time, from Kowalevski's variables s1 and s2.
 
-    The set-up for an initial state takes about a tenth of a second; its result is stored on disk.
+    The set-up for an initial state takes about a tenth of a second.
     """
-    return Sampler(exact_states, ExactSetup(), exact_accuracy)
+    return Sampler(exact_states, exact_accuracy)

@@ -291,9 +291,9 @@ def report_text(result: dict[str, Any]) -> str:
 
 
 def setup_words(row: Mapping[str, Any]) -> str:
-    """Time of a closed form's set-up, to follow that of a state; empty if it has none."""
-    seconds = row.get("setup_seconds")
-    return "" if seconds is None else f", after a set-up of {number(seconds)} s"
+    """Time of a closed form's set-up, to follow that of a state; empty if it is short."""
+    seconds = row["setup_seconds"]
+    return f", after a set-up of {number(seconds)} s" if seconds > SETUP else ""
 
 
 def require_bench_folder(out: Path, names: Sequence[str]) -> None:

@@ -2,15 +2,14 @@
 
 The motion separates into two hyperelliptic integrals of genus two. From a state follow its integrals and the roots of
 its ``curve``, the two real ovals (``oval``) with their half periods in multiprecision, a ``table`` of each in double
-precision, the ``course`` of both angles in time, and the ``motion``, which gives states. ``set_up`` does all that; a
-motion that was set up before is read by ``motion_from`` without multiprecision.
+precision, the ``course`` of both angles in time, and the ``motion``, which gives states. ``set_up`` does all that.
 """
 
 from topcli.contracts import Floats
 from topcli.schemes.kowalevski.closed_form.course import EPS
-from topcli.schemes.kowalevski.closed_form.motion import WEAK, Motion, motion_bytes, motion_from
+from topcli.schemes.kowalevski.closed_form.motion import Motion
 
-__all__ = ["EPS", "WEAK", "Motion", "motion_bytes", "motion_from", "set_up"]
+__all__ = ["EPS", "Motion", "set_up"]
 
 
 def set_up(y: Floats, c: float) -> Motion:

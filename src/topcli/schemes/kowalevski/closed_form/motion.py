@@ -1,4 +1,4 @@
-"""Motions of the Kowalevski top at any time, without time stepping, and as bytes for storage.
+"""Motions of the Kowalevski top at any time, without time stepping.
 
 A state follows from the factors f_i = sqrt(s1 - e_i), g_i = sqrt(s2 - e_i) of the curve. With D = s1 - s2,
 h_i = f_i - g_i, k_i = f_i + g_i, the indices 1, 2, 3 cyclic and r1, r2 as in ``curve.Curve``,
@@ -16,9 +16,7 @@ The form has no singular point at double roots. All g are multiplied by tau, so 
 
 from __future__ import annotations
 
-import json
-from base64 import b64decode, b64encode
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -27,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array
-from topcli.schemes.kowalevski.closed_form.course import EPS, Course, JacobiPhase, Lattice, Pinch, Positions
-from topcli.schemes.kowalevski.closed_form.table import OvalTable, Place, Series
+from topcli.schemes.kowalevski.closed_form.course import EPS, Course, JacobiPhase, Positions
+from topcli.schemes.kowalevski.closed_form.table import OvalTable, Place
 
 CYCLIC = ((0, 1), (1, 2), (2, 0))
 TINY = 1e-300
@@ -316,77 +314,3 @@ def _middle(table: OvalTable) -> Place:
 
 
 Motion = Pendulum | TripleRoot | SeparatedMotion
-MOTIONS = Pendulum, TripleRoot, SeparatedMotion
-CLASSES = {kind.__name__: kind for kind in (*MOTIONS, Lattice, Pinch, OvalTable, Series, Formula, JacobiPhase)}
-"""Classes whose objects are their attributes."""
-DTYPES = ("<f8", "<i8", "<c16", "|b1")
-
-
-def _plain(value: Any) -> Any:
-    """Return ``value`` as data that JSON has; what is no such data is a list of its kind and content."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    kind = type(value)
-    if value is None or kind in (bool, int, float, str):
-        return value
-    if kind is complex:
-        return ["complex", value.real, value.imag]
-    if kind is Fraction:
-        return ["fraction", value.numerator, value.denominator]
-    if kind is np.ndarray:
-        code = value.dtype.newbyteorder("<").str
-        if code not in DTYPES:
-            raise TypeError(f"an array of {value.dtype}")
-        return ["array", code, list(value.shape), b64encode(value.astype(code).tobytes()).decode()]
-    if kind in (tuple, list):
-        return [kind.__name__, *map(_plain, value)]
-    if kind is dict:
-        return ["dict", *([_plain(key), _plain(one)] for key, one in value.items())]
-    if CLASSES.get(kind.__name__) is not kind:
-        raise TypeError(f"an object of type {kind.__name__}")
-    return ["object", kind.__name__, {name: _plain(one) for name, one in vars(value).items()}]
-
-
-def _array(code: str, shape: list[int], text: str) -> np.ndarray:
-    if code not in DTYPES:
-        raise ValueError(f"an array of {code}")
-    flat = np.frombuffer(b64decode(text, validate=True), dtype=code)
-    return flat.reshape(shape).astype(np.dtype(code).newbyteorder("="))
-
-
-def _object(name: str, attributes: dict[str, Any]) -> Any:
-    made = object.__new__(CLASSES[name])
-    vars(made).update({key: _value(one) for key, one in attributes.items()})
-    return made
-
-
-_KINDS: dict[str, Callable[..., Any]] = {
-    "complex": complex,
-    "fraction": Fraction,
-    "array": _array,
-    "tuple": lambda *items: tuple(map(_value, items)),
-    "list": lambda *items: list(map(_value, items)),
-    "dict": lambda *items: {_value(key): _value(one) for key, one in items},
-    "object": _object,
-}
-
-
-def _value(plain: Any) -> Any:
-    """Return the value that ``_plain`` has described."""
-    return _KINDS[plain[0]](*plain[1:]) if isinstance(plain, list) else plain
-
-
-def motion_bytes(motion: Motion) -> bytes:
-    """Return a motion as bytes."""
-    return json.dumps(_plain(motion), separators=(",", ":")).encode()
-
-
-def motion_from(data: bytes) -> Motion:
-    """Motion that ``motion_bytes`` has written. Raises ValueError for other bytes."""
-    try:
-        found = _value(json.loads(data))
-    except (LookupError, TypeError, ValueError, AttributeError, RecursionError, ArithmeticError) as error:
-        raise ValueError(f"no stored motion: {error}") from None
-    if not isinstance(found, MOTIONS):
-        raise ValueError("no stored motion")
-    return found
