@@ -592,15 +592,10 @@ class Sampler:
     accuracy : callable, optional
         ``accuracy(y0, h, n, p)`` returns an ``Accuracy``, which contains the limits of the accuracy of the states after
         ``n`` steps; ``n`` has shape (m,).
-    attitude : callable, optional
-        ``attitude(y0, q0, h, n, p)`` returns the attitude (the rotation from the body's frame to space) as quaternions,
-        shape (m, 4). ``q0``, shape (4,), is the quaternion at the start. None if the attitude has no closed form and is
-        computed step by step instead.
     """
 
     states: Callable[[Array, float, Any, Floats], Array]
     accuracy: Callable[[Array, float, NDArray[np.int64], Floats], Accuracy] | None = None
-    attitude: Callable[[Array, Array, float, NDArray[np.int64], Floats], Array] | None = None
 
 
 @dataclass(frozen=True)

@@ -96,39 +96,10 @@ def canonical(q: Quaternion) -> Quaternion:
     return q
 
 
-def canonical_rows(q: Array) -> Array:
-    """Quaternions (m, 4), each of unit length and ``canonical``."""
-    q = q / np.sqrt((q * q).sum(axis=1, keepdims=True))
-    first = q[np.arange(len(q)), np.argmax(q != 0.0, axis=1)]
-    return q * np.where(first < 0.0, -1.0, 1.0)[:, None] + 0.0  # without negative zeros
-
-
-def products(p: Array, q: Array) -> Array:
-    """Hamilton products (m, 4) of quaternions (m, 4), or of one quaternion (4,) with each of the other argument."""
-    p, q = np.broadcast_arrays(p, q)
-    return np.stack(product((p[:, 0], p[:, 1], p[:, 2], p[:, 3]), (q[:, 0], q[:, 1], q[:, 2], q[:, 3])), axis=1)  # pyright: ignore[reportArgumentType]
-
-
 def matrices(q: Array) -> Array:
     """Rotation matrices (m, 3, 3) of unit quaternions (m, 4)."""
     columns = [rotate(tuple(q.T), axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
     return np.stack([np.stack(np.broadcast_arrays(*column), axis=1) for column in columns], axis=2)
-
-
-def quaternions(matrices: Array) -> Array:
-    """Unit quaternions (m, 4) of rotation matrices (m, 3, 3), from their largest component (Shepperd 1978)."""
-    R = matrices
-    trace = R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2]
-    candidates = np.empty((len(R), 4, 4))  # 4 w q, 4 x q, 4 y q, 4 z q
-    candidates[:, 0, 0] = 1.0 + trace
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        candidates[:, i + 1, i + 1] = 1.0 + 2.0 * R[:, i, i] - trace
-        candidates[:, 0, i + 1] = candidates[:, i + 1, 0] = R[:, k, j] - R[:, j, k]
-        candidates[:, j + 1, k + 1] = candidates[:, k + 1, j + 1] = R[:, j, k] + R[:, k, j]
-    best = np.argmax(np.einsum("mii->mi", candidates), axis=1)
-    q = candidates[np.arange(len(R)), best]
-    return q / np.sqrt((q * q).sum(axis=1, keepdims=True))
 
 
 def euler_angles(q: Array) -> tuple[Array, Array, Array]:

@@ -29,14 +29,12 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topcli.arithmetic.quaternions import (
     IDENTITY,
     Quaternion,
     Vector,
     canonical,
-    canonical_rows,
     conjugate,
     product,
     rotate,
@@ -46,7 +44,7 @@ from topcli.arithmetic.quaternions import (
     unit_turn,
     upright,
 )
-from topcli.contracts import Array, Floats, Method, Sampler, Scheme, StopAsked, Top, checked_rotation
+from topcli.contracts import Array, Floats, Method, Scheme, StopAsked, Top, checked_rotation
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Loop, loop_of
 from topcli.schemes.any_top.rk2_rk4_dop853 import vector_operations
@@ -337,19 +335,6 @@ def with_attitude(loop: Loop, top: Top, order: int) -> Loop:
     )
 
 
-def _closed(sampler: Sampler, d: int) -> Sampler:
-    """Closed form whose states (m, d + 4) hold the attitude, which has a closed form too."""
-    attitude = sampler.attitude
-    assert attitude is not None
-
-    def states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-        if len(n) == 0:  # between two recorded rows
-            return np.empty((0, d + NUMBERS))
-        return np.hstack([sampler.states(y0[:d], h, n, p), canonical_rows(attitude(y0[:d], y0[d:], h, n, p))])
-
-    return Sampler(states)
-
-
 def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loop:
     """Time loop of a ``scheme`` with ``options``, made ready as ``method``, that records the attitude with the states.
 
@@ -357,8 +342,6 @@ def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loo
     declare its angular velocity.
     """
     d, constants = len(top.components), len(top.constants())
-    if isinstance(method, Sampler) and method.attitude is not None:
-        return loop_of(_closed(method, d), d + NUMBERS, constants)
     return with_attitude(loop_of(method, d, constants), top, turn_order(scheme.order_for(options), scheme.adaptive))
 
 
@@ -374,8 +357,6 @@ def attitude_of_rows(top: Top, states: Array, span: float) -> Array:
     return out[:, d:]
 
 
-def attitude_code(top: Top, method: Method) -> str:
-    """Digest of the code that makes the attitude of a run of ``method``."""
-    if isinstance(method, Sampler) and method.attitude is not None:
-        return fingerprint(method.attitude, compiled=False)
+def attitude_code(top: Top) -> str:
+    """Digest of the code that makes the attitude of a run."""
     return fingerprint(carry, turns_of(type(top), len(top.constants())), type(top).vertical)

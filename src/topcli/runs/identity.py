@@ -67,10 +67,8 @@ class Identity:
         if isinstance(experiment, Experiment) and experiment.output.attitude:
             from topcli.engine.attitude import attitude_code
 
-            codes = [
-                f"{code},{attitude_code(experiment.top, method)}" for code, method in zip(codes, methods, strict=True)
-            ]
-            return cls(config, digest, hashlib.sha256(codes[0].encode()).hexdigest())
+            code = f"{codes[0]},{attitude_code(experiment.top)}"
+            return cls(config, digest, hashlib.sha256(code.encode()).hexdigest())
         code = codes[0] if len(codes) == 1 else hashlib.sha256(",".join(codes).encode()).hexdigest()
         return cls(config, digest, code)
 

@@ -31,7 +31,6 @@ from topcli.arithmetic.elliptic import (
     reduce,
     to_dd,
 )
-from topcli.arithmetic.quaternions import products, quaternions
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.euler.hk import FORMS, hk_integrals
@@ -282,15 +281,6 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     return np.hstack([at.omega, gamma_at(elliptic, steps, at, np.array(p[:3]), y0)])
 
 
-def exact_attitude(y0: Array, q0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-    """Quaternions (m, 4) of the attitude after ``n`` (m,) steps of ``h`` from ``y0`` and ``q0`` (4,).
-
-    The rows of the rotation since the start are three directions fixed in space, each followed like gamma.
-    """
-    seen = [exact_states(np.array([*y0[:3], *axis]), h, n, p)[:, 3:] for axis in np.eye(3)]
-    return products(q0, quaternions(np.stack(seen, axis=1)))
-
-
 def hk_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     """States (m, 3) of the HK map after ``n`` (m,) steps of ``h`` from ``y0`` (3,), with the alphas of ``p``."""
     with localcontext(prec=DIGITS):
@@ -337,7 +327,7 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     at any time, including on and near the separatrix. Rotations about a principal axis and the spherical top have
     formulas of their own.
     """
-    return Sampler(exact_states, attitude=exact_attitude)
+    return Sampler(exact_states)
 
 
 @scheme(

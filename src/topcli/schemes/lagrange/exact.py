@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.arithmetic.elliptic import DIGITS, TURN, Oscillation, oscillation
-from topcli.arithmetic.quaternions import matrices, quaternions
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.layout import LAGRANGE_AXIS
@@ -230,62 +229,6 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     return np.column_stack([omega.real, omega.imag, np.full(len(n), s), vertical.real, vertical.imag, found[:, 5]])
 
 
-def _turned(moment: Array, m: Array, axis: Array, gamma: Array, vertical: Array) -> Array:
-    """Matrices (k, 3, 3) that carry gamma (k, 3) to the ``vertical``, and the third axis to ``axis`` (k, 3).
-
-    The angular momentum, ``moment`` in the body and ``m`` in space (k, 3), is used in the place of the axis where it is
-    further from the vertical.
-    """
-    third = np.array([0.0, 0.0, 1.0])
-    up = gamma / np.linalg.norm(gamma, axis=1, keepdims=True)
-    far = np.linalg.norm(np.cross(up, third), axis=1) >= np.linalg.norm(np.cross(up, _unit(moment)), axis=1)
-    inside = np.where(far[:, None], third, _unit(moment))
-    outside = np.where(far[:, None], axis, _unit(m))
-    body, space = (_triad(*pair) for pair in ((up, inside), (np.broadcast_to(vertical, up.shape), outside)))
-    return space @ np.swapaxes(body, 1, 2)
-
-
-def _unit(vectors: Array) -> Array:
-    """Vectors (k, 3) at unit length, or zero."""
-    size = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(size > 0.0, size, 1.0)
-
-
-def _triad(up: Array, other: Array) -> Array:
-    """Matrices (k, 3, 3) whose columns are ``up``, the normal to it and ``other``, and the third unit vector."""
-    normal = _unit(np.cross(up, other))
-    return np.stack([up, normal, np.cross(up, normal)], axis=2)
-
-
-def _attitude(body: Floats, start: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-    """Rotation matrices (k, 3, 3) after n steps (k,) from ``start`` (3, 3) and the state ``body`` of the body form.
-
-    The vertical and the axis are followed in both frames, which fixes all three angles.
-    """
-    alpha, nu = float(p[0]), float(p[1])
-    if body[0] == body[1] == body[3] == body[4] == 0.0:  # upright, spinning about the vertical
-        angle = body[2] * h * n
-        about = np.column_stack([np.cos(0.5 * angle), *np.zeros((2, len(n))), np.sin(0.5 * angle)])
-        return start @ matrices(about)
-    weights, vertical = np.array([1.0, 1.0, 1.0 - alpha]), np.array([0.0, 0.0, 1.0])
-    moment = start @ (weights * np.array(body[:3]))
-    found = body_states(np.array(body), h, n, p)
-    space = _motion((*moment, *start[:, 2]), h, n, nu)
-    return _turned(weights * found[:, :3], space[:, :3], space[:, 3:], found[:, 3:], vertical)
-
-
-def body_attitude(y0: Array, q0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-    """Quaternions (m, 4) of the attitude of the body form after n steps (m,) from ``y0`` (6,) and ``q0`` (4,)."""
-    return quaternions(_attitude(tuple(map(float, y0)), matrices(q0[None])[0], float(h), n, p))
-
-
-def inertial_attitude(y0: Array, q0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
-    """Quaternions (m, 4) of the attitude of the spherical top whose axis is that of the inertial form."""
-    start = matrices(q0[None])[0]
-    body = (*(y0[:3] @ start), *start[2])
-    return quaternions(_attitude(tuple(map(float, body)), start, float(h), n, (0.0, float(p[0]))))
-
-
 @scheme(
     "exact",
     top="lagrange",
@@ -309,7 +252,7 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     Every state is accurate to round-off, at any time. The scheme refuses motions that tend to the upright position,
     because they are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
     """
-    return Sampler(body_states, attitude=body_attitude)
+    return Sampler(body_states)
 
 
 @scheme(
@@ -330,4 +273,4 @@ def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
     Every state is accurate to round-off, at any time. The scheme refuses motions that tend to the upright position,
     because they are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
     """
-    return Sampler(inertial_states, attitude=inertial_attitude)
+    return Sampler(inertial_states)
