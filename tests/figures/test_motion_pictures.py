@@ -55,15 +55,15 @@ def test_kowalevski_motion_is_a_place_in_its_diagram(unit: float) -> None:
 
 
 @pytest.mark.slow
-def test_critical_energies_are_on_the_drawn_curves() -> None:
+def test_the_nearest_separatrix_is_a_drawn_curve() -> None:
     found = topcli.motion("kowalevski_torus")
     axes = found.plot(Figure().add_subplot())
-    for one in found.neighbours:
-        place = (one.value, found["k_sq"]) if one.along == "energy" else (found["energy"], one.value)
-        label = {"pinch": "pinch", "separatrix": "separatrix", "delone": "Delone"}.get(one.kind, "periodic")
-        (line,) = [line for line in axes.get_lines() if line.get_label().startswith(label)]
-        apart = np.hypot(line.get_xdata() - place[0], line.get_ydata() - place[1])
-        assert np.nanmin(apart) < 3e-3
+    E, k, distance = found["energy"], math.sqrt(found["k_sq"]), found["separatrix.distance"]
+    places = [(E + distance, k * k), (E - distance, k * k), (E, (k + distance) ** 2), (E, (k - distance) ** 2)]
+    lines = [line for line in axes.get_lines() if line.get_label() in ("separatrix", "pinch")]
+    apart = [np.nanmin(np.hypot(line.get_xdata() - x, line.get_ydata() - y)) for line in lines for x, y in places]
+    assert min(apart) < 3e-3
+    assert min(apart) < 0.1 * distance
 
 
 @pytest.mark.slow

@@ -1,10 +1,9 @@
-"""Class, frequencies, actions and neighbours of Kowalevski motions, against quadrature, long orbits and formulas."""
+"""Class, frequencies and distance to a separatrix of Kowalevski motions, against quadrature and formulas."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any
 
 import mpmath as _mpmath
@@ -14,13 +13,10 @@ import pytest
 from cases import numbers_of
 from conftest import GEN, PAPER
 from topcli.analysis.motion import Motion
-from topcli.analysis.motion.kowalevski import Ovals
 from topcli.analysis.motion.of_top import motion_of
-from topcli.analysis.motion.torus import actions
 from topcli.analysis.reference import reference_states
 from topcli.schemes.kowalevski.closed_form import set_up
 from topcli.schemes.kowalevski.closed_form.course import Lattice
-from topcli.schemes.kowalevski.closed_form.curve import Integrals, integrals
 from topcli.schemes.kowalevski.closed_form.motion import SeparatedMotion
 from topcli.tops.kowalevski import Kowalevski
 
@@ -140,67 +136,6 @@ def test_time_between_swings_near_the_homoclinic_orbit(eps: float) -> None:
         assert round(found["period.omega2"], 4) == 28.1716
 
 
-def at_level(of: Integrals, dE: Fraction, dk: Fraction) -> Integrals:
-    """Integrals with E and k² changed."""
-    m, k_sq, L, G = of.l1 + dE / 3, of.k_sq + dk, of.L, of.G
-    return Integrals(m, L, G, k_sq, k_sq - G + 3 * m * m, m * (k_sq - G - m * m) + L * L)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["II", "III", "IV", "released from rest"])
-def test_derivative_of_the_energy_by_an_action_is_its_frequency(name: str) -> None:
-    y = STATES.get(name, (0.0, 0.0, 0.0, 0.3, 0.4, 0.5))  # l = 0: the oval of s1 ends at x = 0
-    found, of = motion(y), integrals(tuple(map(float, y)), 1.0)
-    step = Fraction(1, 4000)
-
-    def both(dE: Fraction, dk: Fraction) -> np.ndarray:
-        ovals = Ovals.of(at_level(of, dE, dk))
-        assert ovals is not None
-        return np.array(actions(ovals.first, ovals.second, ovals.turns))
-
-    slopes = []
-    for one, other in ((1, 0), (0, 1)):  # differences of order four
-        near, far = (both(one * n * step, other * n * step) - both(-one * n * step, -other * n * step) for n in (1, 2))
-        slopes.append((8 * near - far) / (12 * float(step)))
-    (E1, E2), (k1, k2) = slopes
-    determinant = E1 * k2 - E2 * k1
-    assert k2 / determinant == pytest.approx(2 * math.pi * found["frequency.1"], rel=1e-6)
-    assert -k1 / determinant == pytest.approx(2 * math.pi * found["frequency.2"], rel=1e-6)
-
-
-def mean_of_p_dq(y, span: float = 900.0) -> float:
-    """Time average of p_theta theta' + p_phi phi', weighted by a smooth window."""
-    t = np.linspace(0.0, span, 90001)
-    s = reference_states(Kowalevski(), list(y), t)
-    w, g = s[:, :3], s[:, 3:]
-    rate = np.cross(g, w)
-    turn = (g[:, 1] * rate[:, 0] - g[:, 0] * rate[:, 1]) / (g[:, 0] ** 2 + g[:, 1] ** 2)
-    integrand = 2.0 * rate[:, 2] ** 2 / (1.0 - g[:, 2] ** 2) + w[:, 2] * turn
-    u = np.clip(t / span, 1e-9, 1 - 1e-9)
-    window = np.exp(-1.0 / (u * (1.0 - u)))
-    return float((integrand * window).sum() / window.sum())
-
-
-def with_moment(y, two_l: float) -> tuple[float, ...]:
-    """State with omega changed along (2 g1, 2 g2, g3) so that m.gamma = ``two_l``."""
-    w, g = np.array(y[:3]), np.array(y[3:])
-    v = g * [2.0, 2.0, 1.0]
-    return (*(w + v * (two_l - w @ v) / (v @ v)), *g)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("start", [(0.6, -0.7, 1.1), (0.9, -0.8, 1.3)])
-def test_actions_are_integrals_of_p_dq(start: tuple[float, float, float]) -> None:
-    """The mean of p dq/dt is 2 pi nu.J with the actions in Euler angles, which differ by multiples of 2l."""
-    y = with_moment((*start, 0.6, 0.48, 0.64), 0.9)
-    found = motion(y)
-    assert found.kind == "torus III"
-    turns = 2 * math.pi * np.array([found["frequency.1"], found["frequency.2"]])
-    mean = mean_of_p_dq(y)
-    assert mean == pytest.approx(turns @ [found["action.1"] + 0.9, found["action.2"] + 0.9], abs=2e-6)
-    assert abs(mean - turns @ [found["action.1"] + 0.9, found["action.2"]]) > 0.1
-
-
 def collision_distance(E: float, L: float, G: float, k_sq: float) -> float:
     """Smallest distance of two roots of Phi, relative to the largest."""
     m, k = E / 3, math.sqrt(max(k_sq, 0.0))
@@ -210,113 +145,80 @@ def collision_distance(E: float, L: float, G: float, k_sq: float) -> float:
     return float(apart.min() / np.abs(roots).max())
 
 
-@pytest.mark.parametrize("name", ["I", "III"])
-def test_two_roots_coincide_at_the_neighbours(name: str) -> None:
-    y = STATES[name]
-    E, L, G, k_sq = constants(y)
-    found = motion(y)
-    if name == "I":  # the edge of all motions
-        edges = [one.value for one in found.neighbours if (one.along, one.kind) == ("energy", "periodic")]
-        assert edges == [pytest.approx(2 * L * L / G - math.sqrt(k_sq), rel=1e-13)]
-    assert len(found.neighbours) >= 3
-    assert collision_distance(E, L, G, k_sq) > 1e-2
-    for one in found.neighbours:
-        there = (one.value, L, G, k_sq) if one.along == "energy" else (E, L, G, one.value)
-        assert collision_distance(*there) < 1e-6
-        here = E if one.along == "energy" else k_sq
-        assert one.distance == pytest.approx(one.value - here, abs=1e-12)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["I", "III", "V"])
-def test_periods_grow_like_a_logarithm_at_separatrices_only(name: str) -> None:
-    y = STATES[name]
-    of = integrals(tuple(map(float, y)), 1.0)
-    kinds = set()
-    for one in motion(y).neighbours:
-        periods = []
-        for rest in (1e-4, 1e-6, 1e-8):
-            change = Fraction(one.distance) * (1 - Fraction(rest))
-            ovals = Ovals.of(
-                at_level(of, change, Fraction(0)) if one.along == "energy" else at_level(of, Fraction(0), change)
-            )
-            assert ovals is not None
-            (a, _), (b, _) = ovals.half_periods()
-            periods.append((a, b))
-        first, second = (np.diff(values) for values in zip(*periods, strict=True))
-        growth = max(abs(first[1]), abs(second[1]))
-        kinds.add(one.kind)
-        if one.kind in ("separatrix", "pinch"):  # by the same amount for each factor of 100
-            assert growth > 1e-2
-            grows = first if abs(first[1]) > 1e-2 else second
-            assert grows[1] == pytest.approx(grows[0], rel=2e-3)
-            assert (one.kind == "pinch") == (min(abs(first[1]), abs(second[1])) > 1e-2)
-        else:
-            assert growth < 1e-4
-    assert kinds
+@pytest.mark.parametrize("name", STATES)
+def test_two_roots_coincide_at_the_distance_of_the_separatrix(name: str) -> None:
+    E, L, G, k_sq = constants(STATES[name])
+    found = motion(STATES[name])["separatrix.distance"]
+    assert collision_distance(E, L, G, k_sq) > 1e-2
+    k = math.sqrt(k_sq)
+    moved = [(E + found, k_sq), (E - found, k_sq), (E, (k + found) ** 2), (E, (k - found) ** 2)]
+    assert min(collision_distance(E, L, G, k_sq) for E, k_sq in moved) < 1e-6
 
 
 def test_distance_to_the_separatrix_of_the_paper() -> None:
-    """Next to the homoclinic orbit at the distance eps, by eps² to first order: eps²/8 in E, eps² in k²."""
-    found = motion(PAPER)
-    along = {(one.along, one.kind): one.distance for one in found.neighbours}
-    assert along["energy", "separatrix"] == pytest.approx(-1e-6 / 8.0, rel=1e-5)
-    assert along["k_sq", "separatrix"] == pytest.approx(1e-6, rel=1e-4)
-    assert found["separatrix.distance"] == pytest.approx(1e-6 / 8.0, rel=1e-5)
+    """Next to the homoclinic orbit at the distance eps: eps²/8 in E to first order."""
+    assert motion(PAPER)["separatrix.distance"] == pytest.approx(1e-6 / 8.0, rel=1e-5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-3, 1e2, 1e4])
 @pytest.mark.parametrize("shrinks", [True, False])
-def test_neighbours_by_scaling(shrinks: bool, factor: float) -> None:
+def test_distance_by_scaling(shrinks: bool, factor: float) -> None:
     """omega times ``factor`` and gravity times its square, from a state with omega2 = 0, where s2 is infinite."""
     y = (-0.98, 0.0, 0.04, 0.3, 0.95, -0.09) if shrinks else (1.23, 0.0, -0.02, -0.07, -0.06, -1.0)
     slow, fast = motion(y), motion((*(factor * v for v in y[:3]), *y[3:]), c0=factor**2)
-    assert ("bobylev-steklov" in [one.kind for one in slow.neighbours]) == shrinks
-    assert [one.kind for one in fast.neighbours] == [one.kind for one in slow.neighbours]
-    powers = {"energy": 2, "k_sq": 4}
-    for one, other in zip(slow.neighbours, fast.neighbours, strict=True):
-        assert other.distance == pytest.approx(one.distance * factor ** powers[one.along], rel=1e-9)
+    assert fast["separatrix.distance"] == pytest.approx(slow["separatrix.distance"] * factor**2, rel=1e-9)
 
 
 @pytest.mark.slow
-def test_neighbours_of_a_perturbed_pendulum() -> None:
-    """Next to a stable pendulum its torus shrinks; next to an unstable one there is a separatrix."""
-    cases = [
-        ((0.75, 0.0, 0.5, 0.0, 0.75, 0.375), "stable", "bobylev-steklov"),
-        ((0.0, 0.0, 1.0, 0.6, 0.8, 0.0), "unstable", "separatrix"),
-    ]
-    for y, word, kind in cases:
-        assert motion(y).title.endswith(f"; {word}")
-        near = motion((y[0], 1e-3, *y[2:5], y[5] + 1e-3))
-        assert min(near.neighbours, key=lambda one: abs(one.distance)).kind == kind
-        assert min(abs(one.distance) for one in near.neighbours) < 1e-5
+def test_distance_of_a_perturbed_pendulum() -> None:
+    """The torus next to a stable pendulum shrinks to it; next to an unstable one there is a separatrix."""
+    for y, near in (((0.75, 0.0, 0.5, 0.0, 0.75, 0.375), False), ((0.0, 0.0, 1.0, 0.6, 0.8, 0.0), True)):
+        found = motion((y[0], 1e-3, *y[2:5], y[5] + 1e-3))
+        assert (found["separatrix.distance"] < 1e-5) == near
 
 
 PERIODIC = numbers_of("""
-pendulum, pendulum that rotates about the third axis: 0 0 1 0.6 0.8 0
-pendulum, pendulum that oscillates about the third axis: 0.75 0 0.5 0 0.75 0.375
-unstable, released from rest, about the second axis: 0 0 0 0.6 0 0.8
-unstable, pendulum that rotates about the second axis: 0 2 0 -1 0 0
-delone, Delone: 0.5 0.5 1.75 0 0.5 0.75
+rotates about the third axis: 0 0 1 0.6 0.8 0
+oscillates about the third axis: 0.75 0 0.5 0 0.75 0.375
 """)
-"""The kind of motion comes first."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PERIODIC)
-def test_periodic_motions_return_after_their_period(name: str) -> None:
-    y, kind = PERIODIC[name], name.partition(",")[0]
+def test_pendulums_return_after_their_period(name: str) -> None:
+    y = PERIODIC[name]
     found = motion(y)
-    assert found.kind == kind
+    assert found.kind == "pendulum"
     states = reference_states(Kowalevski(), list(y), np.array([0.5, 1.0]) * found["period"])
     assert np.abs(states[1] - y).max() < 1e-12
     assert np.abs(states[0] - y).max() > 0.1
 
 
+CRITICAL = numbers_of("""
+separatrix, homoclinic: 0 1 0 0 0 1
+separatrix, s1 and s2 meet: 0.5 0.25 0 0 0 1
+separatrix, released from rest about the second axis: 0 0 0 0.6 0 0.8
+critical, Delone: 0.5 0.5 1.75 0 0.5 0.75
+critical, a triple root: 0 0 1.5 0 0 1
+equilibrium, spinning: 2 0 0 1 0 0
+""")
+"""The kind of motion comes first."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CRITICAL)
+def test_motions_on_critical_curves_have_no_frequencies(name: str) -> None:
+    kind, found = name.partition(",")[0], motion(CRITICAL[name])
+    assert found.kind == kind
+    distance = ["separatrix.distance"] if kind == "separatrix" else []
+    assert list(found) == ["energy", "two_l", "gamma_sq", "k_sq", *distance]
+
+
 @pytest.mark.slow
 def test_a_separatrix_has_no_period() -> None:
-    homoclinic = motion((0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+    homoclinic = motion((0.0, 0.0, 2.0, -1.0, 0.0, 0.0))
     assert (homoclinic.kind, homoclinic["period"]) == ("separatrix", math.inf)
     assert homoclinic.as_dict()["quantities"]["period"] is None
 
@@ -330,9 +232,9 @@ def test_no_gravity_is_the_free_symmetric_top() -> None:
 
 
 @pytest.mark.slow
-def test_another_moment_of_inertia_scales_energies_and_actions() -> None:
+def test_another_moment_of_inertia_scales_energies() -> None:
     """Divided by C the equations are those of C = 1 with c0/C."""
     small, large = motion(GEN, c0=1.5), motion(GEN, c0=6.0, A=8.0)
     for name in small:
-        factor = 4.0 if name in ("energy", "two_l", "action.1", "action.2") else 1.0
+        factor = 4.0 if name in ("energy", "two_l") else 1.0
         assert large[name] == pytest.approx(factor * small[name], rel=1e-14)

@@ -169,7 +169,7 @@ def schema() -> None:
 
 def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool) -> None:
     """Print what the closed form says about the motion of a config. Raises UsageError for a sweep or an ensemble."""
-    from topcli.analysis.motion import NEIGHBOURS, QUANTITIES
+    from topcli.analysis.motion import QUANTITIES
     from topcli.analysis.motion.of_top import motion_of
     from topcli.config.load import load_experiment
 
@@ -184,8 +184,5 @@ def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "motion": motion.as_dict()})
         return
     print_cells(QUANTITIES.cells(motion), f"{experiment.name}: {motion.title}")
-    if motion.neighbours:
-        emit()
-        print_cells(NEIGHBOURS.cells(motion), NEIGHBOURS.title_of(motion))
     for note in motion.notes:
         emit_prose(note)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from topcli.analysis.motion import NEIGHBOURS, QUANTITIES, Motion
+from topcli.analysis.motion import QUANTITIES, Motion
 from topcli.analysis.motion.of_top import closed_form_top
 from topcli.config.models import Experiment
 from topcli.figures.motion import motion_drawn
@@ -108,8 +108,6 @@ def motion_chapter(motion: Motion, experiment: Experiment, name: str | None) -> 
     if name:
         chapter.attempt("pictures", lambda: _motion_picture(motion, experiment, name))
     chapter.blocks.append(replace(QUANTITIES.cells(motion), numbers=False))
-    if motion.neighbours:
-        chapter.blocks.append(NEIGHBOURS.cells(motion))
     if motion.notes:
         chapter.blocks.append(Notes("Notes", motion.notes))
     config = experiment.resolved()

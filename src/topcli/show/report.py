@@ -336,7 +336,7 @@ class MotionReport(Motion, Report):
 def motion(
     config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] = (), **changes: Any
 ) -> MotionReport:
-    """Return the class and the frequencies of an exact motion, and the critical motions nearest to it.
+    """Return the class, the frequencies and the periods of an exact motion.
 
     All results follow from the initial state and the closed form of the motion. Nothing is integrated, so the scheme,
     ``h`` and ``N`` of the config do not matter. All quantities are dimensionless, as in configs.
@@ -355,8 +355,8 @@ def motion(
     Returns
     -------
     MotionReport
-        For the Kowalevski top, the report gives the class of the torus, its frequencies, periods and actions, and the
-        nearest critical motions. For the Euler top, the report gives the class and the period of the polhode. For the
+        For the Kowalevski top, the report gives the class of the torus, its frequencies and periods, and the distance
+        to the nearest separatrix. For the Euler top, the report gives the class and the period of the polhode. For the
         Lagrange top, it gives nutation and precession. For a top without a closed form, the report gives only the
         integrals.
 

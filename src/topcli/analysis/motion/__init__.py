@@ -1,4 +1,4 @@
-"""Class, periods, frequencies and nearest critical motions of a motion, from its closed form."""
+"""Class, periods and frequencies of a motion, from its closed form."""
 
 from __future__ import annotations
 
@@ -18,20 +18,6 @@ class Quantity(NamedTuple):
     name: str
     value: float
     meaning: str
-
-
-class Neighbour(NamedTuple):
-    """Nearest critical motion when one integral changes and the other integrals stay constant.
-
-    ``along`` is the name of the integral that changes, ``value`` its critical value, and ``distance`` the change from
-    its present value. ``kind`` is ``separatrix``, ``pinch``, ``periodic``, ``delone`` or ``bobylev-steklov``. In the
-    last three cases, the torus shrinks to a periodic motion.
-    """
-
-    along: str
-    value: float
-    distance: float
-    kind: str
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,11 +40,8 @@ class Motion:
     state : tuple of float
         Initial state.
     quantities : tuple of Quantity
-        Integrals, frequencies, periods and actions of the motion, and its distances from critical motions. Each
-        quantity has ``name``, ``value`` and ``meaning``.
-    neighbours : tuple of Neighbour
-        Critical motions that are nearest if only one integral changes. Each has ``along`` (the name of this integral),
-        ``value`` (its critical value), ``distance`` (its change) and ``kind``.
+        Integrals, frequencies and periods of the motion, and its distance from a separatrix. Each quantity has
+        ``name``, ``value`` and ``meaning``.
     notes : tuple of str
         Sentences that explain which quantities are not defined for this motion, and why.
 
@@ -77,7 +60,6 @@ class Motion:
     title: str
     state: tuple[float, ...]
     quantities: tuple[Quantity, ...]
-    neighbours: tuple[Neighbour, ...] = ()
     notes: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[str]:
@@ -104,7 +86,6 @@ class Motion:
                 quantity.name: quantity.value if math.isfinite(quantity.value) else None for quantity in self.quantities
             },
             "meanings": {quantity.name: quantity.meaning for quantity in self.quantities},
-            "neighbours": [neighbour._asdict() for neighbour in self.neighbours],
             "notes": list(self.notes),
         }
 
@@ -129,16 +110,4 @@ QUANTITIES = Table(
     heading="Quantities",
     index="name",
     numbers=(1,),
-)
-NEIGHBOURS = Table(
-    lambda motion: [neighbour._asdict() for neighbour in motion.neighbours],
-    (
-        Column("along", "along"),
-        Column("critical value", "value", _text),
-        Column("distance", "distance", "{:+.6g}".format),
-        Column("kind", "kind"),
-    ),
-    heading="Nearest critical motions",
-    title="nearest critical motions",
-    numbers=(1, 2),
 )

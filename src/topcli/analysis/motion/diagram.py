@@ -1,4 +1,4 @@
-"""Bifurcation diagram of the Kowalevski top: classes of tori, critical curves, and the nearest critical motions.
+"""Bifurcation diagram of the Kowalevski top: classes of tori, critical curves, and the distance to a separatrix.
 
 For given L = l c and G = c² gamma² two roots of Phi (``separation``) coincide on the curves
 
@@ -114,9 +114,9 @@ def _real_zeros(coefficients: Sequence[Real]) -> list[Real]:
 
 
 def collision(level: Level) -> str:
-    """Kind of the critical motion that a level is next to: where its two nearest roots are, relative to the ovals.
+    """Kind of the critical motions that a level is next to: where its two nearest roots are, relative to the ovals.
 
-    ``bobylev-steklov`` concerns only half of the tori.
+    It is ``separatrix``, ``periodic`` or, where only half of the tori shrink, ``bobylev-steklov``.
     """
     roots = level.roots()
     order = sorted((i for i in range(5) if roots[i].imag == 0), key=lambda i: roots[i].real)
@@ -128,63 +128,37 @@ def collision(level: Level) -> str:
         return SEPARATRIX if inside else REGULAR
     ends = {i, j}
     if ends == {a, b}:
-        return DELONE if ends == {3, 4} else PERIODIC
-    if ends == {r, a}:
-        return PINCH
+        return PERIODIC
     if ends <= set(between(roots)):
         return BOBYLEV
     return SEPARATRIX if r in ends or a in ends else REGULAR
 
 
-def pendulum_is_stable(of: Curve) -> bool | None:
-    """True if a motion of Bobylev and Steklov on this curve is stable: the double root is between the ovals.
-
-    None if the cubic has no double root, or a triple root is involved.
-    """
-    roots = of.e
-    if "cubic" not in of.of.double_roots or roots[1] != roots[2]:
-        return None
-    double = roots[1].real
-    low, middle, high = sorted(roots[i].real for i in (0, 3, 4))
-    if double in (low, middle, high):
-        return None
-    return bool(low < double < middle or double > high)
-
-
-class Critical(NamedTuple):
-    """Critical value of an integral, its difference from the value of the motion, and the kind of critical motion."""
-
-    value: Real
-    distance: Real
-    kind: str
-
-
-def nearest_critical(of: Integrals, shrinks: bool) -> dict[str, list[Critical]]:
-    """Nearest critical values of E and of k² on either side, by ``energy`` and ``k_sq``, that concern a motion.
+def separatrix_distance(of: Integrals, shrinks: bool) -> float | None:
+    """Smallest change of E or of k that leads from a motion to a separatrix; None if no such change does.
 
     ``shrinks`` is true if its torus is one of those that shrink to a motion of Bobylev and Steklov.
     """
     passed = (REGULAR,) if shrinks else (REGULAR, BOBYLEV)
     with digits(2 * DIGITS):
         level = Level.of(of)
-        return {
-            "energy": _both_sides(3 * level.l1, level.critical_energies(), level.with_energy, passed),
-            "k_sq": _both_sides(level.k_sq, level.critical_k_sq(), level.with_k_sq, passed),
-        }
+        E, k_sq = 3 * level.l1, level.k_sq
+        changes = [abs(v - E) for v in _nearest(E, level.critical_energies(), level.with_energy, passed)]
+        for value in _nearest(k_sq, level.critical_k_sq(), level.with_k_sq, passed):
+            changes.append(abs(value - k_sq) / (sqrt(value) + sqrt(k_sq)))
+        return float(min(changes)) if changes else None
 
 
-def _both_sides(
-    here: Real, values: Iterable[Real], at: Callable[[Real], Level], passed: Sequence[str]
-) -> list[Critical]:
-    """Nearest critical value below and above, without the kinds that are ``passed``."""
-    values, nearest = sorted(values), []
+def _nearest(here: Real, values: Iterable[Real], at: Callable[[Real], Level], passed: Sequence[str]) -> Iterator[Real]:
+    """Nearest critical value below and above, without those of the kinds ``passed``, where it is of a separatrix."""
+    values = sorted(values)
     for side in (reversed([v for v in values if v < here]), [v for v in values if v > here]):
         for value in side:
             kind = collision(at(value + (here - value) * BESIDE))
+            if kind == SEPARATRIX:
+                yield value
             if kind not in passed:
-                nearest.append(Critical(value, value - here, kind))
                 break
-    return nearest
 
 
 POINTS = 1000

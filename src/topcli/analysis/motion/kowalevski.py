@@ -1,4 +1,4 @@
-"""Motion of the Kowalevski top: class of the torus, frequencies, actions, and the nearest separatrix.
+"""Motion of the Kowalevski top: class of the torus, frequencies, distance to a separatrix.
 
 All from the roots of Kowalevski's curve and integrals over its two real ovals (``curve`` and ``oval`` in
 ``schemes.kowalevski.closed_form``). With a, b the integrals of ds/|w| over the ovals of s1 and s2, and P, Q those of
@@ -11,24 +11,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from itertools import product
 
-from topcli.analysis.motion import Motion, Neighbour, Quantity
-from topcli.analysis.motion.diagram import (
-    DELONE,
-    PERIODIC,
-    PINCH,
-    SEPARATRIX,
-    Region,
-    between,
-    nearest_critical,
-    pendulum_is_stable,
-    region,
-)
-from topcli.analysis.motion.torus import actions
+from topcli.analysis.motion import Motion, Quantity
+from topcli.analysis.motion.diagram import Region, between, region, separatrix_distance
 from topcli.contracts import Floats
-from topcli.errors import RunError
 from topcli.schemes.kowalevski.closed_form.curve import (
     DIGITS,
     Curve,
@@ -49,6 +36,7 @@ SHIFTS = (0, 3, 5)
 """Times, in 1/32 of the time in which the state turns, at which s1 and s2 are computed until they are determined."""
 HALVES = 2
 """Half periods of s2 after which all signs of the state are those of the start."""
+DISTANCE = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
 
 
 @dataclass(frozen=True)
@@ -74,36 +62,17 @@ class Ovals:
         """Half periods of s1 and of s2 after which all signs of the state are those of the start."""
         return 1 if self.first.low == 4 else 2, HALVES
 
-    @cached_property
-    def kind(self) -> str:
-        """``separatrix``, ``pinch``, ``delone``, ``periodic`` or ``torus``."""
-        if self.touched[0] and self.touched[1] and self.first.a == self.second.a:
-            return PINCH
-        if any(self.touched):
-            return SEPARATRIX
-        if not self.first.length:
-            return DELONE if "k" in self.curve.of.double_roots else PERIODIC
-        return "torus"
+    @property
+    def on_separatrix(self) -> bool:
+        """True if an end of an oval is a double root."""
+        return any(self.first.touched) or any(self.second.touched)
 
     @property
-    def touched(self) -> tuple[bool, bool]:
-        """For s1 and s2, true if an end of the oval is a double root."""
-        return any(self.first.touched), any(self.second.touched)
-
-    @cached_property
     def periods(self) -> tuple[float, float]:
-        """Periods of s1 and s2, infinite for a variable that tends to a double root."""
-        if self.kind == PINCH:
-            total = 2 * (self.first.half_periods[1] + self.second.half_periods[1])
-            return float(total), float(total)
-        if all(self.touched):
-            return math.inf, math.inf
-        (a, P), (b, Q) = (
-            _slope(oval) if any(oval.touched) else oval.half_periods for oval in (self.first, self.second)
-        )
+        """Periods of s1 and s2."""
+        (a, P), (b, Q) = self.first.half_periods, self.second.half_periods
         determinant = 2 * (P * b + Q * a)
-        one, two = (math.inf if away else float(determinant / v) for away, v in zip(self.touched, (b, a), strict=True))
-        return one, two
+        return float(determinant / b), float(determinant / a)
 
     def half_periods(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Integrals of ds/|w| and s ds/|w| over the oval of s1 and that of s2."""
@@ -126,15 +95,6 @@ class Ovals:
                 if not isinf(two):
                     return start, one, two
         return None
-
-    def rests(self, y: Floats, c: float) -> bool:
-        """True if s1 or s2 of the state ``y`` is in the double root at an end of its oval, for ever."""
-        separated = self.separated(y, c)
-        if separated is None:
-            return False
-        with digits(DIGITS):
-            pairs = zip(self.touched, (self.first, self.second), separated[1:], strict=True)
-            return any(touched and _is_end(oval, s) for touched, oval, s in pairs)
 
     def shrinks(self, y: Floats, c: float) -> bool:
         """True if the torus of the state ``y`` shrinks to a motion of Bobylev and Steklov where two roots meet.
@@ -161,19 +121,6 @@ class Ovals:
             return bool((signs[i] * signs[j] * factors[i] * factors[j]).real > 0)
 
 
-def _slope(oval: Oval) -> tuple[Real, Real]:
-    """Ratio of the integrals of ds/|w| and |s - sigma| ds/|w| of a variable that tends to the end of its oval."""
-    root = oval.a if oval.touched[0] else oval.b
-    return 1 / abs(root - oval.sigma), 1
-
-
-def _is_end(oval: Oval, s: Real) -> bool:
-    try:
-        return oval.from_regular_end(oval.angle(s)) is None
-    except RunError:  # too close to be distinguished
-        return False
-
-
 def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     """Motion of the Kowalevski top from the state ``y`` (6,), with gravity."""
     c = float(top.constants()[0])
@@ -184,12 +131,13 @@ def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     if is_pendulum(y, c):
         return _pendulum(top, y, c, conserved)
     ovals = Ovals.of(of)
-    if ovals is None:
-        note = "no frequencies: at k = 0 and E = 2 l²/gamma² three roots of the curve coincide"
-        return Motion(top.form, "triple root", "Delone's class at its triple root", y, conserved, notes=(note,))
-    if ovals.kind == "torus":
+    if ovals is not None and ovals.first.length and not ovals.on_separatrix:
         return _torus(top, y, ovals, conserved, c)
-    return _degenerate(top, y, ovals, conserved, c)
+    what = "roots of Kowalevski's curve coincide, so there are no frequencies"
+    if ovals is None or not ovals.on_separatrix:
+        return Motion(top.form, "critical", f"critical motion: {what}", y, conserved)
+    distance = Quantity("separatrix.distance", 0.0, DISTANCE)
+    return Motion(top.form, "separatrix", f"at the integrals of a separatrix: {what}", y, (*conserved, distance))
 
 
 def _at_rest(y: Floats, c: float) -> bool:
@@ -221,10 +169,9 @@ def _frequencies(ovals: Ovals) -> list[Quantity]:
             "frequency.2", second, f"cycles per unit time of the second angle; s2 oscillates {about[n2]} in a cycle"
         ),
     ]
-    if second:
-        frequencies.append(Quantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"))
     return [
         *frequencies,
+        Quantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"),
         Quantity("period.s1", period1, "time of one oscillation of s1"),
         Quantity("period.s2", period2, "time of one oscillation of s2, from one zero of ω2 to the next"),
         Quantity("period.omega2", n2 * period2, "mean time of a full oscillation of ω2"),
@@ -243,13 +190,10 @@ def _torus(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantit
             Quantity(f"half_period.{name}.0", both[0], f"integral of ds/|w| over the oval of {name}"),
             Quantity(f"half_period.{name}.1", both[1], f"integral of s ds/|w| over the oval of {name}"),
         ]
-    both = (value * top.C for value in actions(ovals.first, ovals.second, ovals.turns))
-    for i, value in enumerate(both, 1):
-        meaning = f"action J of this angle, up to multiples of 2l; dE/dJ = 2π frequency.{i}"
-        quantities.append(Quantity(f"action.{i}", value, meaning))
-    neighbours = critical_neighbours(ovals.curve.of, ovals.shrinks(y, c), top.C)
-    quantities += _distances(ovals.curve.of, neighbours, top.C)
-    return Motion(top.form, f"torus {where.name}", torus_title(where, ovals), y, tuple(quantities), tuple(neighbours))
+    distance = separatrix_distance(ovals.curve.of, ovals.shrinks(y, c))
+    if distance is not None:
+        quantities.append(Quantity("separatrix.distance", distance, DISTANCE))
+    return Motion(top.form, f"torus {where.name}", torus_title(where, ovals), y, tuple(quantities))
 
 
 def torus_title(where: Region, ovals: Ovals) -> str:
@@ -267,33 +211,6 @@ def _root_names(ovals: Ovals) -> dict[int, str]:
     return {3: "e4", 4: "e5"} | {i: f"e{n}" for n, i in enumerate(cubic, 1)}
 
 
-def critical_neighbours(of: Integrals, shrinks: bool, unit: float) -> list[Neighbour]:
-    """Nearest critical motions along E and along k²; ``unit`` is the third moment of inertia."""
-    scale = {"energy": unit, "k_sq": 1.0}
-    return [
-        Neighbour(name, float(critical.value) * scale[name], float(critical.distance) * scale[name], critical.kind)
-        for name, nearest in nearest_critical(of, shrinks).items()
-        for critical in nearest
-    ]
-
-
-def _distances(of: Integrals, neighbours: Sequence[Neighbour], unit: float) -> list[Quantity]:
-    """Distances to the nearest separatrix in the plane of E/C and k, along either axis."""
-    distances = []
-    for neighbour in neighbours:
-        if neighbour.kind not in (SEPARATRIX, PINCH):
-            continue
-        change = neighbour.distance
-        if neighbour.along == "energy":
-            distances.append(abs(change) / unit)
-        else:
-            with digits(DIGITS):
-                k_sq = real(of.k_sq)
-                distances.append(float(abs(mpf(change) / (sqrt(k_sq + mpf(change)) + sqrt(k_sq)))))
-    meaning = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
-    return [Quantity("separatrix.distance", min(distances), meaning)] if distances else []
-
-
 def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
     """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (``schemes.kowalevski.closed_form.setup``)."""
     what = "pendulum (Bobylev-Steklov): ω2 = 0 at all times"
@@ -308,52 +225,10 @@ def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity
         m = (real(energy) + 2 * k) / (4 * k)  # of sin²(theta/2) at the turning points
         rotates = m > 1
         time = float(2 * ellipk(1 / m) / sqrt(k * m) if rotates else 4 * ellipk(m) / sqrt(k))
-        stable = pendulum_is_stable(curve(integrals(y, c)))
     quantities = (
         *conserved,
         Quantity("frequency", 1.0 / time, "cycles per unit time"),
         Quantity("period", time, "time of one rotation" if rotates else "time of one oscillation"),
     )
     way = "rotates" if rotates else "oscillates"
-    word = {True: "; stable", False: "; unstable", None: ""}[stable]
-    return Motion(top.form, "pendulum", f"{what}; it {way}{word}", y, quantities)
-
-
-def _degenerate(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantity], c: float) -> Motion:
-    """Motion on a critical curve of the bifurcation diagram, decided exactly."""
-    kind = ovals.kind
-    if kind in (DELONE, PERIODIC):
-        what = "Delone's class, k = 0" if kind == DELONE else "E - 2 l²/γ² = -k"
-        return Motion(top.form, kind, f"periodic: {what}; s1 is constant", y, (*conserved, *_cycle(ovals)))
-    if all(ovals.touched) and kind == SEPARATRIX:
-        period = Quantity("period", math.inf, "time of one cycle; the motion is homoclinic or heteroclinic")
-        title = "separatrix: s1 and s2 tend to double roots; asymptotic to an equilibrium"
-        return Motion(top.form, kind, title, y, (*conserved, period))
-    rests = ovals.rests(y, c)
-    if kind == PINCH:
-        passage = ovals.periods[0]
-        time = Quantity("period.passages", passage, "time from one passage of the double root to the next")
-        what = "pinch: s1 and s2 meet in a double root between their ovals"
-        period = Quantity("period", 2.0 * passage, "time of one cycle")
-    else:
-        i, which = (1, "s1") if ovals.touched[0] else (0, "s2")
-        cycle = ovals.turns[i] * ovals.periods[i]
-        time = Quantity("period.limit", cycle, "period of the motion that this one tends to")
-        what = f"separatrix: {which} tends to a double root"
-        period = Quantity("period", cycle, "time of one cycle")
-    if rests:
-        title = "unstable periodic motion: a separated variable stays in a double root"
-        return Motion(top.form, "unstable", title, y, (*conserved, period))
-    return Motion(top.form, kind, f"{what}; asymptotic to a periodic motion", y, (*conserved, time))
-
-
-def _cycle(ovals: Ovals) -> list[Quantity]:
-    """Frequencies of a motion with constant s1."""
-    period1, period2 = ovals.periods
-    cycle = HALVES * period2
-    return [
-        Quantity("frequency", 1.0 / cycle, "cycles per unit time"),
-        Quantity("frequency.normal", 1.0 / (ovals.turns[0] * period1), "cycles per unit time of small deviations"),
-        Quantity("period", cycle, "time of one cycle, in which s2 oscillates twice"),
-        Quantity("period.omega2", cycle, "time of a full oscillation of ω2"),
-    ]
+    return Motion(top.form, "pendulum", f"{what}; it {way}", y, quantities)
