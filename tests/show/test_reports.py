@@ -272,17 +272,6 @@ def test_plots_of_a_comparison_are_errors_or_swings(compared: StudyReport) -> No
 
 
 @pytest.mark.slow
-def test_comparison_of_an_ensemble(ensemble: RunReport) -> None:
-    found = topcli.compare("hk", "rk4", config=ensemble.result.stored.manifest["config"], N=50)
-    row = found.figures["schemes"][1]
-    assert found.table.loc["rk4", "max_error, median"] == row["measures"]["max_error"]["median"]
-    assert found.table.loc["rk4", "reached_end"] == 8
-    with pytest.raises(UsageError, match="has no series"):
-        found.plot()
-    assert "--save" not in found._repr_html_()
-
-
-@pytest.mark.slow
 def test_sweep_has_its_rows_and_draws_them(made: Callable[[str], Any]) -> None:
     swept = made("sweep")
     assert len(swept.table) == 6

@@ -1,4 +1,4 @@
-"""Comparisons: entries with options and steps of their own, errors against the reference, ensembles."""
+"""Comparisons: entries with options and steps of their own, errors against the reference."""
 
 from __future__ import annotations
 
@@ -138,35 +138,27 @@ FREE = {"top": {"kind": "euler", "A": 3.0, "B": 2.0, "C": 1.0}, "initial": {"ome
 FREE_RUN = {**FREE, "name": "free", "scheme": "hk", "h": 0.1, "N": 300}
 
 
-ENSEMBLE = {**FREE_RUN, "ensemble": {"states": [{"omega": [0.3, 0.4, 1.5]}]}}
-
-
 REFERENCES = {"taylor": "Taylor series in double-double arithmetic", "exact": "closed form (scheme exact)"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", REFERENCES)
-def test_an_ensemble_of_one_has_the_errors_of_the_run(kind: str) -> None:
+def test_errors_are_against_the_reference_that_is_asked_for(kind: str) -> None:
     """The scheme ``exact`` differs from the series, and not from itself, so that it shows which reference was used."""
     run = topcli.compare("hk", "exact", config=FREE_RUN, reference=kind, progress=False)
-    many = topcli.compare("hk", "exact", config=ENSEMBLE, reference=kind, progress=False)
-    assert run.figures["reference"]["kind"] == many.figures["reference"]["kind"] == kind
-    assert run.figures["reference"]["method"] == many.figures["reference"]["method"] == REFERENCES[kind]
-    for one, other in zip(run.figures["schemes"], many.figures["schemes"], strict=True):
-        assert other["measures"]["max_error"]["median"] == one["max_error"]
-        assert other["measures"]["final_error"]["median"] == one["final_error"]
+    assert run.figures["reference"]["method"] == REFERENCES[kind]
     itself = run.figures["schemes"][1]["max_error"]
     assert (itself <= 2.0**-53) == (kind == "exact")  # row 0 is the initial state itself
     assert itself < 1e-13
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("config", "kind"), [(FREE_RUN, "exact"), (ENSEMBLE, "taylor")], ids=["run", "ensemble"])
+@pytest.mark.parametrize("kind", REFERENCES)
 def test_every_output_names_the_reference_that_was_used(
-    cli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, config: dict[str, Any], kind: str
+    cli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("free.json").write_text(json.dumps({key: one for key, one in config.items() if key != "name"}))
+    Path("free.json").write_text(json.dumps({key: one for key, one in FREE_RUN.items() if key != "name"}))
     Path("free.yaml").write_text(Path("free.json").read_text())
     command = ("compare", "hk", "--config", "free.yaml", "--reference", kind)
     wanted = f"Errors are norms of the difference of states from the reference, a {REFERENCES[kind]}."
@@ -177,7 +169,7 @@ def test_every_output_names_the_reference_that_was_used(
     assert (stored["kind"], stored["method"]) == (kind, REFERENCES[kind])
     assert cli(*command, "--json").json()["reference"] == stored
     assert cli("report", "saved.json", "--out", "page.html").code == 0
-    topcli.compare("hk", config=config, reference=kind, progress=False).save("python.html")
+    topcli.compare("hk", config=FREE_RUN, reference=kind, progress=False).save("python.html")
     for page in ("page.html", "python.html"):
         text = Path(page).read_text()
         assert [one for one in read_html(text).with_class("caption") if one.text.startswith(wanted)]
@@ -185,22 +177,8 @@ def test_every_output_names_the_reference_that_was_used(
 
 
 def test_a_closed_form_that_a_top_does_not_have_is_refused(cli: Callable[..., Any]) -> None:
-    random = "ensemble={random: {count: 2, gamma: sphere}}"
-    for more in ((), ("--set", random)):
-        said = cli("compare", "hk", "--config", "heavy_hk", "--set", "N=10", *more, "--reference", "exact")
-        assert (said.code, said.out) == (2, "")
-        assert "the top heavy has no scheme exact to compare with; use the reference taylor" in said.err
+    said = cli("compare", "hk", "--config", "heavy_hk", "--set", "N=10", "--reference", "exact")
+    assert (said.code, said.out) == (2, "")
+    assert "the top heavy has no scheme exact to compare with; use the reference taylor" in said.err
     with pytest.raises(UsageError, match="unknown reference 'theta'; use taylor or exact"):
-        topcli.compare("hk", config=ENSEMBLE, reference="theta")
-
-
-def test_a_top_that_the_series_cannot_follow_has_no_errors_in_an_ensemble(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Its closed form is not used instead; the rest is measured."""
-    monkeypatch.setattr("topcli.runs.references.reference_obstacle", lambda top: "other equations")
-    found = topcli.compare("hk", config=ENSEMBLE, progress=False).figures
-    assert found["reference"] is None
-    measures = found["schemes"][0]["measures"]
-    assert not [name for name in measures if name.startswith("error")]
-    assert measures["max_deviation.m_sq"]["count"] == 1
+        topcli.compare("hk", config=FREE_RUN, reference="theta")

@@ -1,4 +1,4 @@
-"""Entries of a comparison: schemes with options and steps of their own; ensembles under them."""
+"""Entries of a comparison: schemes with options and steps of their own."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import pytest
 
 import topcli
 from cases import table_of
-from topcli.config.ensemble import EnsembleExperiment
-from topcli.config.load import load, load_experiment
+from topcli.config.load import load_experiment
 from topcli.errors import UsageError
-from topcli.studies.compare_runs import compare_ensemble, compare_schemes
+from topcli.studies.compare_runs import compare_schemes
 from topcli.studies.entries import Entry, read_entries
 from topcli.studies.study import Result
 
@@ -158,167 +157,22 @@ def test_a_failure_names_the_entry(cli: Any) -> None:
     assert "error: rk4: " not in said.err
 
 
-SEVEN = ["ensemble={random: {count: 7, seed: 3, gamma: sphere, omega: {sphere: 2}}}", "h=0.02", "N=1500"]
-
-
-UNDER = ["hk", "hybrid:branch=sign", "hk:h=0.04"]
-
-
-def ensemble(*overrides: str) -> EnsembleExperiment:
-    found = load("kowalevski_generic_hk", overrides)
-    assert isinstance(found, EnsembleExperiment)
-    return found
-
-
-def quantile(values: list[float], percent: int) -> float:
-    """Smallest value with at least this part of the values below or at it."""
-    return sorted(values)[-(-len(values) * percent // 100) - 1]
-
-
-@pytest.fixture(scope="module")
-def figures() -> dict[str, Any]:
-    return compare_ensemble(ensemble(*SEVEN), UNDER)
-
-
-@pytest.mark.slow
-def test_quantiles_are_those_of_single_comparisons(figures: dict[str, Any]) -> None:
-    many = ensemble(*SEVEN)
-    single = [compare_schemes(many.member(i), UNDER).data["schemes"] for i in range(7)]
-    assert [one["label"] for one in figures["schemes"]] == UNDER
-    assert figures["quantiles"] == {"10 %": 0.1, "median": 0.5, "90 %": 0.9}  # of seven 90 % is the same as 95 %
-    for at, found in enumerate(figures["schemes"]):
-        assert (found["reached_end"], found["outcomes"], found["faults"]) == (7, {"completed": 7}, {})
-        each = [schemes[at] for schemes in single]
-        wanted = {
-            "max_error": [one["max_error"] for one in each],
-            "final_error": [one["final_error"] for one in each],
-            "first_swing_spacing": [one["first_swing_spacing"] for one in each],
-        }
-        for i, row in enumerate(each[0]["invariants"]):
-            wanted[f"max_deviation.{row['name']}"] = [one["invariants"][i]["max_deviation"] for one in each]
-            wanted[f"drift.{row['name']}"] = [one["invariants"][i]["drift"] for one in each]
-        assert set(found["measures"]) == {*wanted, "reversal_defect"}
-        for name, values in wanted.items():
-            measured = found["measures"][name]
-            assert measured["count"] == 7
-            for label, percent in (("10 %", 10), ("median", 50), ("90 %", 90)):
-                assert measured[label] == pytest.approx(quantile(values, percent), rel=1e-9, abs=1e-18), name
-
-
-def test_batches_do_not_change_the_figures(figures: dict[str, Any]) -> None:
-    done = []
-    found = compare_ensemble(ensemble(*SEVEN), UNDER, on_progress=lambda *at: done.append(at), most=2)
-    for one, other in zip(found["schemes"], figures["schemes"], strict=True):
-        assert one["measures"] == other["measures"]
-    total = 7 * (1500 + 1500 + 750)
-    assert done[-1] == (total, total)
-    assert len(done) == 4 * 3
-
-
-def test_the_tops_of_a_grid_are_those_of_its_members() -> None:
-    grid = ["ensemble={grid: {top.B: [1.5, 2.5], omega1: [0.1, 0.2]}}", "initial.omega=[0, 1, 0]", "N=200", "h=0.02"]
-    many = load("euler_hk", grid)
-    assert isinstance(many, EnsembleExperiment)
-    found = compare_ensemble(many, ["hk"])["schemes"][0]["measures"]["max_deviation.m_sq"]
-    values = [compare_schemes(many.member(i), ["hk"]).data["schemes"][0]["invariants"][0] for i in range(4)]
-    assert values[0]["name"] == "m_sq"
-    assert found["median"] == pytest.approx(quantile([one["max_deviation"] for one in values], 50), rel=1e-12)
-
-
-ONE_FAILS = [
-    "ensemble={states: [{omega: [1, 0, 0]}, {omega: [0.5, 1, 0]}, {omega: [300, 200, 100]}]}",
-    "h=0.05",
-    "N=400",
-]
-
-
-def test_failures_are_counted_and_left_out() -> None:
-    found = compare_ensemble(ensemble(*ONE_FAILS), ["rk4", "hk"])["schemes"][0]
-    whole = compare_ensemble(ensemble(ONE_FAILS[0].replace(", {omega: [300, 200, 100]}", ""), *ONE_FAILS[1:]), ["rk4"])
-    assert found["reached_end"] == 2
-    assert found["outcomes"] == {"completed": 2, "blew_up": 1}
-    assert [one["trajectory"] for one in found["failures"]] == [2]
-    assert found["measures"] == whole["schemes"][0]["measures"]
-
-
-def test_the_command_counts_failures_and_says_what_the_lines_are(cli: Any) -> None:
-    sets = [word for text in ONE_FAILS for word in ("--set", text)]
-    said = cli("compare", "rk4", "hk:h=0.1", "--config", "kowalevski_generic_hk", *sets)
-    assert said.code == 3
-    title = said.out.splitlines()[0]
-    assert title.endswith("t from 0 to 20, 3 trajectories; medians of those that reached the end")
-    assert "error: rk4: of 3 trajectories 2 completed, 1 blew up" in said.err
-
-
-@pytest.mark.slow
-def test_every_line_of_the_table_shows_its_measure(cli: Any) -> None:
-    arguments = ("compare", "hk", "rk4", "--config", "euler_ensemble", "--set", "N=60", "--set", "h=0.1")
-    lines = iter(cli(*arguments, "-v").out.splitlines()[2:])
-    schemes = cli(*arguments, "--json").json()["schemes"]
-    assert next(lines).split() == ["reached", "the", "end", "243", "243"]
-    symbols = {row["name"]: row["symbol"] for one in schemes for row in one["invariants"]}
-    labels = {"max_error": "max error", "final_error": "final error"}
-    for name, symbol in symbols.items():
-        labels |= {f"max_deviation.{name}": f"max deviation of {symbol}"}
-        labels |= {f"drift.{name}": f"drift of {symbol} per unit time"}
-    labels |= {"reversal_defect": "reversal defect at h = 0.1", "first_swing_spacing": "first swing spacing of omega2"}
-    for name, label in labels.items():
-        each = [one["measures"].get(name) for one in schemes]
-        for quantile_name in ("median", "10 %", "90 %"):
-            line = next(lines)
-            start = f"{label}, median " if quantile_name == "median" else f"  {quantile_name} "
-            assert line.startswith(start), (line, start)
-            for cell, one in zip(line.split()[-2:], each, strict=True):
-                if one is None or one[quantile_name] is None:
-                    assert cell == "–"
-                else:
-                    assert float(cell) == pytest.approx(one[quantile_name], rel=0.06, abs=1e-300)
-        if any(one and one["count"] < 243 for one in each):
-            line = next(lines)
-            assert line.startswith("  trajectories with a value ")
-            assert line.split()[-2:] == ["–" if one is None else str(one["count"]) for one in each]
-    assert next(lines).startswith("ns per step, all threads ")
-    assert next(lines).startswith("Errors are norms ")
-    assert next(lines, None) is None
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     table_of("""
-hk --plot                    error: --plot draws one trajectory, but kowalevski_ensemble is an ensemble of 1000
-hk hk:h=0.03                 error: hk:h=0.03: T/h = 100/0.03
+hk hk:h=0.03                 error: hk:h=0.03: T/h = 50/0.03
 hk hkk                       unknown scheme 'hkk'; did you mean 'hk'?
 hk --set scheme.brunch=sign  --set scheme.brunch: none of the schemes has this option
 """),
 )
 def test_mistakes_are_refused_before_anything_runs(cli: Any, arguments: str, message: str) -> None:
-    said = cli("compare", *arguments.split(), "--config", "kowalevski_ensemble")
+    said = cli("compare", *arguments.split(), "--config", "kowalevski_hk")
     assert (said.code, said.out) == (2, "")
     assert message in said.err
 
 
-def test_a_value_that_is_missing_is_explained(cli: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A reference that cannot be computed leaves the other measures, and the other trajectories, as they are."""
-    from topcli.errors import RunError
-    from topcli.runs.references import SharedReferences
-
-    original = SharedReferences.states
-
-    def fails(self: Any, reference: Any, y0: np.ndarray, h: float, n: np.ndarray) -> np.ndarray:
-        if y0[0] == 0.5:
-            raise RunError("the motion cannot be followed")
-        return original(self, reference, y0, h, n)
-
-    monkeypatch.setattr(SharedReferences, "states", fails)
-    (scheme,) = compare_ensemble(ensemble(ONE_FAILS[0], "N=40"), ["hk"], most=1)["schemes"]
-    assert scheme["faults"]["max_error"] == {"count": 1, "trajectory": 1, "reason": "the motion cannot be followed"}
-    said = cli(
-        "compare",
-        "-v",
-        "hk",
-        "--config",
-        "kowalevski_generic_hk",
-        *(w for s in (ONE_FAILS[0], "N=40") for w in ("--set", s)),
-    )
-    assert "warning: hk: max_error: no value for 1 of 3 trajectories; trajectory 1: the motion cannot" in said.err
-    assert "  trajectories with a value" in said.out
+def test_an_ensemble_is_refused(cli: Any) -> None:
+    said = cli("compare", "hk", "--config", "kowalevski_ensemble")
+    assert (said.code, said.out) == (2, "")
+    assert "an ensemble of 1000 trajectories" in said.err
+    assert "`topcli sweep` compares schemes on many states" in said.err

@@ -60,12 +60,10 @@ class _CommandWatch(Watch):
         self._display, self._quiet = ProgressDisplay(1, as_json or quiet, unit=study.unit), quiet
         self._folder, self._plot = folder, plot
 
-    def begin(self, name: str, *experiments: Any, file: Path | None = None, plotted: str = "") -> None:
+    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
         """Print warnings about the experiments and require the folder."""
         for experiment in () if self._quiet else experiments:
             print_warnings(experiment)
-        if self._plot and plotted:
-            raise UsageError(f"--plot draws one trajectory, but {plotted}")
         if self._folder is not None and (self._plot or file is not None):
             require_writable(self._folder)
         self._display.begin(name)

@@ -79,7 +79,9 @@ def load_experiment(
     loaded = _experiment(document, name)
     if not isinstance(loaded, Experiment):
         fault = f"this is an ensemble of {loaded.count} trajectories, but a single trajectory is needed here; "
-        commands = "`topcli run`, `topcli compare` and topcli.simulate_ensemble take ensembles"
+        commands = (
+            "`topcli run` and topcli.simulate_ensemble take ensembles; `topcli sweep` compares schemes on many states"
+        )
         raise ConfigError(document.message(("ensemble",), fault + commands))
     if loaded.precision != DOUBLE and not any_precision:
         commands = "`topcli run`, `topcli compare` and topcli.simulate take another precision"

@@ -148,8 +148,6 @@ def loaded_comparison(comparison: Result) -> Loaded:
     data = comparison.data
     labels = [scheme["label"] for scheme in data["schemes"]]
     source = {"config": data["config"], "schemes": labels}
-    if data.get("kind") == "ensemble":
-        return Loaded((), dict, source)
     if not comparison.arrays:
         raise UsageError("the series are not in this file; topcli compare with --save stores them")
     panels = _panels(labels, data["reference"]["swing"])
@@ -161,10 +159,8 @@ def loaded_comparison(comparison: Result) -> Loaded:
 def comparison_curves(comparison: Result, what: str = "error") -> tuple[Panel, Mapping[str, np.ndarray]]:
     """Panel of the errors over time, or with ``what="swing"`` of the swinging component, and its data.
 
-    Raises UsageError for an ensemble, which has no series, and for any other word.
+    Raises UsageError for any other word.
     """
-    if not comparison.arrays:
-        raise UsageError("plot: the comparison of an ensemble has no series; see its table")
     labels = [scheme["label"] for scheme in comparison.data["schemes"]]
     if what == "error":
         lines = tuple(Line(f"error:{label}", display_name(label)) for label in labels)

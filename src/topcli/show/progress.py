@@ -118,7 +118,7 @@ class Progress(Watch):
     def __enter__(self) -> Progress:
         return self
 
-    def begin(self, name: str, *experiments: Any, file: Path | None = None, plotted: str = "") -> None:
+    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
         """Take the name of what is run."""
         self._name = printable(name)
 

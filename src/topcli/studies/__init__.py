@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 class Watch:
     """Observer of a study while it runs; this one is silent. It is called with (done, total) as the study proceeds."""
 
-    def begin(self, name: str, *experiments: Any, file: Path | None = None, plotted: str = "") -> None:
+    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
         """Note that the ``experiments`` are run from now on, and that the result is stored in ``file``.
 
-        Everything that the user gave is checked before. ``plotted`` says why the result cannot be drawn.
+        Everything that the user gave is checked before.
         """
 
     def message(self, line: str) -> None:

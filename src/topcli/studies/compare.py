@@ -1,4 +1,4 @@
-"""``topcli compare``: compare schemes, options and step sizes on one experiment or ensemble."""
+"""``topcli compare``: compare schemes, options and step sizes on one experiment."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def measure(
     """Compare errors, drifts, reversibility and speed of schemes.
 
     A scheme may have its own step size and options, as in hk:h=0.01 or hybrid:branch=sign. Runs with different steps
-    cover the same time span and are compared at common times. For an ensemble, the tables show the median and quantiles
-    over its trajectories.
+    cover the same time span and are compared at common times. A sweep (topcli sweep) compares schemes on many
+    trajectories.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def measure(
     Raises
     ------
     ConfigError
-        If the config is invalid.
+        If the config is invalid or describes an ensemble.
     UsageError
         If a scheme or an option is unknown, if the runs have no common times because of their step sizes, or if
         ``reference="exact"`` is given for a top without a closed form.
@@ -83,22 +83,18 @@ def measure(
     'log'
     """
     from topcli.config.files import is_config
-    from topcli.config.load import load
-    from topcli.config.models import Experiment
-    from topcli.studies.compare_runs import compare_ensemble, compare_schemes
+    from topcli.config.load import load_experiment
+    from topcli.studies.compare_runs import compare_schemes
     from topcli.studies.entries import scheme_options
 
     if not entries:
         raise UsageError("compare: name at least one scheme, as in topcli.compare('hk', 'hybrid')")
     own, others = scheme_options(overrides)
     options = {**(options or {}), **own}
-    experiment = load(config, others, changes).of_all_steps()
+    experiment = load_experiment(config, others, changes, any_precision=True)
     try:
-        if isinstance(experiment, Experiment):
-            watch.begin(experiment.name, experiment)
-            return compare_schemes(experiment, entries, options, reference)
-        watch.begin(experiment.name, experiment, plotted=f"{experiment.name} is an ensemble of {experiment.count}")
-        return Result(compare_ensemble(experiment, entries, options, watch, reference))
+        watch.begin(experiment.name, experiment)
+        return compare_schemes(experiment, entries, options, reference)
     except UnknownNameError as error:
         for entry in entries:
             if quoted(entry) in str(error) and is_config(entry):
@@ -114,21 +110,15 @@ def _label(scheme: Data) -> str:
     return scheme["label"] + (f" ({', '.join(changed)})" if changed else "")
 
 
-def _is_ensemble(data: Data) -> bool:
-    return data.get("kind") == "ensemble"
-
-
 def _same_step(data: Data) -> bool:
     return len({scheme["h"] for scheme in data["schemes"]}) == 1
 
 
 def _title(data: Data) -> str:
-    """Experiment, top, steps, or the time if the steps differ, and what is given of an ensemble."""
+    """Experiment, top, and steps, or the time if the steps differ."""
     config, first = data["config"], data["schemes"][0]
     steps = f"h = {first['h']:g}, N = {first['N']}" if _same_step(data) else f"t from 0 to {first['N'] * first['h']:g}"
     title = f"{config['name']}: {top_title(config)}, {steps}"
-    if _is_ensemble(data):
-        return f"{title}, {counted(data['trajectories'], 'trajectory')}; medians of those that reached the end"
     return f"{title}, precision {config['precision']}" if "precision" in config else title
 
 
@@ -136,8 +126,7 @@ def _columns(data: Data) -> list[Column]:
     """Figures of each entry: its settings, and what was measured."""
     sizes = (Column("h", "h", "{:g}".format), Column("N", "N"))
     plain = [Column("", name) for name in ("h", "N")] if _same_step(data) else list(sizes)
-    measured = _ensemble_columns if _is_ensemble(data) else _single_columns
-    return [Column("", "label", key="entry"), Column("", "scheme"), *plain, *measured(data)]
+    return [Column("", "label", key="entry"), Column("", "scheme"), *plain, *_measured_columns(data)]
 
 
 def _reversal_label(data: Data) -> str:
@@ -145,7 +134,7 @@ def _reversal_label(data: Data) -> str:
 
 
 def _swing_label(data: Data) -> str:
-    return label("first_swing_spacing", data["swing"] if _is_ensemble(data) else data["reference"]["swing"])
+    return label("first_swing_spacing", data["reference"]["swing"])
 
 
 def _shown(name: str) -> Callable[[float | None], str]:
@@ -168,7 +157,7 @@ def _order(scheme: Data, rational: bool) -> str | None:
     return "exact" if rational and defect == 0.0 else "round-off"
 
 
-def _single_columns(data: Data) -> list[Column]:
+def _measured_columns(data: Data) -> list[Column]:
     schemes = data["schemes"]
     closed = ", of a closed form per state" if any(scheme["closed_form"] for scheme in schemes) else ""
     return [
@@ -223,42 +212,8 @@ def _modified_columns(schemes: Sequence[Data]) -> Iterator[Column]:
             )
 
 
-def _ensemble_columns(data: Data) -> Iterator[Column]:
-    """Outcomes, and quantiles of each measure."""
-    schemes = data["schemes"]
-    yield Column("", "message")
-    yield Column("reached the end", "reached_end")
-    for outcome in dict.fromkeys(name for scheme in schemes for name in scheme["outcomes"] if name != "completed"):
-        yield Column(f"  {outcome.replace('_', ' ')}", lambda row, name=outcome: row["outcomes"].get(name, 0))
-    for name, words in _measure_labels(data).items():
-
-        def of(scheme: Data, key: str, name: str = name) -> Any:
-            return scheme["measures"][name][key] if name in scheme["measures"] else None
-
-        show = _shown(name)
-        for quantile, head in (("median", f"{words}, median"), ("10 %", "  10 %"), ("90 %", "  90 %")):
-            yield Column(head, partial(of, key=quantile), show, f"{name}, {quantile}")
-        counts = [(of(scheme, "count"), scheme["reached_end"]) for scheme in schemes]
-        fewer = any(count is not None and count < reached for count, reached in counts)
-        yield Column("  trajectories with a value" if fewer else "", partial(of, key="count"), key=f"{name}, count")
-    yield Column("ns per step, all threads", "nanoseconds_per_step", "{:.1f}".format)
-
-
-def _measure_labels(data: Data) -> dict[str, str]:
-    """Labels of all measures by name, in the order of the lines."""
-    invariants = {row["name"]: row["symbol"] for scheme in data["schemes"] for row in scheme["invariants"]}
-    labels = {name: label(name) for name in ("max_error", "final_error")}
-    for name, symbol in invariants.items():
-        labels |= {f"{key}.{name}": label(key, symbol) for key in ("max_deviation", "drift")}
-    labels |= {"reversal_defect": _reversal_label(data), "first_swing_spacing": _swing_label(data)}
-    measured = {name for scheme in data["schemes"] for name in scheme["measures"]}
-    return {name: words for name, words in labels.items() if name in measured}
-
-
 def _reference_note(data: Data) -> str:
     reference = data["reference"]
-    if not reference:
-        return ""
     spacing = reference.get("first_swing_spacing")
     own = "" if spacing is None else f" The {_swing_label(data)} in the reference is {spacing:.4f}."
     return f"Errors are norms of the difference of states from the reference, a {reference['method']}.{own}"
@@ -275,22 +230,17 @@ TABLE = Table(
 )
 
 
-def _value(scheme: Data, name: str) -> float | None:
-    """Figure of an entry, or its median over an ensemble."""
-    return scheme["measures"].get(name, {}).get("median") if "measures" in scheme else scheme[name]
-
-
 def _brief_columns(data: Data) -> list[Column]:
     """Errors, reversal and swings, and the outcomes unless all runs completed."""
     labels = {name: label(name) for name in ("max_error", "final_error", "reversal_defect")}
     labels["first_swing_spacing"] = _swing_label(data)
     columns = [Column(" ", _label)]
     if not all(map(_completed, data["schemes"])):
-        columns.append(Column("reached the end", "reached_end") if _is_ensemble(data) else Column("outcome", "outcome"))
+        columns.append(Column("outcome", "outcome"))
     for name, head in labels.items():
-        if any(_value(scheme, name) is not None for scheme in data["schemes"]):
-            columns.append(Column(head, partial(_value, name=name), _shown(name)))
-        if name == "reversal_defect" and not _is_ensemble(data):
+        if any(scheme[name] is not None for scheme in data["schemes"]):
+            columns.append(Column(head, name, _shown(name)))
+        if name == "reversal_defect":
             columns.append(Column("its order in h", _order_of(data)))
     return columns
 
@@ -309,37 +259,27 @@ def _deviation(scheme: Data, i: int) -> str | None:
     return deviation_text(scheme["invariants"][i])
 
 
-def _of_invariants(key: str, of_single: Callable[..., str | None]) -> Callable[[Data], list[Column]]:
-    """Columns for a figure of each invariant that all entries have; of an ensemble medians."""
+def _of_invariants(text: Callable[..., str | None]) -> Callable[[Data], list[Column]]:
+    """Columns for a figure of each invariant of the top."""
 
     def columns(data: Data) -> list[Column]:
-        if _is_ensemble(data):
-            first, *others = data["schemes"]
-            shared = [row for row in first["invariants"] if all(row in other["invariants"] for other in others)]
-            found = [Column(row["symbol"], partial(_value, name=f"{key}.{row['name']}"), number) for row in shared]
-        else:
-            rows = enumerate(data["schemes"][0]["invariants"])
-            found = [Column(row["symbol"], partial(of_single, i=i)) for i, row in rows]
-        return [Column(" ", _label), *found]
+        rows = enumerate(data["schemes"][0]["invariants"])
+        return [Column(" ", _label), *(Column(row["symbol"], partial(text, i=i)) for i, row in rows)]
 
     return columns
-
-
-def _kind(data: Data, single: str) -> str:
-    return "median over the trajectories" if _is_ensemble(data) else single
 
 
 BRIEF = (
     Table("schemes", _brief_columns, title=_title, caption=_reference_note),
     Table(
         "schemes",
-        _of_invariants("max_deviation", _deviation),
-        title=lambda data: f"{label('max_deviation')}, {_kind(data, 'relative to the first value')}",
+        _of_invariants(_deviation),
+        title=lambda data: f"{label('max_deviation')}, relative to the first value",
     ),
     Table(
         "schemes",
-        _of_invariants("drift", _drift),
-        title=lambda data: f"{label('drift')}, {_kind(data, 'with 95 % bounds, or the verdict')}",
+        _of_invariants(_drift),
+        title=lambda data: f"{label('drift')}, with 95 % bounds, or the verdict",
     ),
 )
 """Tables of a terminal without ``--verbose``: a line for each entry."""
@@ -362,8 +302,8 @@ def printed(result: Result, verbose: bool) -> Iterator[Table | str]:
 
 
 def _completed(scheme: Data) -> bool:
-    """True if an entry completed, or all of its trajectories did."""
-    return set(scheme["outcomes"]) == {"completed"} if "outcomes" in scheme else scheme["outcome"] == "completed"
+    """True if an entry completed."""
+    return scheme["outcome"] == "completed"
 
 
 def head(data: Data) -> Head:
@@ -374,17 +314,12 @@ def head(data: Data) -> Head:
 
 
 def notes(data: Data) -> Iterator[str]:
-    """Warnings about few rows, and about trajectories without a value."""
+    """Warning about few rows."""
     if data.get("few_rows"):
         yield (
             f"warning: the errors are compared at {counted(data['rows'], 'time')}, which all step sizes share; "
             "step sizes with a simple ratio, such as 2 or 5, share more"
         )
-    for scheme in data["schemes"]:
-        for name, fault in scheme.get("faults", {}).items():
-            missing = f"no value for {fault['count']} of {data['trajectories']} trajectories"
-            first = f"trajectory {fault['trajectory']}: {fault['reason']}"
-            yield f"warning: {scheme['label']}: {name}: {missing}; {first}"
 
 
 def faults(data: Data) -> Faults:
@@ -393,8 +328,7 @@ def faults(data: Data) -> Faults:
     bad = [scheme for scheme in data["schemes"] if not _completed(scheme)]
     lines = [f"{row['label']}: {row['message']}" for row in bad]
     lines += [f"{row['label']}: {row['reason']}" for row in failed]
-    partly = any("completed" in scheme.get("outcomes", ()) for scheme in data["schemes"])
-    if failed or (bad and partly):
+    if failed:
         return Faults(ExitCode.PARTLY_FAILED, lines)
     return Faults(ExitCode.FAILED if bad else ExitCode.SUCCESS, lines)
 

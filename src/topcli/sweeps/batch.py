@@ -157,7 +157,7 @@ class BatchRecorder:
     """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
 
     Pieces of different runs may be added from different threads, those of a run in the order of time. Errors are
-    distances from ``reference``, one of ``references.METHODS``; by default as ``reference_of`` chooses.
+    distances from the reference that ``reference_of`` chooses.
     """
 
     def __init__(
@@ -165,12 +165,11 @@ class BatchRecorder:
         experiment: Experiment,
         measures: Sequence[Measure],
         initial: Array,
-        reference: str | None = None,
     ) -> None:
         if fault := rows_fault(experiment, measures):
             raise UsageError(fault)
         self.experiment, self.initial = experiment, initial
-        self._reference = reference_of(experiment.top, reference, judged=experiment.scheme)
+        self._reference = reference_of(experiment.top, judged=experiment.scheme)
         top, every = experiment.top, experiment.output.every
         needs = {need for measure in measures for need in measure.needs}
         self._n = np.arange(0, experiment.N + 1, every, dtype=np.int64)

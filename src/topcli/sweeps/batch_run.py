@@ -74,8 +74,6 @@ class BatchRun:
         Number of threads, which does not change the values; all CPUs by default.
     stop : callable, optional
         Called between chunks; once it returns true, the unfinished runs are ``interrupted``.
-    reference : str, optional
-        Reference of the errors, ``"taylor"`` or ``"exact"``; by default the closed form if it is as accurate.
     """
 
     def __init__(
@@ -86,12 +84,11 @@ class BatchRun:
         count: int = 1,
         threads: int | None = None,
         stop: Callable[[], bool] = lambda: False,
-        reference: str | None = None,
     ) -> None:
         self.experiment, self.measures = experiment, tuple(measures)
         self.size = batch_size(experiment, self.measures)
         """Number of runs whose records fit into memory."""
-        self.stop, self._reference = stop, reference
+        self.stop = stop
         self._stop = lambda: self.stop()
         count = min(count, self.size)
         self._recorder: BatchRecorder | None = None
@@ -139,7 +136,7 @@ class BatchRun:
     def finished(self, initial: Array) -> Batch:
         """Run from the states ``initial`` (runs, d) and return what was recorded."""
         self._run.begin(initial)
-        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0, self._reference)
+        self._recorder = BatchRecorder(self.experiment, self.measures, self._run.y0)
         self._initial = None
         before, self._recording = self._run.run_seconds, 0.0
         began = time.perf_counter()
