@@ -31,7 +31,6 @@ def test_double_is_the_default_and_no_part_of_the_identity() -> None:
     assert plain.written is None
     assert plain.resolved() == named.resolved()
     assert not {"precision", "max_digits"} & plain.resolved().keys()
-    assert "digits" not in plain.resolved()["output"]
 
 
 def test_digest_of_a_scene_from_before_the_precision() -> None:
@@ -45,7 +44,6 @@ def test_precision_and_its_keys_enter_the_digest() -> None:
         LAGRANGE,
         LAGRANGE | {"precision": 40},
         LAGRANGE | {"precision": 50},
-        LAGRANGE | {"precision": 50, "output": {"digits": 30}},
         LAGRANGE | {"precision": 50, "h": "0.10000000000000000000001"},
         rational,
         rational | {"max_digits": 77},

@@ -25,9 +25,7 @@ from topcli.engine.precise_numbers import (
     StrayDoubleError,
     arithmetic_of,
     decimal_text,
-    exact_text,
     fraction_from,
-    from_exact_text,
     integer_text,
     meaning,
 )
@@ -155,11 +153,6 @@ def test_decimal_texts_are_rounded_correctly(value: str, digits: int, text: str)
     value = Fraction(str(value))
     assert decimal_text(value, digits) == text
     assert abs(Fraction(text) - value) <= abs(value) * Fraction(1, 2 * 10 ** (digits - 1))
-
-
-def test_exact_texts_read_back() -> None:
-    value = Fraction(-(3**500), 7**400)
-    assert from_exact_text(exact_text(value)) == value
 
 
 def test_numbers_within_a_step_are_bounded() -> None:

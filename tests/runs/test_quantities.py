@@ -145,10 +145,8 @@ def test_rows_after_the_end_of_a_trajectory_do_not_count() -> None:
 
 
 def test_quantities_in_another_precision(tmp_path: Path) -> None:
-    """h = 0.01 and 0.1 are exact: phase is k h - 0.1 = -0.097 at the start, to all digits."""
-    given = with_quantities(precision=40, N=20, output={"digits": 35})
+    given = with_quantities(precision=40, N=20)
     series = read_series(run_experiment(load(given), tmp_path, RunOptions()).stored.series)
-    assert series["phase_decimal"][0].startswith("-9.7" + "0" * 30)
     assert series["phase"] == pytest.approx(expected(series)["phase"], rel=1e-14)
     with pytest.raises(TopcliError, match="'spin' has no rational values"):
         run_experiment(load(given | {"precision": "rational", "name": "r"}), tmp_path, RunOptions())

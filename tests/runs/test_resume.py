@@ -77,8 +77,6 @@ closed form: euler_gamma_hk parquet scheme=exact N=100
 chart: kowalevski_bohlin_a parquet N=100
 attitude: kowalevski_hk csv N=300 output.attitude=quaternion output.every=3
 attitude of a series: kowalevski_hk parquet scheme=taylor N=100 output.attitude=quaternion output.every=3
-digits: euler_hk csv N=24 h=1/10 precision=40 output.digits=20
-rational: euler_hk parquet N=24 h=1/10 precision=rational
 """
 
 

@@ -27,19 +27,19 @@ from json_schema import fits
 from topcli.analysis.conformance import working_states
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load, load_experiment
+from topcli.config.models import Experiment
 from topcli.config.rows import RowReader
 from topcli.config.schema import config_schema
 from topcli.config.sweep import load_sweep
 from topcli.config.text import parse_yaml
 from topcli.contracts import Outcome
 from topcli.engine.loop import interpreted, state_after
+from topcli.engine.run import Run
 from topcli.errors import ConfigError, TopcliError
 from topcli.field.polynomial import field_of
 from topcli.figures.picture import component_symbol
-from topcli.runs.decision import RunOptions
-from topcli.runs.run import run_experiment
+from topcli.runs.precise import precise_run
 from topcli.schemes.registry import all_schemes, names_for, schemes_of
-from topcli.store.series import read_series
 from topcli.sweeps.row_results import Work
 from topcli.tops import TOPS, top_names
 from topcli.tops.custom import EXAMPLE, Custom
@@ -463,15 +463,19 @@ def test_no_section_ends_in_an_internal_error(changes) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["hk", "rk4"])
-def test_roots_of_parameters_in_other_precisions(tmp_path, scheme: str) -> None:
+def test_roots_of_parameters_in_other_precisions(scheme: str) -> None:
     """x' = sqrt(2) x to 38 digits, by a generated step and by one that calls the field; not in rational numbers."""
     top = {"kind": "custom", "components": ["x"], "field": {"x": "sqrt(2)*x"}}
-    whole = config(top=top, initial={"x": 1}, scheme=scheme, N=1, h=0.5, precision=40, output={"digits": 38})
-    series = read_series(run_experiment(load(whole), tmp_path, RunOptions()).stored.series)
+    whole = config(top=top, initial={"x": 1}, scheme=scheme, N=1, h=0.5, precision=40)
+    experiment = load(whole)
+    assert isinstance(experiment, Experiment)
+    run = precise_run(experiment)
+    assert run is not None
+    x = Run(run.top, run.loop, run.y0, run.h, 1).collect().states[1][0]
     with mpmath.workdps(45):
         z = mpmath.sqrt(2) / 2
         expected = (1 + z / 2) / (1 - z / 2) if scheme == "hk" else 1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24
-        assert abs(mpmath.mpf(str(series["x_decimal"][1])) - expected) < mpmath.mpf(10) ** -36
+        assert abs(mpmath.mpf(str(x)) - expected) < mpmath.mpf(10) ** -36
     with pytest.raises(TopcliError, match=r"math.sqrt, which rational numbers do not have"):
         topcli.simulate({**whole, "precision": "rational"})
 

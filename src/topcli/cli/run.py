@@ -173,7 +173,8 @@ def _say_failure(name: str, result: RunResult, code: ExitCode) -> None:
     """Print how a run failed and what is kept of it."""
     failure = "some trajectories failed" if code is ExitCode.PARTLY_FAILED else result.outcome.value
     kept = "all rows" if result.outcome.value == "left_motion" else "the rows before"
-    more = "; --resume continues it" if code is ExitCode.INTERRUPTED and "kind" not in result.report else ""
+    resumable = code is ExitCode.INTERRUPTED and not {"kind", "precision"} & result.report.keys()
+    more = "; --resume continues it" if resumable else ""
     print_message(f"error: {name}: {failure}; {kept} are kept{more}")
 
 

@@ -218,8 +218,18 @@ class Problems:
         raise UnknownNameError(*lines) if self.unknown_names == len(self.messages) else ConfigError(*lines)
 
 
+GONE = {
+    "digits": "the report has the deviations in the precision of the run",
+    "include": "list further rows in zip, or run a second sweep",
+    "store": "`topcli show SWEEP --row NUMBER` prints a row as a config for topcli run",
+}
+"""What to use instead of keys of earlier versions."""
+
+
 def unknown_key(key: str, known: Iterable[str]) -> str:
     """Message about a key that does not exist."""
+    if key in GONE:
+        return f"unknown key; {GONE[key]}"
     names = list(known)
     same = [name for name in names if name.lower() == key.lower()]
     if same:

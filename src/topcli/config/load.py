@@ -256,11 +256,6 @@ def _check(config: Config, top: Top | None, is_ensemble: bool, problems: Problem
             config.max_digits is not None and config.precision != RATIONAL,
             "needs precision: rational; other numbers have a fixed number of digits",
         ),
-        (
-            ("output", "digits"),
-            output.digits is not None and not other,
-            "needs another precision than double, such as precision: 50",
-        ),
         (attitude, names and is_ensemble, "an ensemble records no attitude; run single trajectories with it"),
         (("section",), section and names, "a section records no attitude; leave out output.attitude"),
         (("section",), section and other, "crossings are located in doubles only; leave out precision"),

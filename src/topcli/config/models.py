@@ -24,7 +24,6 @@ from topcli.engine.fingerprint import own_code
 from topcli.engine.precise_numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
 from topcli.errors import quoted
 
-MOST_WRITTEN = 10_000
 MAX_NAME = 100
 MAX_NAME_BYTES = 200
 
@@ -118,14 +117,10 @@ class Output(BaseModel):
         default=None,
         description="also record the attitude of the body: quaternion (q0 to q3) or euler-angles (psi, theta, phi)",
     )
-    digits: Annotated[int, Field(ge=1, le=MOST_WRITTEN), BeforeValidator(as_integer)] | None = Field(
-        default=None,
-        description="if the precision is not double: also write each column as decimal text with this many digits",
-    )
 
     def resolved(self) -> dict[str, Any]:
-        """Return the section as plain data; ``quantities``, ``attitude`` and ``digits`` only if they are given."""
-        optional = ("quantities", "attitude", "digits")
+        """Return the section as plain data; ``quantities`` and ``attitude`` only if they are given."""
+        optional = ("quantities", "attitude")
         return {key: value for key, value in self.model_dump(mode="json").items() if key not in optional or value}
 
     @property

@@ -58,11 +58,6 @@ class SweepFile(BaseModel):
     measure: tuple[str, ...] | None = None
 
 
-GONE = {
-    "include": "unknown key; list further rows in zip, or run a second sweep",
-    "store": "unknown key; `topcli show SWEEP --row NUMBER` prints a row as a config for topcli run",
-}
-"""What to use instead of keys of earlier versions."""
 Assignment = tuple[Any, ...]
 """Values of the varied keys in one row, in the order of ``Sweep.keys``."""
 
@@ -225,9 +220,6 @@ def _sweep(document: Document, default_name: str) -> Sweep:
     if "base" not in data and "top" in data:
         problems.add((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
         problems.raise_any()
-    for key in GONE.keys() & data.keys():
-        problems.add((key,), GONE[key])
-    problems.raise_any()
     validate(SweepFile, data, (), problems)
     name = default_name if data.get("name") is None else data["name"]
     if data.get("name") is None and (fault := name_fault(default_name)):

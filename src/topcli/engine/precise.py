@@ -29,8 +29,6 @@ from topcli.engine.precise_numbers import (
     TooLongError,
     arithmetic_of,
     at_most,
-    exact_text,
-    from_exact_text,
     meaning,
 )
 from topcli.engine.source import Copier, names_in, plain_function
@@ -256,17 +254,6 @@ class PreciseRun:
     loop: PreciseLoop
     h: Any
     y0: NDArray[Any]
-
-    def encoded(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Array of numbers as an array of texts, exact to the last bit."""
-        texts = [exact_text(self.arithmetic.fraction(x)) for x in values.ravel()]
-        return np.array(texts, dtype=np.str_).reshape(values.shape)
-
-    def decoded(self, texts: NDArray[Any]) -> NDArray[Any]:
-        """Array of numbers that ``encoded`` has written."""
-        made = np.empty(texts.size, dtype=np.object_)
-        made[:] = [self.arithmetic.number(from_exact_text(str(text))) for text in texts.ravel()]
-        return made.reshape(texts.shape)
 
 
 def prepared(

@@ -67,17 +67,6 @@ class StrayDoubleError(UsageError):
         super().__init__(f"precision: the double {float(value)!r}, computed somewhere, has no exact meaning")
 
 
-def exact_text(value: Fraction) -> str:
-    """Text from which ``Fraction`` makes the same number, hexadecimal for large ones, whose conversion is fast."""
-    return f"{value.numerator:x}/{value.denominator:x}"
-
-
-def from_exact_text(text: str) -> Fraction:
-    """Number that ``exact_text`` has written."""
-    numerator, denominator = text.split("/")
-    return Fraction(int(numerator, 16), int(denominator, 16))
-
-
 def integer_text(value: int) -> str:
     """Decimal text of an integer of any length; ``str`` refuses those of more than 4300 digits."""
     return format(Decimal(value), "f")

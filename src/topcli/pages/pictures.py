@@ -23,7 +23,7 @@ from topcli.figures.picture import Grid, Line, Panel, column_label, component_sy
 from topcli.figures.style import STYLE
 from topcli.pages.contents import Picture, Pictures
 from topcli.store.envelope import envelope
-from topcli.store.series import DECIMAL, INTEGERS, WORDS, read_series, series_names
+from topcli.store.series import INTEGERS, WORDS, read_series, series_names
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -152,7 +152,7 @@ def series_pictures(path: Path, experiment: Experiment | None, h: float, name: s
 
     Raises RunError if the series is damaged, and UsageError if it has no times.
     """
-    names = [column for column in series_names(path) if column not in WORDS and not column.endswith(DECIMAL)]
+    names = [column for column in series_names(path) if column not in WORDS]
     time = "t" if "t" in names else "n"
     if time not in names:
         raise UsageError("the config records neither t nor n")

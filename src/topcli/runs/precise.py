@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,9 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
 from topcli.engine.precise import PreciseRun, longest, prepared
-from topcli.engine.precise_numbers import RATIONAL, NotRationalError, decimal_text
+from topcli.engine.precise_numbers import RATIONAL, NotRationalError
 from topcli.engine.run import Run
-from topcli.runs.recorder import Recorder, Rows
-from topcli.store.checkpoint import Checkpoint
-from topcli.store.series import DECIMAL, SeriesMark
+from topcli.runs.recorder import Recorder
 
 
 def precise_run(experiment: Experiment) -> PreciseRun | None:
@@ -111,21 +109,6 @@ class PreciseTally:
         steps = np.array(self._growth, dtype=np.int64).reshape(-1, 2)
         return digit_growth(steps[:, 0], steps[:, 1])
 
-    def state(self) -> dict[str, NDArray[Any]]:
-        """All sums, from which ``restore`` continues."""
-        return {
-            **self.tally.state(),
-            "growth": np.array(self._growth, dtype=np.int64).reshape(-1, 2),
-            "unequal": np.array([self._count, *self._unequal.values()], dtype=np.int64),
-        }
-
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Continue from a ``state()``. Raises KeyError or ValueError if it has another form."""
-        self.tally.restore(state)
-        self._growth = [(int(step), int(bits)) for step, bits in state["growth"]]
-        self._count, *unequal = state["unequal"].tolist()
-        self._unequal = dict(zip(self._unequal, unequal, strict=True))
-
     @property
     def left_step(self) -> int | None:
         """First recorded step at which the energy was beyond its limit; None for never."""
@@ -139,17 +122,10 @@ def _double(value: Any) -> float:
 class PreciseRecorder(Recorder):
     """Recorder of a run in another precision: its rows are rounded once, after the invariants have been evaluated."""
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        run: PreciseRun,
-        path: Path,
-        metadata: Mapping[str, str],
-        start: Checkpoint | None = None,
-    ) -> None:
-        self._run, self._digits = run, experiment.output.digits
+    def __init__(self, experiment: Experiment, run: PreciseRun, path: Path, metadata: Mapping[str, str]) -> None:
+        self._run = run
         self.precise = PreciseTally(experiment, run)
-        super().__init__(experiment, path, metadata, start)
+        super().__init__(experiment, path, metadata)
 
     def new_tally(self) -> Any:
         """Tally of the report."""
@@ -159,10 +135,6 @@ class PreciseRecorder(Recorder):
     def growth(self) -> DigitGrowth | None:
         """Growth of the numbers; None unless they are rational."""
         return self.precise.growth
-
-    def all_names(self, names: Sequence[str]) -> list[str]:
-        """Names of the columns of the series: the recorded ones, then those as decimal texts."""
-        return [*names, *(name + DECIMAL for name in names if self._digits and name != "n")]
 
     def evaluated(self, n: NDArray[np.int64], states: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Add rows to the tally; return their columns."""
@@ -176,37 +148,7 @@ class PreciseRecorder(Recorder):
         doubles = {name: np.array([_double(x) for x in at_rows]) for name, at_rows in values.items()}
         top, h = self._experiment.top, self._experiment.h
         self.quantities.add({name: doubles[name] for name in observed})
-        made = columns(top, n, h, states.astype(np.float64), self._names, self._modified, doubles)
-        if self._digits:
-            at = {name: list(states[:, i]) for i, name in enumerate(top.components)}
-            with self._run.arithmetic.active():
-                at |= {"t": [int(step) * self._run.h for step in n], **values}
-            made |= {name + DECIMAL: self._texts(at[name]) for name in self._names if name != "n"}
-        return made
-
-    def _texts(self, values: Sequence[Any]) -> NDArray[Any]:
-        assert self._digits is not None
-        arithmetic, digits = self._run.arithmetic, self._digits
-
-        def text(x: Any) -> str:
-            if x is None or not arithmetic.finite(x):
-                return str(_double(x))
-            return decimal_text(arithmetic.fraction(x), digits)
-
-        return np.array(list(map(text, values)), dtype=np.object_)
-
-    def state(self, flush: bool) -> tuple[dict[str, NDArray[Any]], SeriesMark, Rows]:
-        """All that a checkpoint holds of the rows so far, numbers as texts."""
-        tally, mark, (n, states) = super().state(flush)
-        return tally, mark, (n, self.stored(states))
-
-    def stored(self, numbers: NDArray[Any]) -> NDArray[Any]:
-        """Numbers in the form in which a checkpoint holds them."""
-        return self._run.encoded(numbers)
-
-    def loaded(self, stored: NDArray[Any]) -> NDArray[Any]:
-        """Numbers that ``stored`` has made."""
-        return self._run.decoded(stored)
+        return columns(top, n, h, states.astype(np.float64), self._names, self._modified, doubles)
 
 
 def precise_trajectory(experiment: Experiment, run: PreciseRun) -> Trajectory:

@@ -94,7 +94,7 @@ class Recorder:
         self._search = experiment.search()
         self.crossings = None if self._search is None else 0
         """Crossings of the section so far; None without one."""
-        self.series = SeriesWriter(path, self.all_names(self._names), metadata, start.series if start else None)
+        self.series = SeriesWriter(path, list(self._names), metadata, start.series if start else None)
         if start is not None:
             self.tally.restore(start.tally)
             self.quantities.restore(start.tally)
@@ -102,27 +102,15 @@ class Recorder:
                 self.crossings = int(start.tally["crossings"][0])
                 self._search.last[:] = start.tally["section"]
             if len(start.rows[0]):
-                self._batch.add(start.rows[0], self.loaded(start.rows[1]))
+                self._batch.add(*start.rows)
 
     def new_tally(self) -> InvariantTally:
         """Tally of the report."""
         return InvariantTally(self._invariants, self._experiment.h, self._experiment.top)
 
-    def all_names(self, names: Sequence[str]) -> list[str]:
-        """Names of the columns of the series."""
-        return list(names)
-
-    def stored(self, numbers: NDArray[Any]) -> NDArray[Any]:
-        """Numbers in the form in which a checkpoint holds them."""
-        return numbers
-
-    def loaded(self, stored: NDArray[Any]) -> NDArray[Any]:
-        """Numbers that ``stored`` has made."""
-        return stored
-
     def position(self, start: Checkpoint) -> Position:
         """Position at which the time loop continues."""
-        return Position(start.done, self.loaded(start.work), *start.about["chunks"])
+        return Position(start.done, start.work, *start.about["chunks"])
 
     @property
     def growth(self) -> DigitGrowth | None:
@@ -254,7 +242,7 @@ class Checkpoints:
         chunks = [position.chunk_rows, position.chunk_steps, position.into]
         about = {**self.about, "run_seconds": run.run_seconds, "chunks": chunks}
         self._earlier = self.last
-        self.last = Checkpoint(position.done, recorder.stored(position.work), *recorder.state(flush), about)
+        self.last = Checkpoint(position.done, position.work, *recorder.state(flush), about)
         return self.last
 
     def save(self, run: Run, recorder: Recorder) -> None:

@@ -114,7 +114,7 @@ class Recording:
 
 
 class SingleRecording(Recording):
-    """A run of one trajectory, with a checkpoint every some ``seconds``."""
+    """A run of one trajectory, with a checkpoint every some ``seconds`` if it is computed in doubles."""
 
     experiment: Experiment
 
@@ -159,10 +159,11 @@ class SingleRecording(Recording):
         with recorder:
             for chunk in run:
                 recorder.add(chunk)
-                self.checkpoints.consider(run, recorder)
+                if precise is None:
+                    self.checkpoints.consider(run, recorder)
                 options.on_progress(chunk.done, run.N)
             assert run.ending is not None
-            if run.ending.outcome is Outcome.INTERRUPTED:
+            if run.ending.outcome is Outcome.INTERRUPTED and precise is None:
                 self.checkpoints.save(run, recorder)
             ending = recorder.finish(run.ending)
         writer.sha256[path.name] = recorder.series.sha256
@@ -221,4 +222,4 @@ def _recorder(
         return Recorder(experiment, path, metadata, start)
     from topcli.runs.precise import PreciseRecorder
 
-    return PreciseRecorder(experiment, precise, path, metadata, start)
+    return PreciseRecorder(experiment, precise, path, metadata)

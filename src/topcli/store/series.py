@@ -32,18 +32,12 @@ INTEGERS = ("n", "trajectory", "left_motion")
 """Names of integer columns."""
 WORDS = ("outcome",)
 """Names of text columns."""
-DECIMAL = "_decimal"
-"""Ending of the names of columns that hold numbers as decimal texts."""
-
-
-def _is_text(name: str) -> bool:
-    return name in WORDS or name.endswith(DECIMAL)
 
 
 def _arrow_type(name: str) -> Any:
     import pyarrow as pa
 
-    return pa.int64() if name in INTEGERS else pa.string() if _is_text(name) else pa.float64()
+    return pa.int64() if name in INTEGERS else pa.string() if name in WORDS else pa.float64()
 
 
 def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None) -> Any:
@@ -65,13 +59,13 @@ def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | No
 
 def _kind(name: str) -> type:
     """numpy type of the elements of a column."""
-    return np.int64 if name in INTEGERS else object if _is_text(name) else np.float64
+    return np.int64 if name in INTEGERS else object if name in WORDS else np.float64
 
 
 def _parquet_options(names: Iterable[str]) -> dict[str, Any]:
     names = list(names)
     encodings = {
-        name: "DELTA_BINARY_PACKED" if name in INTEGERS else "PLAIN" if _is_text(name) else "BYTE_STREAM_SPLIT"
+        name: "DELTA_BINARY_PACKED" if name in INTEGERS else "PLAIN" if name in WORDS else "BYTE_STREAM_SPLIT"
         for name in names
     }
     return {
@@ -206,8 +200,7 @@ class SeriesWriter:
         assert self._file is not None
         if flush:
             self._file.sync()
-        # texts of a fixed length, because a checkpoint holds no objects
-        held = {n: c.astype(str) if _is_text(n) else c.copy() for n, c in self._held.all().items()}
+        held = {name: column.copy() for name, column in self._held.all().items()}
         return SeriesMark(self.length, held, self.sha256)
 
     def finish(self, metadata: Mapping[str, str]) -> None:
