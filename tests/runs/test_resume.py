@@ -162,20 +162,6 @@ def test_two_resumes_accumulate_history_seconds_and_start(tmp_path: Path) -> Non
     assert 1000.0 < second.report["seconds"]["run"] < third.report["seconds"]["run"] < 1100.0
 
 
-def test_space_is_reserved_from_the_first_checkpoint_on(tmp_path: Path) -> None:
-    """A quarter of a megabyte from the first checkpoint until the run is complete."""
-    seen = []
-
-    def progress(done: int, total: int) -> None:
-        sizes = [path.stat().st_size for path in tmp_path.glob(".*/reserve")]
-        seen.append((bool(list(tmp_path.glob(".*/checkpoint.npz"))), sizes))
-
-    folder = run_experiment(small(), tmp_path, RunOptions(checkpoint_every=0.0, on_progress=progress)).stored.folder
-    assert any(checkpoint for checkpoint, _ in seen)
-    assert all(sizes == [262144] for checkpoint, sizes in seen if checkpoint)
-    assert not (folder / "reserve").exists()
-
-
 @pytest.mark.parametrize(("cost", "pause"), [(0.05, 10.0), (2.0, None)])
 def test_slow_checkpoints_are_written_less_often(cost: float, pause: float | None, tmp_path: Path) -> None:
     """The next one is due ten seconds after the end of the last, or COST times as long as that one took."""

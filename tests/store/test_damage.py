@@ -398,7 +398,7 @@ def test_foreign_files_in_a_part_are_kept_and_do_no_harm(tmp_path: Path) -> None
 def test_dead_parts_are_swept_of_our_own_files_alone(tmp_path: Path) -> None:
     part = tmp_path / f".{NAME}.part-999999999-00000000"
     part.mkdir()
-    for name in ("series.parquet", "report.json", "reserve", ".checkpoint.7.npz"):
+    for name in ("series.parquet", "report.json", ".checkpoint.7.npz"):
         (part / name).write_text("x")
     (part / "thesis.tex").write_text("years of work")
     remove_remains(tmp_path, NAME)

@@ -298,4 +298,4 @@ def test_an_output_folder_deleted_meanwhile_is_not_said_to_hold_a_checkpoint(tmp
     with pytest.raises(RunError) as caught:
         run_experiment(small(), out, RunOptions(checkpoint_every=0.0, on_progress=progress))
     assert "nothing of this run was stored" in str(caught.value)
-    assert "checkpoint" not in str(caught.value)
+    assert "checkpoint is kept" not in str(caught.value)

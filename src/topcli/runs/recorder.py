@@ -21,7 +21,6 @@ from topcli.contracts import Array, Ending, Method
 from topcli.engine.run import CHUNK_ROWS, Chunk, Position, Run
 from topcli.runs.report import left_motion
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
-from topcli.store.parts import release_reserve, reserve
 from topcli.store.series import SeriesMark, SeriesWriter
 
 if TYPE_CHECKING:
@@ -229,7 +228,6 @@ class Checkpoints:
     def consider(self, run: Run, recorder: Recorder) -> None:
         """Write a checkpoint if it is due; to be called between two chunks. Raises OSError."""
         if self.clock() >= self._due:
-            reserve(self.folder)
             self.save(run, recorder)
         elif recorder.series.length != self._length:
             self._length = recorder.series.length
@@ -257,12 +255,11 @@ class Checkpoints:
         self._due = ended + (max(self.seconds, COST * (ended - began)) if self.seconds else 0.0)
 
     def to_save(self) -> Iterator[Checkpoint]:
-        """Yield states that may still be written if the disk is full, the furthest first, after making room.
+        """Yield states that may still be written if the disk is full, the furthest first.
 
         States before the checkpoint that is on the disk by then are left out: writing one would cut the series off
         too early.
         """
-        release_reserve(self.folder)
         for state in (self.last, self._earlier):
             on_disk = read_checkpoint(self.folder)
             if state is not None and state.done >= (on_disk.done if on_disk else 0):

@@ -31,7 +31,6 @@ from topcli.store.parts import (
     lock_new,
     new_part,
     parts_of,
-    release_reserve,
     remove_own,
     remove_remains,
     take_lock,
@@ -284,7 +283,6 @@ class RunWriter:
                 path.write_text(text, encoding="utf-8")
             except OSError as error:
                 raise named(error, path) from None
-        release_reserve(self.folder)
         kept = {CHECKPOINT} if manifest.get("outcome") == "interrupted" else set()
         files = sorted(name for name in os.listdir(self.folder) if is_result(name) or name in kept)
         complete = sealed_manifest(self.folder, manifest, {name: self.sha256.get(name) for name in files})

@@ -27,12 +27,9 @@ except ImportError:  # not a POSIX system
     fcntl = None
 
 LOCK = "lock"
-RESERVE = "reserve"
-RESERVED = 1 << 18
-"""Bytes that suffice for the reports, a footer and a checkpoint."""
 _PART = re.compile(r"\.(.+)\.part-(\d+)-[0-9a-f]{8}")
 _RESULTS = re.compile(r"(series|trajectories|points)\.(parquet|csv)|report\.(json|md)|config\.yaml|source\.[\w.-]+")
-_OURS = frozenset([MANIFEST, CHECKPOINT, LOCK, RESERVE])
+_OURS = frozenset([MANIFEST, CHECKPOINT, LOCK])
 TEMPORARIES = re.compile(rf"\.manifest\.\d+\.json|\.checkpoint\.\d+\.npz|\.{LOCK}")
 """Names of files that a killed process may leave half-written."""
 
@@ -161,18 +158,6 @@ def _lock(folder: Path, about: Mapping[str, Any] | None, create: bool) -> Lock |
         raise
     os.close(handle)
     return None
-
-
-def reserve(folder: Path) -> None:
-    """Reserve space, once, so that results can be completed when the disk is full. Raises OSError."""
-    path = folder / RESERVE
-    if not path.exists():
-        path.write_bytes(bytes(RESERVED))
-
-
-def release_reserve(folder: Path) -> None:
-    """Free the reserved space."""
-    (folder / RESERVE).unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
