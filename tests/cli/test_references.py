@@ -106,14 +106,10 @@ def test_addresses_of_a_work_are_those_of_its_bibtex() -> None:
         assert all(name in one.text for name in one.addresses)
 
 
-def test_a_work_is_named_by_all_its_authors() -> None:
+def test_a_work_is_named_by_its_words() -> None:
     assert [entry.key for entry in works_in("after Hairer 2000")] == ["hairer2000"]
-    assert [entry.key for entry in works_in("Hairer, Lubich, Wanner, Geometric Numerical Integration")] == [
-        "hairer2006"
-    ]
-    assert works_in("Somebody, Hairer 2000") == []
+    assert [entry.key for entry in works_in("Kimura, Hirota 2000; Kahan 1993")] == ["kimura2000", "kahan1993"]
     assert works_in("Hairer 2001") == []
-    assert works_in("Yoshida, Phys. Lett. A 150 (1991) 262") == []
     assert plain_text(r"{B{\"a}cklund} {\`A} {\o} 1--2") == "Bäcklund À ø 1–2"
 
 

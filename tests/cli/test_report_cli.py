@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from conftest import Said
-from reading_html import read_html, section_of
+from reading_html import read_html
 from resuming import killed
 from stored_results import experiment, store_run, store_sweep
 from topcli.pages.page import all_chapters
@@ -36,21 +36,25 @@ def test_a_run_is_found_by_name_by_folder_and_by_a_file_in_it(cli: Cli, stored: 
 
 
 @pytest.mark.slow
-def test_json_names_the_results_and_what_is_missing(cli: Cli, stored: Path) -> None:
+def test_json_names_the_results(cli: Cli, stored: Path) -> None:
     store_sweep(stored / "elsewhere", "swept")
-    (stored / "results" / "one" / "report.json").unlink()
     said = cli("report", "one", "elsewhere/swept", "--out", "new/page.html", "--json")
     found = said.json()
     assert found["file"] == "new/page.html"
     assert [(one["name"], one["kind"], one["state"]) for one in found["results"]] == [
-        ("one", "run", "damaged"),
+        ("one", "run", "completed"),
         ("swept", "sweep", "finished"),
     ]
-    assert found["results"][0]["missing"][0] == "report.json: missing"
     assert said.err == ""
-    loud = cli("report", "one", "--out", "again.html")
-    assert loud.code == 0
-    assert loud.err.splitlines()[:2] == ["wrote again.html", "warning: one: report.json: missing"]
+
+
+@pytest.mark.slow
+def test_no_page_is_written_on_a_damaged_result(cli: Cli, stored: Path) -> None:
+    (stored / "results" / "one" / "report.json").unlink()
+    said = cli("report", "one", "--out", "page.html")
+    assert said.code == 1
+    assert "report.json: damaged: missing" in said.err
+    assert not (stored / "page.html").exists()
 
 
 @pytest.mark.slow
@@ -72,18 +76,14 @@ def test_a_page_is_written_whole_or_not_at_all(cli: Cli, stored: Path, monkeypat
     assert page.read_text().startswith("<!doctype html>")
 
 
-def test_an_unfinished_run_says_where_it_stopped(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
+def test_no_page_is_written_on_an_unfinished_run(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
     """A killed process leaves a part folder with a checkpoint."""
     part = killed(in_tmp / "results", experiment("long", N=5000), 3)
-    said = cli("report", "long", "--out", "page.html")
-    assert said.code == 0
-    page = read_html((in_tmp / "page.html").read_text())
-    assert page.with_class("outcome")[0].text == "unfinished"
-    (box,) = page.with_class("missing")
-    assert "of 5000, the last checkpoint; topcli run with --resume continues from there" in box.text
-    assert "name: long" in section_of(page, "Resolved config").text
-    assert cli("report", str(part), "--out", "part.html").code == 0
-    assert "unfinished" in (in_tmp / "part.html").read_text()
+    for place in ("long", str(part)):
+        said = cli("report", place, "--out", "page.html")
+        assert said.code == 2
+        assert "unfinished" in said.err
+    assert not (in_tmp / "page.html").exists()
 
 
 @pytest.mark.slow

@@ -32,21 +32,19 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A page on results of every kind, one of them damaged."""
+    """A page on results of every kind."""
     out = tmp_path_factory.mktemp("results")
     places = [store_run(out, "one"), store_run(out, "other", "hybrid"), store_ensemble(out), store_sweep(out)]
     places += [store_comparison(out / "compared.json"), store_order(out / "order.json"), store_stress(out / "s.json")]
-    damaged = store_run(out, "damaged", "rk4")
-    (damaged / "series.parquet").write_bytes(b"")
     path = out / "page.html"
-    path.write_text(report_page([str(place) for place in [*places, damaged]]).text, encoding="utf-8")
+    path.write_text(report_page([str(place) for place in places]).text, encoding="utf-8")
     return path
 
 
 @pytest.fixture(scope="module")
 def extreme(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of long names and wide tables."""
-    chapter = Chapter(LONG, "run", LONG, LONG, False, LONG, [LONG])
+    chapter = Chapter(LONG, "run", LONG, LONG, False, LONG)
     cells = [["1.234567890e-12"] * 40] * 3
     chapter.blocks += [
         Facts(LONG, [(LONG, LONG), ("h", "0.1")]),

@@ -1,4 +1,4 @@
-"""The page of ``topcli report``: what it shows equals what is stored, and what it cannot show it names."""
+"""The page of ``topcli report``: what it shows equals what is stored; damaged and unfinished results are refused."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from stored_results import (
     store_sweep,
 )
 from topcli.config.load import load_experiment
-from topcli.errors import UsageError
+from topcli.errors import RunError, TopcliError, UsageError
 from topcli.figures.picture import Panel
 from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures, Text
 from topcli.pages.page import all_chapters, page_of, rendered, report_page
@@ -36,9 +36,8 @@ from topcli.pages.pictures import before_explosion, deviations
 from topcli.runs.decision import RunOptions
 from topcli.runs.report import ENSEMBLE, INVARIANTS
 from topcli.runs.run import run_experiment
-from topcli.store.files import write_study
+from topcli.store.files import SEAL, write_study
 from topcli.store.series import read_series
-from topcli.studies.citations import bibliography
 
 HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
 
@@ -93,7 +92,6 @@ def test_a_run_shows_its_setup_and_its_report(results: Path) -> None:
     assert (facts["step size h"], facts["steps N"], facts["time N h"]) == ("0.01", "400", "4")
     assert float(facts["initial gamma"].split(", ")[0]) == pytest.approx(np.sqrt(1.0 - 0.01), abs=1e-15)
     assert page.with_class("outcome")[0].text == "completed"
-    assert not page.with_class("missing")
 
 
 @pytest.mark.slow
@@ -110,19 +108,16 @@ def test_config_provenance_and_citation_are_those_of_the_manifest(results: Path)
     assert (shown_time, zone) == (f"{started:%Y-%m-%d %H:%M:%S}", started.tzname())
     assert re.fullmatch(r"Compiling or loading the code took \S+ s, and the run \S+ s", facts["seconds"])
     files = {row[0]: row[1:] for row in section_of(page, "Files").all("table")[0].cells()[1:]}
-    assert files == {n: [str(f["size"]), f["sha256"], "intact"] for n, f in manifest["files"].items()}
+    assert files == {n: [str(f["size"]), f["sha256"]] for n, f in manifest["files"].items()}
     cited = " ".join(texts(section_of(page, "Citation")))
     assert f"version {manifest['environment']['topcli']}" in cited
     assert "Kowalevski 1889" in cited
     assert "Hirota, Kimura 2000" in cited
-    works = texts(section_of(page, "Works cited"))
-    assert works == [bibliography()[key].text for key in ("kowalevski1889", "kahan1993", "hirota2000", "kimura2000")]
 
 
 def cited(results: Path, place: str) -> list[str]:
     """Tops and schemes whose sources the page of a result gives, without the program and the paper."""
     page = shown(results, place)
-    assert not page.with_class("missing")
     return [text.partition(":")[0] for text in texts(section_of(page, "Citation"))[2:]]
 
 
@@ -154,7 +149,9 @@ def test_every_scheme_and_top_that_took_part_is_cited(results: Path, tmp_path: P
 @pytest.mark.slow
 def test_a_scheme_that_is_not_here_is_named_without_a_source(copied: Path) -> None:
     path = copied / "compared.json"
-    path.write_text(path.read_text().replace('"scheme": "hybrid"', '"scheme": "elsewhere"'))
+    data = json.loads(path.read_text().replace('"scheme": "hybrid"', '"scheme": "elsewhere"'))
+    del data[SEAL]
+    path.write_text(json.dumps(data))
     assert "elsewhere: source unknown" in texts(section_of(shown(copied, "compared.json"), "Citation"))
 
 
@@ -192,7 +189,6 @@ def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None
     parts = [one for one in page.all("section") if one.attributes.get("id", "").startswith("part")]
     many, sweep, compared, _, stress = parts
     assert [len(one.all("svg")) for one in parts] == [1, 2, 2, 1, 0]
-    assert not page.with_class("missing")
     quantiles = ENSEMBLE.cells(json.loads((results / "many" / "report.json").read_text()))
     assert many.all("table")[0].cells() == [list(quantiles.header), *map(list, quantiles.lines)]
     cells = section_of(sweep, "Rows").all("table")[0].cells()
@@ -218,7 +214,7 @@ def test_runs_of_one_top_are_compared_and_others_are_not(results: Path) -> None:
 
 
 def _all_blocks(text: str) -> Chapter:
-    chapter = Chapter(text, "run", text, text, True, text, [text])
+    chapter = Chapter(text, "run", text, text, True, text)
     chapter.blocks += [
         Facts(text, [(text, text)]),
         Cells(text, [text, text], [[text, text]], text, marks={text: "good"}),
@@ -242,17 +238,10 @@ def test_everything_is_escaped() -> None:
 
 
 @pytest.mark.slow
-def test_control_characters_and_half_pairs_are_shown_as_escapes(results: Path, copied: Path) -> None:
+def test_control_characters_and_half_pairs_are_shown_as_escapes() -> None:
     text = rendered([_all_blocks("a\x00\x1b[31m\u202eb\ud800")], "t", lambda picture: "<svg></svg>")
     assert "a\\x00\\x1b[31m\\u202eb\\ud800" in text
     text.encode("utf-8")
-    path = copied / "one" / "report.json"
-    report = json.loads(path.read_text())
-    report["invariants"][0]["reason"] = HOSTILE + "\u202e\ud800"
-    path.write_text(json.dumps(report))
-    page = shown(copied, "one")
-    assert not page.all("script")
-    assert any(HOSTILE + "\\u202e\\ud800" in line for line in texts(section_of(page, "Reasons of the verdicts")))
 
 
 @pytest.mark.slow
@@ -291,37 +280,32 @@ def _drop(name: str) -> Callable[[Path], None]:
     return lambda folder: (folder / name).unlink()
 
 
+def _flip_report(folder: Path) -> None:
+    _flip(folder / "report.json")
+
+
 def _tamper(folder: Path) -> None:
     path = folder / "manifest.json"
     path.write_text(path.read_text().replace('"outcome": "completed"', '"outcome": "blew_up"'))
 
 
-LAWS, PICTURES = "Conservation laws", "Pictures"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("spoil", "missing", "left"),
+    ("spoil", "message"),
     [
-        (_damage_series, ["series.parquet: 104 bytes, not", "pictures: ", "cannot be read"], [LAWS, "Files"]),
-        (_drop("series.parquet"), ["series.parquet: missing", "pictures: "], [LAWS, "Citation"]),
-        (_drop("report.json"), ["report.json: missing", "invariants: report.json: No such"], ["Setup", PICTURES]),
-        (_drop("manifest.json"), ["manifest.json: missing; the run is not", "provenance: "], [LAWS, "Config"]),
-        (_damage_manifest, ["manifest.json: not JSON", "provenance: "], [LAWS, "Config", PICTURES]),
-        (_tamper, ["manifest.json: its SHA-256 differs"], [LAWS, "Provenance", PICTURES]),
+        (_damage_series, "series.parquet: damaged: 104 bytes, not"),
+        (_drop("series.parquet"), "series.parquet: damaged: missing"),
+        (_drop("report.json"), "report.json: damaged: missing"),
+        (_drop("manifest.json"), "no run is stored here (manifest.json is missing)"),
+        (_damage_manifest, "manifest.json: not JSON"),
+        (_tamper, "manifest.json: damaged: its SHA-256 differs"),
+        (_flip_report, "report.json: damaged: its SHA-256 differs"),
     ],
 )
-def test_a_damaged_run_says_what_is_missing_and_shows_the_rest(
-    copied: Path, spoil, missing: list[str], left: list[str]
-) -> None:
+def test_a_damaged_run_is_refused(copied: Path, spoil: Callable[[Path], None], message: str) -> None:
     spoil(copied / "one")
-    page = shown(copied, "one")
-    assert page.with_class("outcome")[0].text == "damaged"
-    (box,) = page.with_class("missing")
-    for part in missing:
-        assert any(part in line for line in texts(box)), (part, texts(box))
-    headings = [one.text for one in page.all("h3")]
-    assert set(left) <= set(headings)
+    with pytest.raises(TopcliError, match=re.escape(message)):
+        shown(copied, "one", "other")
 
 
 def marked(outcome: Element) -> str:
@@ -342,25 +326,6 @@ def _flip(path: Path) -> None:
     path.write_bytes(content)
 
 
-def _better(path: Path) -> None:
-    """Make the report of a run a better one, of the same size."""
-    path.write_text(path.read_text().replace("exact", "EXACT").replace("no drift seen", "NO DRIFT SEEN"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("file", "damage"),
-    [("series.parquet", _flip), ("report.json", _better), ("config.yaml", _flip), ("series.parquet", Path.unlink)],
-)
-def test_a_damaged_run_is_damaged_everywhere_on_a_page_of_several(
-    copied: Path, file: str, damage: Callable[[Path], object]
-) -> None:
-    damage(copied / "other" / file)
-    states, compared = outcomes(shown(copied, "one", "other"))
-    assert compared == ["completed", "damaged"]
-    assert states == ["2 runs bad", "completed good", "damaged bad"] * 2
-
-
 @pytest.mark.slow
 def test_an_interrupted_run_and_one_that_blew_up_keep_their_outcomes(copied: Path) -> None:
     run_experiment(experiment("stopped"), copied, RunOptions(stop=after(0)))
@@ -369,52 +334,37 @@ def test_an_interrupted_run_and_one_that_blew_up_keep_their_outcomes(copied: Pat
     outcome = json.loads((copied / "wild" / "report.json").read_text())["outcome"]
     assert outcome not in ("completed", "interrupted")
     outcome = {"left_motion": "left its energy surface"}.get(outcome, outcome.replace("_", " "))
-    step = json.loads((copied / "stopped" / "manifest.json").read_text())["step"]
-    (box,) = shown(copied, "stopped").with_class("missing")
-    assert f"rows after step {step} of 400: the run was interrupted; topcli run with --resume" in box.text
     assert compared == ["completed", "interrupted", outcome]
     assert states[4:] == ["3 runs bad", "completed good", "interrupted bad", f"{outcome} bad"]
     assert outcomes(shown(copied, "one", "other"))[0] == ["2 runs good", "completed good", "completed good"] * 2
 
 
 @pytest.mark.slow
-def test_a_damaged_sweep_and_a_failed_comparison_are_not_good(copied: Path) -> None:
+def test_a_damaged_sweep_is_refused_and_a_failed_comparison_is_not_good(copied: Path) -> None:
     assert marked(shown(copied, "sweep").with_class("outcome")[0]) == "finished good"
     _flip(copied / "sweep" / "rows.parquet")
-    assert marked(shown(copied, "sweep").with_class("outcome")[0]) == "damaged bad"
+    with pytest.raises(RunError, match=r"rows.parquet: damaged: .*; topcli sweep writes it again"):
+        shown(copied, "sweep")
+    (copied / "sweep" / "manifest.json").unlink()
+    with pytest.raises(UsageError, match="the sweep is not finished; topcli sweep continues it"):
+        shown(copied, "sweep")
     path = copied / "compared.json"
     data = json.loads(path.read_text())
+    data.pop(SEAL, None)
     data["schemes"][1]["outcome"] = "blew_up"
     path.write_text(json.dumps(data))
     assert marked(shown(copied, "compared.json").with_class("outcome")[0]).endswith("bad")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("key", ["invariants", "counters", "top_title", "seconds"])
-def test_any_content_of_a_report_gives_a_page(copied: Path, key: str) -> None:
-    path = copied / "one" / "report.json"
-    report = json.loads(path.read_text())
-    for value in (None, [], 3, "x", {"a": {}}, [[1]], [{"symbol": None}]):
-        path.write_text(json.dumps({**report, key: value}))
-        page = shown(copied, "one", "other")
-        assert page.with_class("missing"), "the checksum no longer agrees"
-        assert "Pictures" in [one.text for one in page.all("h3")]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["compared.json", "order.json", "stress.json"])
-def test_studies_of_another_form_say_what_is_missing(copied: Path, name: str) -> None:
+def test_studies_of_another_form_are_refused(copied: Path, name: str) -> None:
     whole = json.loads((copied / name).read_text())
-    for key in whole:
-        for value in (None, [], {}, "x"):
-            (copied / name).write_text(json.dumps({**whole, key: value}))
-            if (key, name) == ("command", "compared.json"):
-                with pytest.raises(UsageError, match=r"compared.json: not a result"):
-                    shown(copied, name)
-                continue
-            page = shown(copied, name)
-            if value is None and key in ("schemes", "trials", "cases", "reference"):
-                assert page.with_class("missing"), key
+    whole.pop(SEAL, None)
+    for key in {"schemes", "trials", "cases", "command"} & whole.keys():
+        (copied / name).write_text(json.dumps({**whole, key: None}))
+        with pytest.raises(UsageError, match=rf"{name}: not (a result|of the form)"):
+            shown(copied, name)
 
 
 def test_claims_are_listed_with_figure_bound_and_verdict(tmp_path: Path) -> None:
@@ -423,7 +373,7 @@ def test_claims_are_listed_with_figure_bound_and_verdict(tmp_path: Path) -> None
     one = dict(zip(keys, ("hk.k_sq", "k² < kept", "holds", 1.25e-7, "≤ 1e-06", "(3.2)"), strict=True))
     other = {**one, "id": "fig2", "verdict": "does not hold as stated", "figure": None, "bound_text": "≤ 2"}
     path = tmp_path / "claims.json"
-    path.write_text(json.dumps({"claims": [one, other, one], "verdicts": {}}))
+    path.write_text(json.dumps({"claims": [one, other, one], "verdicts": {}, "controls": {}}))
     page = shown(tmp_path, "claims.json")
     cells = page.all("table")[0].cells()
     assert cells[0] == header
@@ -431,44 +381,29 @@ def test_claims_are_listed_with_figure_bound_and_verdict(tmp_path: Path) -> None
     assert cells[2] == ["fig2", "k² < kept", "does not hold as stated", "–", "≤ 2", "(3.2)"]
     assert "3 claims of the paper: 2 hold, 1 does not hold as stated" in page.text
     path.write_text(json.dumps({"claims": [{"id": "x"}]}))
-    missing = [part.text for part in shown(tmp_path, "claims.json").with_class("missing")]
-    assert any("claims: not of the form" in text for text in missing)
+    with pytest.raises(UsageError, match="not of the form"):
+        shown(tmp_path, "claims.json")
 
 
 @pytest.mark.slow
-def test_a_comparison_without_series_says_so(copied: Path) -> None:
+def test_a_comparison_without_series_has_no_pictures(copied: Path) -> None:
     path = copied / "compared.json"
     figures = json.loads(path.read_text())
     del figures["series"]
+    figures.pop(SEAL, None)
     path.write_text(json.dumps(figures))
-    (box,) = shown(copied, "compared.json").with_class("missing")
-    assert "--save" in box.text
-
-
-@pytest.mark.slow
-def test_an_unfinished_sweep_says_which_rows_are_missing(copied: Path) -> None:
-    (copied / "sweep" / "manifest.json").unlink()
-    path = copied / "sweep" / "sweep.yaml"
-    path.write_text(path.read_text().replace("0.01]", "0.01, 0.005]"))
-    page = shown(copied, "sweep")
-    (box,) = page.with_class("missing")
-    assert "2 of 8 rows, which have not run yet" in box.text
-    assert "topcli sweep continues it" in box.text
-    assert page.with_class("outcome")[0].text == "unfinished"
+    assert not shown(copied, "compared.json").all("figure")
 
 
 @pytest.mark.slow
 def test_recorded_columns_limit_the_pictures(tmp_path: Path) -> None:
-    def about(name: str, columns: list[str]) -> tuple[list[str], list[str]]:
+    def about(name: str, columns: list[str]) -> list[str]:
         store_run(tmp_path, name, output={"columns": columns})
-        page = shown(tmp_path, name)
-        return [one.text for one in page.all("figcaption")], [
-            one.text for one in page.all("li") if "pictures" in one.text
-        ]
+        return [one.text for one in shown(tmp_path, name).all("figcaption")]
 
-    assert about("n", ["n", "gamma1"]) == (["vertical γ in the body over time"], [])
-    assert about("integral", ["t", "energy"]) == (["absolute deviations from the first values over time"], [])
-    assert about("no_times", ["gamma1"]) == ([], ["pictures: the config records neither t nor n"])
+    assert about("n", ["n", "gamma1"]) == ["vertical γ in the body over time"]
+    assert about("integral", ["t", "energy"]) == ["absolute deviations from the first values over time"]
+    assert about("no_times", ["gamma1"]) == []
 
 
 @pytest.mark.slow
@@ -529,9 +464,8 @@ def test_a_page_shows_nothing_through_a_link(tmp_path: Path, name: str) -> None:
     secret = tmp_path / "secret"
     (folder / name).rename(secret)
     (folder / name).symlink_to(secret)
-    (chapter,) = all_chapters([str(folder)], tmp_path)
-    assert (chapter.state, chapter.good, chapter.blocks) == ("damaged", False, [])
-    assert chapter.missing == [f"{name}: is not a regular file; nothing of this folder is shown"]
+    with pytest.raises(UsageError, match=f"{name}: is not a regular file"):
+        all_chapters([str(folder)], tmp_path)
 
 
 def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
@@ -547,6 +481,5 @@ def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Pa
     path.write_bytes(whole.replace(b"0.375", b"3.75E-1"))  # the same number
     assert check_all(str(path), tmp_path)[0].files[0].reason == "its text has changed since it was written"
     path.write_bytes(whole.replace(b"0.375", b"0.625"))
-    (chapter,) = all_chapters([str(path)], tmp_path)
-    assert (chapter.state, chapter.good) == ("damaged", False)
-    assert chapter.missing[-1] == "comparison.json: its SHA-256 differs from the one stored in it"
+    with pytest.raises(RunError, match=r"comparison.json: damaged: its SHA-256 differs from the one stored in it"):
+        all_chapters([str(path)], tmp_path)

@@ -276,7 +276,7 @@ def report(
     """Write a self-contained HTML page about stored results.
 
     Results are runs, ensembles, sweeps, benchmarks, and JSON files that studies write with --save. Runs of the same top
-    are compared in a table. If a result is unfinished or damaged, the page lists what is missing.
+    are compared in a table. Unfinished and damaged results are refused.
     """
     from topcli.errors import UsageError
     from topcli.pages.page import report_page
@@ -287,15 +287,12 @@ def report(
     page = report_page(places, results, title)
     write_text(page.text, out)
     if as_json:
-        keys = {"name": "title", "kind": "kind", "state": "state", "missing": "missing"}
+        keys = {"name": "title", "kind": "kind", "state": "state"}
         results_data = [{key: getattr(chapter, name) for key, name in keys.items()} for chapter in page.chapters]
         print_json("report", {"file": str(out), "results": results_data})
     if as_json or quiet:
         return
     print_message(f"wrote {out}")
-    for chapter in page.chapters:
-        for line in chapter.missing:
-            print_message(f"warning: {chapter.title}: {line}")
 
 
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Folder or name of a run.", autocompletion=complete_result)]

@@ -144,12 +144,12 @@ def _data(comparison: Result) -> dict[str, np.ndarray]:
 
 
 def loaded_comparison(comparison: Result) -> Loaded:
-    """The figure of ``topcli compare``. Raises UsageError for a stored result without its series."""
+    """The figure of ``topcli compare``; without panels for a stored result without its series."""
     data = comparison.data
     labels = [scheme["label"] for scheme in data["schemes"]]
     source = {"config": data["config"], "schemes": labels}
-    if not comparison.arrays:
-        raise UsageError("the series are not in this file; topcli compare with --save stores them")
+    if not comparison.arrays:  # of a file that --json wrote
+        return Loaded((), dict, source)
     panels = _panels(labels, data["reference"]["swing"])
     return Loaded(
         panels, lambda: _data(comparison), source, _layout(labels, plain(data["config"]["name"]), data["config"]["h"])

@@ -1,6 +1,6 @@
 """Content of a page: chapters of facts, tables, pictures and texts, which the template escapes.
 
-The blocks on the origin of a result, its config, files and works, are common to all chapters.
+The blocks on the origin of a result, its config and files, are common to all chapters.
 """
 
 from __future__ import annotations
@@ -18,20 +18,12 @@ from topcli.errors import TopcliError, UsageError, capitalized, shortened
 from topcli.runs.report import seconds_note
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.citations import OWN, works_in
 from topcli.table import DASH, Cells, number
 from topcli.tops import CATALOGUE, TOPS
 
 if TYPE_CHECKING:
     from topcli.contracts import Array
     from topcli.figures.picture import Drawable
-    from topcli.store.manifest import StoredRun
-
-
-REASON_LENGTH = 160
-"""Longest reason for missing content that a page repeats."""
-DAMAGED, UNFINISHED = "damaged", "unfinished"
-"""States of results that are not complete."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +77,8 @@ Block = Facts | Cells | Pictures | Text | Notes
 class Chapter:
     """One result on the page.
 
-    ``state`` is its outcome in a word, which is ``good`` or not; ``missing`` lists what could not be shown, and why.
-    ``blocks`` are shown, ``details`` folded below them. ``data`` is what comparisons with other results need.
+    ``state`` is its outcome in a word, which is ``good`` or not. ``blocks`` are shown, ``details`` folded below them.
+    ``data`` is what comparisons with other results need.
     """
 
     title: str
@@ -95,60 +87,24 @@ class Chapter:
     state: str = ""
     good: bool = True
     message: str = ""
-    missing: list[str] = field(default_factory=list)
     blocks: list[Block] = field(default_factory=list)
     details: list[Block] = field(default_factory=list)
     data: dict[str, Any] = field(default_factory=dict)
 
-    def attempt(self, what: str, make: Callable[..., Block | None], *arguments: Any, folded: bool = False) -> None:
-        """Add the block that ``make`` returns, or note that ``what`` is missing; files may hold anything.
-
-        None, and a block without content, are left out.
-        """
-        try:
-            block = make(*arguments)
-        except MALFORMED as error:
-            self.missing.append(f"{what}: {reason_of(error)}")
-        else:
+    def add(self, *blocks: Block | None, folded: bool = False) -> None:
+        """Add blocks; None, and those without content, are left out."""
+        for block in blocks:
             if block is not None and (block.pictures if isinstance(block, Pictures) else block.lines):
                 (self.details if folded else self.blocks).append(block)
 
     def drawn(self, draw: Callable[[Picture], str]) -> dict[str, str]:
-        """Draw all pictures, and return them by name; those that cannot be drawn are noted as missing."""
-        made: dict[str, str] = {}
-        for block in [block for block in self.blocks if isinstance(block, Pictures)]:
-            try:
-                made |= {picture.name: draw(picture) for picture in block.pictures}
-            except MALFORMED as error:
-                self.blocks.remove(block)
-                self.missing.append(f"pictures: {reason_of(error)}")
-        return made
-
-    def damaged(self, reasons: Sequence[str]) -> None:
-        """Say that the result is damaged, and why; nothing is said without a reason."""
-        if reasons:
-            self.state, self.good = DAMAGED, False
-            self.missing += reasons
-
-    def check(self, stored: StoredRun) -> Mapping[str, str]:
-        """Compare a result with its checksums, and return its damaged files."""
-        damage = stored.damage()
-        self.damaged([f"{file}: {why}" for file, why in damage.items()])
-        return damage
+        """Draw all pictures, and return them by name."""
+        blocks = [block for block in self.blocks if isinstance(block, Pictures)]
+        return {picture.name: draw(picture) for block in blocks for picture in block.pictures}
 
 
-MALFORMED = (TopcliError, OSError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
-"""Errors of code that reads content of another form than topcli writes."""
-
-
-def reason_of(error: Exception) -> str:
-    """Reason for missing content, in one short line."""
-    first = (str(error).splitlines() or [""])[0]
-    if not (isinstance(error, TopcliError | OSError) and first):
-        first = f"not of the form that topcli writes ({type(error).__name__}: {first})"
-    return shortened(first, REASON_LENGTH)
-
-
+MALFORMED = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
+"""Errors of code that reads content of another form than this topcli writes."""
 LONGEST_TEXT = 400
 """Lines of a config that a page shows; an ensemble may list thousands of states."""
 LONGEST_LINE = 2000
@@ -178,7 +134,7 @@ def text_block(title: str, text: str) -> Text:
 
 
 def file_block(title: str, path: Path) -> Text:
-    """A text file. Raises OSError."""
+    """A text file."""
     return text_block(title, path.read_text(encoding="utf-8"))
 
 
@@ -221,21 +177,20 @@ def provenance_block(manifest: Mapping[str, Any]) -> Facts:
     return Facts("Provenance", [(name, value_text(value)) for name, value in facts.items() if value is not None])
 
 
-def files_block(folder: Path, files: Mapping[str, Any], damage: Mapping[str, str]) -> Cells:
+def files_block(folder: Path, files: Mapping[str, Any]) -> Cells:
     """Files of a folder with the sizes and checksums of the manifest."""
     lines = []
     for name, entry in files.items():
         size, digest = (entry["size"], entry["sha256"]) if isinstance(entry, Mapping) else (entry, DASH)
-        lines.append([name, str(size), str(digest), damage.get(name, "intact")])
-    header, broken = ["file", "bytes", "SHA-256", "state"], dict.fromkeys(damage.values(), "bad")
-    return Cells("Files", header, lines, f"In {folder}", numbers=False, marks=broken)
+        lines.append([name, str(size), str(digest)])
+    return Cells("Files", ["file", "bytes", "SHA-256"], lines, f"In {folder}", numbers=False)
 
 
 def experiment_of(config: Mapping[str, Any]) -> Experiment | None:
     """Experiment of a resolved config, or the first of an ensemble; None if this topcli does not know its parts."""
     try:
         loaded = load(config)
-    except MALFORMED:
+    except (TopcliError, *MALFORMED):
         return None
     return loaded if isinstance(loaded, Experiment) else loaded.first
 
@@ -270,29 +225,11 @@ def citation_block(sources: Sequence[str], version: object) -> Notes:
     return Notes("Citation", [own, PAPER, *sources])
 
 
-def works_block(sources: Sequence[str]) -> Notes:
-    """Works that ``sources`` name, in full."""
-    works = {work.key: work.text for source in sources for work in works_in(source) if work.key not in OWN}
-    return Notes("Works cited", list(works.values()))
-
-
-def add_origin(chapter: Chapter, manifest: Mapping[str, Any], parts: Callable[[], Parts] | Parts = ()) -> None:
+def add_origin(chapter: Chapter, manifest: Mapping[str, Any], parts: Parts = ()) -> None:
     """Add config, provenance and citation of a result, from its ``manifest`` or from the data of a study."""
-    if isinstance(config := manifest.get("config"), Mapping) and config:
-        chapter.attempt("config", config_block, config, folded=True)
+    if config := manifest.get("config"):
+        chapter.add(config_block(config), folded=True)
     if manifest.keys() - {"config"}:
-        chapter.attempt("provenance", provenance_block, manifest, folded=True)
-    environment = manifest.get("environment")
-    version = environment.get("topcli") if isinstance(environment, Mapping) else None
-    sources: list[str] = []
-    try:
-        sources = sources_of(parts() if callable(parts) else parts)
-    except MALFORMED as error:
-        chapter.missing.append(f"citation: {reason_of(error)}")
-    chapter.attempt("citation", citation_block, sources, version)
-    chapter.attempt("works cited", works_block, sources, folded=True)
-
-
-def add_files(chapter: Chapter, folder: Path, manifest: Mapping[str, Any], damage: Mapping[str, str]) -> None:
-    """Add the list of the files in ``folder``."""
-    chapter.attempt("files", lambda: files_block(folder, manifest["files"], damage), folded=True)
+        chapter.add(provenance_block(manifest), folded=True)
+    version = (manifest.get("environment") or {}).get("topcli")
+    chapter.add(citation_block(sources_of(parts), version))

@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from topcli import __version__
-from topcli.errors import UsageError, counted, printable
-from topcli.pages.contents import Chapter, Picture, local_time
+from topcli.errors import RunError, UsageError, counted, printable
+from topcli.pages.contents import MALFORMED, Chapter, Picture, local_time
 from topcli.pages.pictures import svg_of
-from topcli.pages.results import comparisons, damaged_chapter, part_chapter, run_chapter, sweep_chapter
+from topcli.pages.results import comparisons, run_chapter, sweep_chapter
 from topcli.pages.studies import bench_chapter, study_chapter
 from topcli.store.files import SEAL, DamagedError, check_study, read_json
-from topcli.store.manifest import MANIFEST, DamagedRun, StoredRun, read_run
-from topcli.store.parts import is_part, linked_file, parts_of
+from topcli.store.manifest import MANIFEST
+from topcli.store.parts import linked_file, parts_of
 from topcli.store.provenance import now
-from topcli.studies import STUDIES
+from topcli.store.verify import intact_run, intact_sweep
 from topcli.studies.study import stored_result, study_file, study_of
 from topcli.sweeps.rows import ROWS_FILE
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
@@ -107,14 +107,12 @@ def page_of(chapters: Sequence[Chapter], title: str | None = None, draw: Callabl
     return Page(whole, rendered(whole, title or named, draw))
 
 
-STUDY_FILES = tuple(f"{name}.json" for name in STUDIES)
-"""Files of studies, found in a folder of their own."""
 _RUN_FILES = ("report.json", "config.yaml", "series.parquet", "series.csv", "trajectories.parquet", "trajectories.csv")
 _KNOWN = "give the folder of a run or sweep, or a JSON file of topcli compare, order or stress"
 
 
 def all_chapters(places: Sequence[str], results: Path) -> list[Chapter]:
-    """Chapters on all ``places``, each once. Raises UsageError."""
+    """Chapters on all ``places``, each once. Raises UsageError and RunError."""
     chapters: list[Chapter] = []
     for place in dict.fromkeys(places):
         chapters += _chapters(place, results, f"part{len(chapters) + 1}")
@@ -127,57 +125,42 @@ def report_page(
     title: str | None = None,
     draw: Callable[[Picture], str] = svg_of,
 ) -> Page:
-    """Page on the results that ``places`` name: paths, or names of folders in ``results``. Raises UsageError."""
+    """Page on the results that ``places`` name: paths, or names of folders in ``results``.
+
+    Raises UsageError and RunError.
+    """
     return page_of(all_chapters(places, results), title, draw)
 
 
 def _chapters(place: str, results: Path, name: str) -> list[Chapter]:
     """Chapters on what ``place`` names: a path, or the name of a folder in ``results``.
 
-    ``name`` is unique on the page. Raises UsageError if there is nothing that topcli stored.
+    ``name`` is unique on the page. Raises UsageError if there is nothing that topcli stored or the result is not
+    finished, and RunError if it is damaged.
     """
     try:
         for path in (Path(place), results / place):
             if path.exists():
                 return [_of_folder(path, name) if path.is_dir() else _of_file(path, name)]
-        parts = parts_of(results, place)
+        if parts_of(results, place):
+            intact_run(results / place)  # which is unfinished
     except OSError as error:
         raise UsageError(f"{place[:400]}: cannot be read ({error.strerror})") from None
-    if not parts:
-        raise missing_result(place, results)
-    return [part_chapter(part, place) for part in parts]
-
-
-def _link_in(folder: Path) -> Path | None:
-    """Return the path of a result's file that is not a regular file, such as a link; None if there is none."""
-    others = (folder / name for name in (ROWS_FILE, SWEEP_FILE, *STUDY_FILES))
-    return linked_file(folder) or next((path for path in others if path.is_symlink()), None)
+    except MALFORMED as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise UsageError(f"{place}: not of the form that this version of topcli writes ({reason})") from None
+    raise missing_result(place, results)
 
 
 def _of_folder(folder: Path, name: str) -> Chapter:
-    if link := _link_in(folder):  # a page shows nothing of files that its results do not hold
-        chapter = Chapter(folder.name, "run")
-        chapter.damaged([f"{link.name}: is not a regular file; nothing of this folder is shown"])
-        return chapter
-    run = read_run(folder)
-    if isinstance(run, StoredRun):
-        return bench_chapter(run) if run.manifest.get("kind") == "bench" else run_chapter(run, name)
-    if is_sweep(folder) or (folder / ROWS_FILE).exists():
-        return sweep_chapter(folder, name)
-    if run is not None:
-        return damaged_chapter(run, name)
-    if is_part(folder):
-        own = folder.absolute()
-        for part in parts_of(own.parent, own.name[1:].rpartition(".part-")[0]):
-            if part.folder.name == own.name:
-                return part_chapter(part, own.name)
-    if file := study_file(folder):
+    if link := linked_file(folder):  # a page shows nothing of files that its results do not hold
+        raise UsageError(f"{link}: is not a regular file")
+    if is_sweep(folder):
+        return sweep_chapter(intact_sweep(folder), name)
+    if (file := study_file(folder)) and not (folder / MANIFEST).exists():
         return _of_file(file, name)
-    if any((folder / file).exists() for file in _RUN_FILES):
-        return damaged_chapter(DamagedRun(folder, f"{MANIFEST}: missing; the run is not finished"), name)
-    inside = [entry.name for entry in sorted(folder.iterdir()) if read_run(entry) or is_sweep(entry)]
-    hint = f"; give one of the results in it, such as {folder / inside[0]}" if inside else ""
-    raise UsageError(f"{folder}: no run, sweep or study is stored here{hint}")
+    run = intact_run(folder)
+    return bench_chapter(run) if run.manifest.get("kind") == "bench" else run_chapter(run, name)
 
 
 def _of_file(path: Path, name: str) -> Chapter:
@@ -189,18 +172,12 @@ def _of_file(path: Path, name: str) -> Chapter:
     except DamagedError as error:
         wrong = f"{error}" if path.suffix == ".json" else "not a file that topcli report reads"
         raise UsageError(f"{path}: {wrong}", _KNOWN) from None
-    chapter = _study(data, name)
-    if chapter is None:
+    study = study_of(data)
+    if study is None:
         raise UsageError(f"{path}: not a result that topcli report shows", _KNOWN)
     if SEAL in data:
         try:
             check_study(data)
         except DamagedError as error:
-            chapter.damaged([f"{path.name}: {error}"])
-    return chapter
-
-
-def _study(data: dict[str, Any], name: str) -> Chapter | None:
-    """Chapter on a study; None if the data is that of none."""
-    study = study_of(data)
-    return study and study_chapter(study, stored_result(data), name)
+            raise RunError(f"{path}: damaged: {error}") from None
+    return study_chapter(study, stored_result(data), name)

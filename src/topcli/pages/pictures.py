@@ -17,7 +17,7 @@ import numpy as np
 
 from topcli.config.models import Experiment
 from topcli.contracts import Array
-from topcli.errors import UsageError, printable
+from topcli.errors import printable
 from topcli.figures.curves import LINEAR, LOG, CurvePanel, curve_column, plain
 from topcli.figures.picture import Grid, Line, Panel, column_label, component_symbol, draw
 from topcli.figures.style import STYLE
@@ -148,14 +148,14 @@ def time_panel(names: Sequence[str], experiment: Experiment | None, vector: str 
 
 
 def series_pictures(path: Path, experiment: Experiment | None, h: float, name: str) -> Pictures | None:
-    """Pictures of the series of one trajectory; None if it has no rows. ``name`` is unique within the page.
+    """Pictures of the series of one trajectory; None if it has no rows or no times.
 
-    Raises RunError if the series is damaged, and UsageError if it has no times.
+    ``name`` is unique within the page. Raises RunError if the series is damaged.
     """
     names = [column for column in series_names(path) if column not in WORDS]
     time = "t" if "t" in names else "n"
     if time not in names:
-        raise UsageError("the config records neither t nor n")
+        return None
     data = envelope(path, names)
     if not len(data[time]):
         return None

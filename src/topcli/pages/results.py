@@ -1,16 +1,14 @@
-"""Chapters of a page on runs, ensembles and sweeps, also unfinished and damaged ones.
+"""Chapters of a page on runs, ensembles and sweeps.
 
 The chapter on a sweep shows its rows, and its measures over the key that varies most.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,21 +18,20 @@ from topcli.config.models import OUTSIDE_IDENTITY
 from topcli.config.rows import RowReader
 from topcli.config.sweep import Sweep
 from topcli.contracts import Outcome
-from topcli.errors import TopcliError, counted
+from topcli.errors import counted
 from topcli.figures.sweep import Choice, curves
 from topcli.glossary import in_words, label
 from topcli.pages.contents import (
-    UNFINISHED,
     Chapter,
     Facts,
     Notes,
     Parts,
     Picture,
     Pictures,
-    add_files,
     add_origin,
     experiment_of,
     file_block,
+    files_block,
     parts_of,
     value_text,
 )
@@ -51,10 +48,7 @@ from topcli.runs.report import (
     warning_of,
 )
 from topcli.schemes.display import display_name
-from topcli.store.checkpoint import CHECKPOINT, read_checkpoint
-from topcli.store.files import DamagedError, read_json
-from topcli.store.manifest import MANIFEST, REPORT, DamagedRun, StoredRun, stored_sweep
-from topcli.store.parts import Part
+from topcli.store.manifest import StoredRun
 from topcli.sweeps.rows import SweepRows, encoded, key_labels, read_rows
 from topcli.sweeps.run import SWEEP_FILE, stored_sweep_file
 from topcli.table import DASH, Cells, number, significant
@@ -67,103 +61,31 @@ def outcome_in_words(outcome: str) -> str:
 
 def run_chapter(run: StoredRun, name: str | None) -> Chapter:
     """Chapter on a finished or interrupted run; ``name`` is unique within the page, None leaves out pictures."""
-    manifest = run.manifest
-    chapter = Chapter(manifest["name"], "ensemble" if manifest.get("kind") == "ensemble" else "run")
+    manifest, report, config = run.manifest, run.report(), run.manifest["config"]
+    many = report.get("kind") == "ensemble"
+    chapter = Chapter(manifest["name"], "ensemble" if many else "run")
     chapter.state, chapter.good = outcome_in_words(run.outcome.value), run.outcome is Outcome.COMPLETED
     chapter.message = value_text(manifest.get("message", ""))
-    damage = chapter.check(run)
-    if run.interrupted:
-        chapter.missing.append(
-            f"rows after step {manifest.get('step', 0)} of {manifest['config']['N']}: the run was interrupted; "
-            "topcli run with --resume continues it"
-        )
-    _add_content(chapter, run.folder, manifest, _report(chapter, run.folder), run.series, name)
-    add_files(chapter, run.folder, manifest, damage)
-    return chapter
-
-
-def damaged_chapter(run: DamagedRun, name: str) -> Chapter:
-    """Chapter on a folder with a missing or damaged manifest; it shows everything else that can be read."""
-    chapter = Chapter(run.folder.name, "run", message="no manifest confirms the content shown here")
-    chapter.damaged([run.reason])
-    report = _report(chapter, run.folder)
-    manifest: dict[str, Any] = {}
-    try:
-        manifest = read_json(run.folder / MANIFEST)
-    except (OSError, DamagedError):
-        chapter.missing.append("provenance: the manifest, which contains it, is missing or damaged")
-    series = next(iter(sorted(run.folder.glob("series.*"))), run.folder / "series.parquet")
-    manifest["config"] = config if isinstance(config := manifest.get("config"), dict) else {}
-    _add_content(chapter, run.folder, manifest, report, series, name)
-    return chapter
-
-
-def part_chapter(part: Part, title: str) -> Chapter:
-    """Chapter on the part folder of a run that is in progress or was killed."""
-    chapter = Chapter(title, "run", state=UNFINISHED, good=False)
-    chapter.message = "the run is in progress in another process" if part.alive else "the run was killed before its end"
-    chapter.missing.append("invariants, pictures and report: they are written at the end of a run")
-    checkpoint = read_checkpoint(part.folder)
-    if checkpoint is None:
-        fault = "cannot be read" if (part.folder / CHECKPOINT).exists() else "none was written"
-        chapter.missing.append(f"{CHECKPOINT}: {fault}; run again")
-        return chapter
-    config = checkpoint.about["config"]
-    resume = "" if part.alive else "; topcli run with --resume continues from there"
-    chapter.missing.append(
-        f"rows after step {checkpoint.done} of {value_text(config.get('N'))}, the last checkpoint{resume}"
-    )
-    chapter.attempt("setup", _setup, config, {}, folded=True)
-    add_origin(chapter, checkpoint.about, parts_of(experiment_of(config)))
-    return chapter
-
-
-def _report(chapter: Chapter, folder: Path) -> dict[str, Any]:
-    """Content of ``report.json``, or an empty one that the chapter says is missing."""
-    try:
-        return read_json(folder / REPORT)
-    except (OSError, DamagedError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        chapter.missing.append(f"invariants: {REPORT}: {reason}")
-    return {}
-
-
-def _add_content(
-    chapter: Chapter, folder: Path, manifest: Mapping[str, Any], report: dict[str, Any], series: Path, name: str | None
-) -> None:
-    """Add all blocks that the files in ``folder`` allow, from the setup to the citation."""
-    config = manifest["config"]
-    experiment = experiment_of(config) if config else None
-    chapter.data = {"config": config, "report": report, "seconds": manifest.get("seconds")}
-    h = config.get("h", report.get("h", 1.0))
-    if report:
-        scheme = report.get("scheme")
-        named = display_name(scheme) if isinstance(scheme, str) else DASH
-        chapter.subtitle = f"{value_text(report.get('top_title'))}; {named}: {value_text(report.get('scheme_title'))}"
-        chapter.subtitle += f"; h = {h}"
-    many = "ensemble" in (chapter.kind, report.get("kind")) and bool(report)
+    chapter.data = {"config": config, "report": report}
+    experiment, h = experiment_of(config), report["h"]
+    chapter.subtitle = f"{report['top_title']}; {display_name(report['scheme'])}: {report['scheme_title']}; h = {h}"
     if many:
-        chapter.attempt("verdicts", lambda: Notes("Verdicts", ensemble_statements(report)))
-        chapter.attempt("outcomes", outcome_notes, report)
-    elif report:
-        chapter.attempt("verdicts", _verdicts, report)
-        chapter.attempt("notes", _warnings, report)
-    if many and name:
-        chapter.attempt("distribution", quantile_pictures, folder, report, name)
-    if chapter.kind != "ensemble" and name:
-        step = experiment.h if experiment else h  # that of the config may be a text, such as 1/3
-        chapter.attempt("pictures", lambda: series_pictures(series, experiment, float(step), name))
-    if report:
-        chapter.attempt("invariants", _quantiles if many else INVARIANTS.cells, report)
+        chapter.add(Notes("Verdicts", ensemble_statements(report)), outcome_notes(report))
+        if name:
+            chapter.add(quantile_pictures(run.folder, report, name))
+    else:
+        chapter.add(_verdicts(report), _warnings(report))
+        if name:
+            chapter.add(series_pictures(run.series, experiment, float(Fraction(h)), name))  # of a config, h may be the text 1/3
+    chapter.add(_quantiles(report) if many else INVARIANTS.cells(report))
     if report.get("quantities"):
-        chapter.attempt("quantities", QUANTITIES.cells, report)
-    if report and not many:
-        chapter.attempt("reasons of the verdicts", _reasons, report, folded=True)
-    if config or report:
-        chapter.attempt("setup", _setup, config, report, folded=True)
-    if not config:
-        chapter.attempt("config", file_block, "Config", folder / "config.yaml", folded=True)
+        chapter.add(QUANTITIES.cells(report))
+    if not many:
+        chapter.add(_reasons(report), folded=True)
+    chapter.add(_setup(config, report), folded=True)
     add_origin(chapter, manifest, parts_of(experiment))
+    chapter.add(files_block(run.folder, manifest["files"]), folded=True)
+    return chapter
 
 
 def _without(data: Any, key: str) -> Any:
@@ -252,7 +174,7 @@ def comparisons(chapters: Sequence[Chapter]) -> list[Chapter]:
         if len(runs) > 1:
             good = all(run.good for run in runs)
             made.append(Chapter("Comparison of the runs", "comparison", title, counted(len(runs), "run"), good))
-            made[-1].attempt("comparison", _runs_table, runs)
+            made[-1].add(_runs_table(runs))
     return made
 
 
@@ -288,49 +210,24 @@ KINDS = ("scheme", "top")
 """Keys over whose values no median is taken."""
 
 
-def sweep_chapter(folder: Path, name: str | None) -> Chapter:
-    """Chapter on the sweep in ``folder``, finished or not.
-
-    ``name`` is unique within the page; None leaves out pictures.
-    """
-    chapter = Chapter(folder.name, "sweep", "rows of a sweep", "finished")
-    stored, manifest = stored_sweep(folder), {}
-    damage: Mapping[str, str] = {}
-    if stored is None:
-        chapter.state, chapter.good = UNFINISHED, False
-        chapter.missing.append("manifest: the sweep is not finished; topcli sweep continues it")
-        chapter.missing.append("provenance: the manifest contains it")
-    else:
-        manifest, damage = stored.manifest, chapter.check(stored)
-    try:
-        rows = read_rows(folder)
-    except TopcliError as error:
-        chapter.missing.append(f"rows: {str(error).splitlines()[0]}")
-    else:
-        _add_setup(chapter, rows, folder)
-        if name:
-            chapter.attempt("pictures", sweep_pictures, rows, name)
-        chapter.attempt("rows", rows_table, rows)
-    chapter.attempt("sweep file", file_block, "Sweep file", folder / SWEEP_FILE, folded=True)
-    add_origin(chapter, manifest, lambda: _parts(stored_sweep_file(folder)))
-    if stored is not None:
-        add_files(chapter, folder, manifest, damage)
-    return chapter
-
-
-def _add_setup(chapter: Chapter, rows: SweepRows, folder: Path) -> None:
-    """Say how many of the planned rows there are, and add their outcomes."""
+def sweep_chapter(stored: StoredRun, name: str | None) -> Chapter:
+    """Chapter on a finished sweep; ``name`` is unique within the page, None leaves out pictures."""
+    folder, rows = stored.folder, read_rows(stored.folder)
     outcomes = Counter(map(str, rows.columns["outcome"]))
     listed = ", ".join(f"{count} {outcome_in_words(outcome)}" for outcome, count in outcomes.items())
-    chapter.message = f"{counted(len(rows), 'row')}: {listed}"
-    with contextlib.suppress(TopcliError):  # of the sweep file, which the chapter shows by itself
-        total = stored_sweep_file(folder).count_left
-        if len(rows) < total:
-            chapter.missing.append(f"{total - len(rows)} of {counted(total, 'row')}, which have not run yet")
+    chapter = Chapter(
+        folder.name, "sweep", "rows of a sweep", "finished", message=f"{counted(len(rows), 'row')}: {listed}"
+    )
     facts = [("varied keys", ", ".join(rows.keys)), ("measures", ", ".join(rows.measures))]
     if rows.left_out:
         facts.append(("rows left out", f"{rows.left_out}, of an earlier version of the sweep file"))
-    chapter.details.append(Facts("Setup", facts))
+    if name:
+        chapter.add(sweep_pictures(rows, name))
+    chapter.add(rows_table(rows))
+    chapter.add(Facts("Setup", facts), file_block("Sweep file", folder / SWEEP_FILE), folded=True)
+    add_origin(chapter, stored.manifest, _parts(stored_sweep_file(folder)))
+    chapter.add(files_block(folder, stored.manifest["files"]), folded=True)
+    return chapter
 
 
 def _parts(sweep: Sweep) -> Parts:

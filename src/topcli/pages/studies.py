@@ -10,37 +10,34 @@ from typing import Any
 from topcli.analysis.motion import QUANTITIES, Motion
 from topcli.analysis.motion.of_top import closed_form_top
 from topcli.config.models import Experiment
+from topcli.errors import TopcliError
 from topcli.figures.motion import motion_drawn
 from topcli.pages.contents import (
-    Block,
     Chapter,
     Notes,
     Picture,
     Pictures,
-    add_files,
     add_origin,
     citation_block,
     config_block,
+    files_block,
     sources_of,
-    works_block,
 )
 from topcli.store.manifest import StoredRun
 from topcli.studies import imported
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.studies.study import Result, Study, parts_of
-from topcli.table import Table
 
 
 def bench_chapter(run: StoredRun) -> Chapter:
     """Chapter on a benchmark of speed against error."""
     manifest = run.manifest
     chapter = Chapter(manifest["name"], "bench", "speed against error", "measured")
-    damage = chapter.check(run)
-    chapter.attempt("words", lambda: Notes("In words", [row["words"] for row in run.report()["decades"]]))
-    chapter.attempt("best by decade", lambda: DECADE_TABLE.cells(run.report()))
-    chapter.attempt("all points", lambda: POINT_TABLE.cells(run.report()))
-    add_origin(chapter, manifest, lambda: _measured_parts(run.report()))
-    add_files(chapter, run.folder, manifest, damage)
+    report = run.report()
+    chapter.add(Notes("In words", [row["words"] for row in report["decades"]]))
+    chapter.add(DECADE_TABLE.cells(report), POINT_TABLE.cells(report))
+    add_origin(chapter, manifest, _measured_parts(report))
+    chapter.add(files_block(run.folder, manifest["files"]), folded=True)
     return chapter
 
 
@@ -52,28 +49,20 @@ def _measured_parts(report: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
 
 
 def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
-    """Chapter on a ``result`` of a study, which may hold anything if it was read from a file.
-
-    ``name`` is unique within the page; None leaves out pictures.
-    """
+    """Chapter on a ``result`` of a study; ``name`` is unique within the page, None leaves out pictures."""
     data = result.data
     chapter = Chapter(study.name.capitalize(), study.name)
-
-    def head() -> Block | None:
-        chapter.title, chapter.subtitle, chapter.state, chapter.good, message = study.head(data)
-        chapter.message = message or study.answer(data)
-        return None
-
-    chapter.attempt("outcome", head)
-    tables: list[Table] = []
+    chapter.title, chapter.subtitle, chapter.state, chapter.good, message = study.head(data)
+    chapter.message = message or study.answer(data)
     if name and study.captions:
-        chapter.attempt("pictures", lambda: _pictures(study, result, name))
-    chapter.attempt("tables", lambda: tables.extend(study.tables_of(data)))
-    for table in tables:
-        what = table.heading[:1].lower() + table.heading[1:]
-        chapter.attempt(what, table.cells, data)
-    chapter.attempt("notes", lambda: _notes(study, result, chapter.message))
-    add_origin(chapter, data, lambda: study.parts(data))
+        chapter.add(_pictures(study, result, name))
+    chapter.add(*(table.cells(data) for table in study.tables_of(data)))
+    chapter.add(_notes(study, result, chapter.message))
+    try:
+        parts = study.parts(data)
+    except TopcliError:  # of a plugin that is not loaded
+        parts = ()
+    add_origin(chapter, data, parts)
     return chapter
 
 
@@ -106,15 +95,13 @@ def motion_chapter(motion: Motion, experiment: Experiment, name: str | None) -> 
 
     chapter = Chapter(experiment.name, "motion", motion.top, motion.kind, message=motion.title)
     if name:
-        chapter.attempt("pictures", lambda: _motion_picture(motion, experiment, name))
+        chapter.add(_motion_picture(motion, experiment, name))
     chapter.blocks.append(replace(QUANTITIES.cells(motion), numbers=False))
     if motion.notes:
         chapter.blocks.append(Notes("Notes", motion.notes))
     config = experiment.resolved()
     chapter.details.append(config_block({key: config[key] for key in ("top", "initial")}))
-    sources = sources_of([(experiment.top.form, "")])
-    chapter.blocks.append(citation_block(sources, __version__))
-    chapter.details.append(works_block(sources))
+    chapter.blocks.append(citation_block(sources_of([(experiment.top.form, "")]), __version__))
     return chapter
 
 

@@ -288,8 +288,9 @@ class SweepReport(Report):
     def chapter(self, name: str | None) -> Chapter:
         """Return the chapter of a page."""
         from topcli.pages.results import sweep_chapter
+        from topcli.store.verify import intact_sweep
 
-        return sweep_chapter(self.folder, name)
+        return sweep_chapter(intact_sweep(self.folder), name)
 
     def plot(
         self,

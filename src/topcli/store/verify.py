@@ -108,3 +108,16 @@ def intact_run(folder: Path) -> StoredRun:
     for name, reason in run.damage().items():
         raise RunError(f"{folder / name}: damaged: {reason}; run again with --force")
     return run
+
+
+def intact_sweep(folder: Path) -> StoredRun:
+    """Finished sweep in ``folder``, with all its checksums compared.
+
+    Raises UsageError if it is not finished, and RunError if it is damaged.
+    """
+    sweep = stored_sweep(folder)
+    if sweep is None:
+        raise UsageError(f"{folder}: the sweep is not finished; topcli sweep continues it")
+    for name, reason in sweep.damage().items():
+        raise RunError(f"{folder / name}: damaged: {reason}; topcli sweep writes it again")
+    return sweep

@@ -1,8 +1,7 @@
 """Bibliography: the BibTeX entries of ``references.bib``, and the works that schemes and tops cite.
 
-A citation is a text such as ``after Cooper 1987; Yoshida, Phys. Lett. A 150 (1990) 262``. It names an entry by the
-surnames of all authors, separated by commas and followed by the year, by the year in parentheses later in the same
-clause, or by words of the title.
+A citation is a text such as ``after Cooper 1987; Yoshida, Phys. Lett. A 150 (1990) 262``. It names the works whose
+field ``cited`` it contains.
 """
 
 from __future__ import annotations
@@ -41,6 +40,11 @@ class Publication:
         return ", ".join(name.partition(",")[0] for name in self.authors)
 
     @property
+    def cited(self) -> str:
+        """Words by which citations name the work; empty for topcli itself."""
+        return plain_text(self.fields.get("cited", ""))
+
+    @property
     def addresses(self) -> dict[str, str]:
         """Web addresses of the work by their names, such as ``doi:10.1007/BF02592182``; empty if none is known."""
         found = {}
@@ -69,21 +73,6 @@ class Publication:
             parts.append(plain_text(self.fields["note"]))
         return ". ".join(parts) + "."
 
-    def named_in(self, citation: str) -> int | None:
-        """Position at which a ``citation`` names this work; None if it does not."""
-        title = re.escape(_beginning(plain_text(self.fields["title"])))
-        ways = [rf",[^;]*\b{title}"]
-        if year := self.fields.get("year"):
-            ways += [rf" {year}\b", rf",[^;]*\({year}\)"]
-        match = re.search(rf"(?<!, )\b{re.escape(self.surnames)}(?:{'|'.join(ways)})", citation)
-        return match and match.start()
-
-
-def _beginning(title: str) -> str:
-    """First words of a title, without an opening "A Treatise on the"."""
-    words = title.removeprefix("A Treatise on the ").split()
-    return " ".join(words[:2]).rstrip(",:")
-
 
 def plain_text(latex: str) -> str:
     """Text of BibTeX without its braces, accents as letters."""
@@ -102,7 +91,7 @@ def bibliography() -> dict[str, Publication]:
     entries = {}
     for entry in _ENTRY.finditer(BIBLIOGRAPHY.read_text(encoding="utf-8")):
         kind, key, body = entry.groups()
-        bibtex = entry[0]
+        bibtex = re.sub(r"^  cited = .*\n", "", entry[0], flags=re.MULTILINE)
         if key == OWN[0]:
             body += f"  version = {{{__version__}}},\n"
             bibtex = f"@{kind}{{{key},\n{body}}}"
@@ -112,9 +101,8 @@ def bibliography() -> dict[str, Publication]:
 
 def works_in(citation: str) -> list[Publication]:
     """Return the works that a citation names, in its order."""
-    places = [(entry.named_in(citation), entry) for entry in bibliography().values()]
-    placed = [(at, entry) for at, entry in places if at is not None]
-    return [entry for _, entry in sorted(placed, key=lambda pair: pair[0])]
+    named = [entry for entry in bibliography().values() if entry.cited and entry.cited in citation]
+    return sorted(named, key=lambda entry: citation.index(entry.cited))
 
 
 def own_works() -> list[Publication]:
