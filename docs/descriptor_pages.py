@@ -1,4 +1,4 @@
-"""Pages on one scheme or one top, from declarations in the registry and operations counted on the step."""
+"""Pages on one scheme or one top, from declarations in the registry."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from topcli.errors import capitalized
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.studies.citations import Publication, works_in
-from topcli.studies.scheme_page import operations_of
 from topcli.tops import CATALOGUE, TOPS, gentle_scene
 
 NOTATION = {
@@ -110,13 +109,6 @@ def order(scheme: Scheme) -> str:
     if scheme.order is not None:
         return str(scheme.order)
     return "by tolerance" if scheme.adaptive else "exact"
-
-
-@cache
-def cost(scheme: Scheme) -> str:
-    """Operations per step; a dash for methods without steps in plain arithmetic."""
-    found = operations_of(scheme)
-    return "–" if found is None else found.text
 
 
 def grouped() -> dict[str, list[Scheme]]:
@@ -252,7 +244,7 @@ def scheme_page(schemes: Sequence[Scheme]) -> Page:
         lines += ["## On each top", ""]
         for group, doc in distinct(schemes, {one.top: one.doc for one in schemes}):
             lines += [f"**{group}.** {prose(doc)}", ""]
-    lines += ["## Properties and cost", "", *properties(schemes)]
+    lines += ["## Properties", "", *properties(schemes)]
     lines += options_table(schemes[0].options)
     limits = {
         one.top: "\n".join(f"- {f'`{key}`' if key in cases else key}: {text}" for key, text in one.limits.items())
@@ -282,7 +274,6 @@ PROPERTIES: dict[str, Callable[[Scheme], str]] = {
     "conserved exactly": lambda one: kept(one) or "nothing",
     "conserved in modified form": lambda one: symbols(own(one)) or "–",
     "not conserved exactly": lambda one: kept(one, False) or "–",
-    "operations per step": lambda one: cost(one),
     "Lax pair": lambda one: one.integrable.lax if one.integrable else "–",
     "Poisson bracket": lambda one: one.integrable.poisson if one.integrable else "–",
 }
@@ -304,9 +295,8 @@ def properties(schemes: Sequence[Scheme]) -> Page:
         *lines,
         "An invariant that is conserved exactly deviates by round-off only. If an invariant is conserved in modified "
         "form, the scheme conserves exactly a function that depends on $h$ and is close to the invariant. The page of "
-        "each top (linked above) defines the invariants of the top. The operations of a step, including those of "
-        "iterations and counters, are counted with the default options at h = 0.01. The page [Speed](../../speed.md) "
-        "gives measured times.",
+        "each top (linked above) defines the invariants of the top. The page [Speed](../../speed.md) gives "
+        "measured times.",
         "",
     ]
 
@@ -420,7 +410,7 @@ def top_page(top: type[Top]) -> Page:
         "## Schemes",
         "",
         *table(
-            ("scheme", "title", "order", "step", "self-adjoint", "conserved exactly", "operations per step"),
+            ("scheme", "title", "order", "step", "self-adjoint", "conserved exactly"),
             [
                 (
                     f"[`{one.name}`](../schemes/{one.name}.md)",
@@ -429,7 +419,6 @@ def top_page(top: type[Top]) -> Page:
                     "explicit" if one.explicit else "implicit",
                     "yes" if one.self_adjoint else "no",
                     kept(one) or "–",
-                    cost(one),
                 )
                 for one in schemes
             ],

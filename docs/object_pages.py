@@ -30,7 +30,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Look up": (
         *("schemes.registry.find_scheme", "schemes.registry.all_schemes", "schemes.compose.find_composition"),
-        *("tops.top_class", "studies.citations.works_of", "studies.scheme_page.operations_of"),
+        *("tops.top_class", "studies.citations.works_of"),
         *("config.load.load_experiment", "config.load.load"),
     ),
     "Numbers from trajectories": (

@@ -16,7 +16,6 @@ from command_pages import commands_page
 from descriptor_pages import (
     Page,
     anchor,
-    cost,
     file_of,
     grouped,
     indexed,
@@ -129,11 +128,10 @@ def integrable_table() -> Page:
                     one.integrable.lax,
                     one.integrable.poisson,
                     order(one),
-                    cost(one),
                     works,
                 )
             )
-    return table(("map", "integrals", "Lax pair", "Poisson bracket", "order", "operations per step", "citation"), rows)
+    return table(("map", "integrals", "Lax pair", "Poisson bracket", "order", "citation"), rows)
 
 
 def integrable_page() -> Page:
@@ -156,8 +154,7 @@ def integrable_page() -> Page:
         "Bobenko, Reyman and Semenov-Tian-Shansky (1989). `hk` is not integrable for the Kowalevski top.",
         "",
         "The tests of topcli check numerically that each of these schemes preserves the bracket that the table calls "
-        "Lie-Poisson. The operations per step are additions (+), multiplications (×) and divisions (÷), with the "
-        "default options and h = 0.01.",
+        "Lie-Poisson.",
         "",
     ]
 

@@ -21,10 +21,9 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Scheme, Stepper
 from topcli.engine.run import Run
 from topcli.errors import UnknownNameError, UsageError
-from topcli.schemes.registry import all_schemes, composable_names, find_scheme
+from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.bench import measure
 from topcli.studies.bench.contest import (
-    COMPOSED,
     SCENES,
     LineUp,
     Problem,
@@ -48,7 +47,6 @@ from topcli.studies.bench.measure import (
 )
 from topcli.studies.bench.peers import PEERS, NoResultError, Peer, PeerProblem, checked, find_peers, missing
 from topcli.studies.entries import scheme_with
-from topcli.studies.scheme_page import operations_of
 from topcli.tops import TOPS
 
 
@@ -156,11 +154,6 @@ def test_wrong_scenes_are_refused(
         bench_problems(scenes, configs, sets)
 
 
-CLOSE = 3.0
-"""Bases that reach an error within this factor of the fewest operations are composed: no composition of a worse base
-makes up for it, as all have the same number of stages."""
-
-
 def test_every_scheme_takes_part_or_is_left_out_with_a_reason() -> None:
     for problem in bench_problems((), ()):
         line_up = choose(problem, ())
@@ -189,28 +182,6 @@ def test_every_order_that_options_give_takes_part(form: str) -> None:
             orders.add(scheme.order_for(options))
         names = [name for name in default_names(form) if name.partition(":")[0] == scheme.name]
         assert sorted(map(str, orders)) == sorted(str(scheme_with(name, form).order) for name in names)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scene", ["kowalevski-generic", "euler", "lagrange"])
-def test_compositions_of_every_promising_base_take_part(scene: str) -> None:
-    """For schemes of order 2 operations to an error e are work times sqrt(C / e), where the error is C h^2."""
-    (problem,) = bench_problems((scene,), ())
-    problem = replace(problem, duration=10.0, intervals=10)
-    reference = reference_states(problem.top, problem.experiment.y0, problem.times)
-    cost = {}
-    for name in composable_names(problem.top.form):
-        scheme = find_scheme(name, problem.top.form)
-        assert scheme.order == 2
-        count = operations_of(scheme)
-        assert count is not None
-        work = count.sums + count.products + 8.0 * (count.divisions + count.roots) + 20.0 * count.functions
-        states = SchemeCompetitor(scheme, problem).run(Rung(problem.interval / 200, 200)).states
-        cost[name] = work * math.sqrt(float(np.linalg.norm(states - reference, axis=1).max()))
-    promising = {name for name in cost if cost[name] < CLOSE * min(cost.values())}
-    assert promising <= set(COMPOSED)
-    names = default_names(problem.top.form)
-    assert {f"{base}+{composition}" for base in promising for composition in COMPOSED[base]} <= set(names)
 
 
 def test_names_that_do_not_fit_are_refused() -> None:
