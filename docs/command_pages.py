@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from typing import Any
 
 from descriptor_pages import Page, table
 
 from topcli.cli.app import all_commands, parameter_rows
-from topcli.cli.commands import COMMANDS, GROUPS, examples_of
+from topcli.cli.commands import GROUPS
 
 EVERY = ("--plugin", "--help")
 """Options of every command, described once."""
@@ -49,10 +48,9 @@ def parameters(context: Any) -> Page:
     return table(("argument or option", "meaning", "default and limits"), rows) if rows else []
 
 
-def section(path: str, context: Any, exits: Mapping[int, str], level: str) -> Page:
+def section(path: str, context: Any, level: str) -> Page:
     """Section on one command."""
     usage = " ".join([context.command_path, *context.command.collect_usage_pieces(context)])
-    codes = ", ".join(f"{code} ({meaning})" for code, meaning in exits.items())
     return [
         f"{level} topcli {path}",
         "",
@@ -62,16 +60,11 @@ def section(path: str, context: Any, exits: Mapping[int, str], level: str) -> Pa
         "```",
         "",
         *parameters(context),
-        "```sh",
-        *examples_of(path),
-        "```",
-        "",
-        *([f"Other exit codes besides 0, 2, 70 and 130: {codes}.", ""] if exits else []),
     ]
 
 
 def commands_page() -> Page:
-    """All commands in the groups of ``topcli --help``: usage, options, examples, exit codes."""
+    """All commands in the groups of ``topcli --help``: usage and options."""
     contexts = all_commands()
     lines = [
         "An option means the same in every command that has it: `--out` "
@@ -88,8 +81,7 @@ def commands_page() -> Page:
         "are replaced without `--force`. `topcli run --force` and `topcli bench` rename an earlier, different result "
         "instead of replacing it.",
         "",
-        "Every command can exit with 0 (success), 2 (wrong usage or config), 70 (an internal error) and 130 "
-        "(interrupted). The page [Exit codes](exit-codes.md) lists all codes.",
+        "The page [Exit codes](exit-codes.md) lists the codes with which commands exit.",
         "",
     ]
     for title, group in GROUPS.items():
@@ -97,5 +89,5 @@ def commands_page() -> Page:
         for path, context in contexts.items():
             first, _, rest = path.partition(" ")
             if first in group:
-                lines += section(path, context, {} if rest else COMMANDS[first].exits, "####" if rest else "###")
+                lines += section(path, context, "####" if rest else "###")
     return lines

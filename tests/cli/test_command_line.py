@@ -1,114 +1,22 @@
-"""Examples of all commands, and options that mean the same wherever they occur."""
+"""Groups of the commands, and options that mean the same wherever they occur."""
 
 from __future__ import annotations
 
 import re
-import shlex
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from copy import copy
-from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.main import get_command
 
-from conftest import ROOT, Said
-from documentation import read_page
+from conftest import Said
 from topcli.cli.app import all_commands, app
-from topcli.cli.commands import FIRST_EXAMPLES, GROUPS, examples_of
-from topcli.config.files import scene_files, sweep_files
-from topcli.config.load import load
-from topcli.config.sweep import load_sweep
-from topcli.figures.catalogue import FIGURES
-from topcli.paper.ledger import claim_names
-from topcli.schemes.registry import all_schemes, unload_plugin_files
+from topcli.cli.commands import GROUPS
 from topcli.studies import STUDIES
-from topcli.studies.bench.contest import SCENES
-from topcli.studies.stress.cases import CASES
-from topcli.tops import top_names
 
 CONTEXTS = all_commands()
 GROUP = get_command(app)
-NAMES: dict[str, Callable[[], Collection[str]]] = {
-    "SCHEME": lambda: {scheme.name for scheme in all_schemes()},
-    "TOP": top_names,
-    "CONFIG": lambda: {*scene_files(), "experiment.yaml"},
-    "RUN": lambda: {*scene_files(), *sweep_files()},
-    "SWEEP": sweep_files,
-    "FIGURE": lambda: {*FIGURES, *sweep_files(), "sweep"},
-    "CASE": lambda: {case.name for case in CASES},
-    "SCENE": lambda: SCENES,
-    "ID": claim_names,
-    "MEASURE": lambda: {measure for name in sweep_files() for measure in load_sweep(name).measures},
-    "KEY": lambda: {key for name in sweep_files() for key in load_sweep(name).keys},
-}
-"""Names that exist, by the words for them in the help."""
-
-
-def parsed(line: str) -> tuple[str, Any]:
-    """Name of the command of a line, and its context. Raises an error of typer for wrong options."""
-    words = shlex.split(line.partition(" > ")[0])
-    assert words[0] == "topcli"
-    name = max((name for name in CONTEXTS if words[1 : 1 + len(name.split())] == name.split()), key=len)
-    return name, CONTEXTS[name].command.make_context(name, words[1 + len(name.split()) :])
-
-
-def unknown(context: Any) -> list[str]:
-    """Names in an example that do not exist."""
-    wrong = []
-    for parameter in context.command.params:
-        value = context.params.get(parameter.name)
-        words = str(parameter.metavar or "").partition("[")[0].split("|")
-        if value is None or not set(words) & NAMES.keys():
-            continue
-        known = {name for word in words if word in NAMES for name in NAMES[word]()}
-        given = value if isinstance(value, list | tuple) else [value]
-        wrong += [text for text in map(str, given) if text.removeprefix("results/").partition(":")[0] not in known]
-    return wrong
-
-
-@pytest.fixture
-def plugin(in_tmp: Path) -> Any:
-    """The file ``mine.py`` of the examples."""
-    text = read_page(ROOT / "docs" / "own-scheme.md").files()["gyrostat.py"]
-    (in_tmp / "mine.py").write_text(text)
-    yield
-    unload_plugin_files()
-
-
-@pytest.mark.parametrize("name", ["", *CONTEXTS])
-def test_every_help_ends_with_two_examples_that_exist(name: str, cli: Callable[..., Said], plugin: None) -> None:
-    examples = examples_of(name)
-    assert len(set(examples)) == 2
-    text = cli(*name.split(), "--help").out
-    assert text.endswith("\nExamples:\n" + "".join(f"  {line}\n" for line in examples))
-    for line in examples:
-        assert len(line) <= 76
-        found, context = parsed(line)
-        assert name in ("", "list") or found == name
-        assert unknown(context) == []
-        sets, config = context.params.get("sets"), (context.params.get("configs") or [context.params.get("config")])[0]
-        if sets and config != "experiment.yaml":
-            load_sweep(context.params["file"], sets) if name == "sweep" else load(config or "kowalevski_hk", sets)
-
-
-@pytest.mark.parametrize(
-    ("line", "wrong"),
-    [
-        ("topcli run kowalevski_hkk", ["kowalevski_hkk"]),
-        ("topcli compare hk nosuch:h=0.1", ["nosuch:h=0.1"]),
-        ("topcli cite nosuch hk kowalevski", ["nosuch"]),
-        ("topcli plot sweep results/heavy_drift --x nosuch --y drift.energy", ["nosuch"]),
-        ("topcli report results/nosuch --out page.html", ["nosuch"]),
-    ],
-)
-def test_an_example_with_a_wrong_name_would_be_found(line: str, wrong: list[str]) -> None:
-    assert [text.removeprefix("results/") for text in unknown(parsed(line)[1])] == wrong
-
-
-def test_an_example_with_a_wrong_option_would_be_found() -> None:
-    with pytest.raises(Exception, match="No such option: --nosuch"):
-        parsed("topcli run kowalevski_hk --nosuch")
 
 
 def test_every_command_is_in_one_group_of_the_help(cli: Callable[..., Said]) -> None:
@@ -120,7 +28,6 @@ def test_every_command_is_in_one_group_of_the_help(cli: Callable[..., Said]) -> 
     for (_, group), start, end in zip(GROUPS.items(), places, [*places[1:], len(text)], strict=True):
         shown = [line.split()[0] for line in text[start:end].split("\n\n")[0].splitlines() if line[:2] == "  "]
         assert shown == list(group)
-    assert examples_of("") == FIRST_EXAMPLES
 
 
 def options() -> list[tuple[str, Any]]:

@@ -16,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from topcli import __version__
-from topcli.cli.commands import COMMANDS, GONE, GROUPS, STUDY, examples_of
+from topcli.cli.commands import COMMANDS, GONE, GROUPS, STUDY
 from topcli.cli.output import emit, print_error, print_message, print_message_text
 from topcli.errors import ExitCode, TopcliError, clipped
 from topcli.studies import STUDIES, find_study
@@ -63,13 +63,6 @@ def _plugin_option() -> Any:
     return get_command(single).params[0]
 
 
-def _write_examples(ctx: Any, formatter: Any) -> None:
-    """Write two examples at the end of a help."""
-    with formatter.section("Examples"):
-        for example in examples_of(ctx.command_path.partition(" ")[2]):
-            formatter.write(f"{'':{formatter.current_indent}}{example}\n")
-
-
 class Command(TyperCommand):
     """A command with the option ``--plugin``; its help marks repeatable options and shows no types of Python."""
 
@@ -87,11 +80,6 @@ class Command(TyperCommand):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
-
-    def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """Write the epilog and two examples."""
-        super().format_epilog(ctx, formatter)
-        _write_examples(ctx, formatter)
 
 
 def parameter_rows(command: Any, ctx: Any) -> dict[str, list[tuple[str, str]]]:
@@ -172,29 +160,12 @@ def _typer_command(function: Any, name: str) -> Any:
     return command
 
 
-class Group(TyperGroup):
-    """A group of commands whose help ends with examples."""
-
-    def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """Write the epilog and two examples."""
-        super().format_epilog(ctx, formatter)
-        _write_examples(ctx, formatter)
-
-
-class LazyGroup(Group):
-    """Base of a group whose ``places`` name its commands and where they are."""
-
-    places: Mapping[str, str] = {}
+class _Topcli(TyperGroup):
+    """All commands, in the groups and the order of the help."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = Commands(self.places)
-
-
-class _Topcli(LazyGroup):
-    """All commands, in the groups and the order of the help."""
-
-    places = {name: entry.place for name, entry in COMMANDS.items()}  # noqa: RUF012 (a constant)
+        self.commands = Commands(COMMANDS)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands in their groups."""
@@ -214,7 +185,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Run, measure, compare and draw numerical experiments on discrete spinning tops.",
-    epilog=f"Exit codes: {'; '.join(f'{code} {code.meaning}' for code in ExitCode)}.",
+    epilog="Start with: topcli run kowalevski_hybrid. Exit codes: "
+    + "; ".join(f"{code} {code.meaning}" for code in ExitCode)
+    + ".",
 )
 
 

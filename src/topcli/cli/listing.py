@@ -11,14 +11,13 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from topcli.cli.app import Command, Group
+from topcli.cli.app import Command
 from topcli.cli.options import Json, Markdown, complete_scheme, complete_top, option, top_option
 from topcli.cli.output import emit_text, print_cells, print_json, print_message
 from topcli.errors import shortened
 from topcli.table import Column, Table
 
 list_app = typer.Typer(
-    cls=Group,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
