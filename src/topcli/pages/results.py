@@ -77,7 +77,8 @@ def run_chapter(run: StoredRun, name: str | None) -> Chapter:
     else:
         chapter.add(_verdicts(report), _warnings(report))
         if name:
-            chapter.add(series_pictures(run.series, experiment, float(Fraction(h)), name))  # of a config, h may be the text 1/3
+            step = float(Fraction(h))  # h of a config may be the text 1/3
+            chapter.add(series_pictures(run.series, experiment, step, name))
     chapter.add(_quantiles(report) if many else INVARIANTS.cells(report))
     if report.get("quantities"):
         chapter.add(QUANTITIES.cells(report))
