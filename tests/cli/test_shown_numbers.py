@@ -7,7 +7,6 @@ fields cannot look alike. The fields that the cells under a heading must show ar
 from __future__ import annotations
 
 import json
-import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
@@ -432,12 +431,9 @@ def test_a_list_shows_its_items_and_they_have_the_fields_of_what_is_registered(c
     if kind == "runs":
         for name in ("kowalevski_hk", "euler_hk"):
             cli("run", name, "--set", "N=30", "--quiet")
-    # in lines that are long enough for all cells
-    code, printed = in_terminal([sys.executable, "-m", "topcli", "list", kind], Path.cwd(), 600)
+    code, printed = in_terminal([sys.executable, "-m", "topcli", "list", kind], Path.cwd(), 80)
     header, _, *lines = printed.splitlines()
     assert code == 0
-    narrow = in_terminal([sys.executable, "-m", "topcli", "list", kind], Path.cwd(), 80)[1]
-    assert len(re.findall(r"^─+$", narrow, re.MULTILINE)) == 1, "in one block"
     items = cli("list", kind, "--json").json()[kind]
     keys = {head: "form" if (kind, head) == ("tops", "top") else head.replace("-", "_") for head in cells_of(header)}
     for line, item in zip(lines, items, strict=True):

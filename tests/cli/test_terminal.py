@@ -327,9 +327,7 @@ def test_lines_that_are_too_wide_are_found() -> None:
 @pytest.mark.parametrize(
     "command",
     [
-        "list schemes",
         "show hk",
-        "show kowalevski_hk --motion",
         "show fig1",
         "init",
         "run kowalevski_hk --set N=200",

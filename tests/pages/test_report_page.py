@@ -368,17 +368,17 @@ def test_studies_of_another_form_are_refused(copied: Path, name: str) -> None:
 
 
 def test_claims_are_listed_with_figure_bound_and_verdict(tmp_path: Path) -> None:
-    header = ["id", "statement", "verdict", "measured", "bound", "source"]
-    keys = [*header[:3], "figure", "bound_text", "source"]
-    one = dict(zip(keys, ("hk.k_sq", "k² < kept", "holds", 1.25e-7, "≤ 1e-06", "(3.2)"), strict=True))
+    header = ["id", "verdict", "measured", "bound", "source", "statement"]
+    keys = ["id", "verdict", "figure", "bound_text", "source", "statement"]
+    one = dict(zip(keys, ("hk.k_sq", "holds", 1.25e-7, "≤ 1e-06", "(3.2)", "k² < kept"), strict=True))
     other = {**one, "id": "fig2", "verdict": "does not hold as stated", "figure": None, "bound_text": "≤ 2"}
     path = tmp_path / "claims.json"
     path.write_text(json.dumps({"claims": [one, other, one], "verdicts": {}, "controls": {}}))
     page = shown(tmp_path, "claims.json")
     cells = page.all("table")[0].cells()
     assert cells[0] == header
-    assert cells[1] == ["hk.k_sq", "k² < kept", "holds", "1.2e-07", "≤ 1e-06", "(3.2)"]
-    assert cells[2] == ["fig2", "k² < kept", "does not hold as stated", "–", "≤ 2", "(3.2)"]
+    assert cells[1] == ["hk.k_sq", "holds", "1.2e-07", "≤ 1e-06", "(3.2)", "k² < kept"]
+    assert cells[2] == ["fig2", "does not hold as stated", "–", "≤ 2", "(3.2)", "k² < kept"]
     assert "3 claims of the paper: 2 hold, 1 does not hold as stated" in page.text
     path.write_text(json.dumps({"claims": [{"id": "x"}]}))
     with pytest.raises(UsageError, match="not of the form"):

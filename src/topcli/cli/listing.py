@@ -50,7 +50,7 @@ def _listed(listing: Callable[..., Listing | None]) -> None:
         if as_json:
             print_json(f"list {kind}", {kind: listed.items})
         elif listed.items:
-            print_cells(_table(listed).cells({"items": listed.items}))
+            print_cells(_table(listed).cells({"items": listed.items}), whole=True)
         else:
             print_message(listed.nothing or f"no {kind}")
 

@@ -1,7 +1,7 @@
 """Printing: data on stdout, messages on stderr, rules and progress bars only on a terminal.
 
-All output passes ``printable``, because names and files may contain control characters. Tables are aligned columns,
-fitted to a width by wrapping at words and by blocks of columns.
+All output passes ``printable``, because names and files may contain control characters. Tables are aligned columns;
+one that is too wide is printed in blocks of columns.
 """
 
 from __future__ import annotations
@@ -164,9 +164,11 @@ def print_table(
     numbers: bool | Collection[int] = True,
     keys: int = 1,
     marks: Mapping[str, str] = MappingProxyType({}),
+    whole: bool = False,
 ) -> None:
-    """Print a table, fitted to the width of the terminal and ruled on it; in a pipe at most 100 columns wide.
+    """Print a table, ruled on a terminal.
 
+    It is printed in blocks of columns that fit the terminal, and in a pipe 100 characters; in one block if ``whole``.
     ``numbers`` are the indices of the right-aligned columns: all but the first by default, none if False. The first
     ``keys`` columns name a row. ``marks`` are the looks of cells with certain texts, as in ``Cells``; they are coloured
     on a terminal.
@@ -176,13 +178,14 @@ def print_table(
     colours = {text: COLOURS[mark] for text, mark in marks.items()} if in_colour() else {}
     if title:
         emit_prose(title)
-    for line in table_lines(table[0], table[1:], right, table_width(), rule=on_terminal(), keys=keys, colours=colours):
+    width = None if whole else table_width()
+    for line in table_lines(table[0], table[1:], right, width, rule=on_terminal(), keys=keys, colours=colours):
         print(line)
 
 
-def print_cells(cells: Cells, title: str = "") -> None:
-    """Print a table, and its caption below."""
-    print_table(cells.header, cells.lines, title, cells.numbers, cells.keys, cells.marks)
+def print_cells(cells: Cells, title: str = "", whole: bool = False) -> None:
+    """Print a table, in one block if ``whole``, and its caption below."""
+    print_table(cells.header, cells.lines, title, cells.numbers, cells.keys, cells.marks, whole)
     if cells.caption:
         emit_prose(cells.caption)
 
@@ -251,8 +254,6 @@ class ProgressDisplay:
 
 GAP = 2
 """Spaces between columns."""
-PROSE = (24, 20, 16, 12)
-"""Smallest widths of prose that are tried in turn so that all columns fit into one block; the first for several."""
 
 
 def table_lines(
@@ -264,10 +265,7 @@ def table_lines(
     keys: int = 1,
     colours: Mapping[str, str] = MappingProxyType({}),
 ) -> list[str]:
-    """Lines of a table, none longer than ``width``.
-
-    A table that is too wide is printed in blocks of columns, and each block begins with the columns that name a row.
-    Cells are wrapped at words; a word is broken only if it does not fit by itself.
+    """Lines of a table in blocks of columns that fit ``width``; a last column of text may be wider.
 
     Parameters
     ----------
@@ -282,96 +280,40 @@ def table_lines(
     rule : bool
         Draw a line under the header.
     keys : int
-        Leading columns that name a row.
+        Leading columns that name a row, with which each block begins.
     colours : mapping of str to str
         Parameters of the control sequences around cells with these texts.
     """
     table = [header, *rows] if header else list(rows)
     if not table:
         return []
-    count = len(table[0])
-    natural = [max(len(row[i]) for row in table) for i in range(count)]
-    layouts = [(natural, keys)]
-    if width is not None:
-        layouts = [_least(table, natural, right, width, keys, prose) for prose in PROSE]
-    in_one_block = (layout for layout in layouts if len(_blocks(layout[0], width, layout[1])) == 1)
-    least, keys = next(in_one_block, layouts[0])
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines: list[str] = []
-    for block in _blocks(least, width, keys):
-        widths = {i: least[i] for i in block}
-        _widen(widths, natural, width)
+    for block in _blocks(widths, right, width, keys):
         lines += [""] if lines else []
         for number, row in enumerate(table):
-            lines += _row_lines(row, widths, right, colours)
+            cells = (_cell(row[i], widths[i], i in right, colours.get(row[i])) for i in block)
+            lines.append((" " * GAP).join(cells).rstrip())
             if rule and header and number == 0:
-                lines.append("─" * (sum(widths.values()) + GAP * (len(widths) - 1)))
+                length = sum(widths[i] + GAP for i in block) - GAP
+                lines.append("─" * (length if width is None else min(length, width)))
     return lines
 
 
-def _least(
-    table: Sequence[Sequence[str]], natural: Sequence[int], right: Collection[int], width: int, keys: int, prose: int
-) -> tuple[list[int], int]:
-    """Smallest width of each column, and the number of columns that name a row, which is 1 if space is short.
-
-    A column is at least as wide as its longest word, or as ``prose``; any column fits beside those that name a row.
-    """
-    words = [max((len(part) for row in table for part in row[i].split()), default=0) for i in range(len(natural))]
-    for i in range(len(words)):
-        if i in right:  # numbers stay whole, with their errors and units; only the header is wrapped
-            words[i] = max(words[i], *(len(row[i]) for row in table[1:] or table))
-    least = [word if i in right else max(word, min(natural[i], prose)) for i, word in enumerate(words)]
-    longest = max(words[keys:], default=-GAP)
-    if sum(least[:keys]) + GAP * keys > min(width * 2 // 3, width - longest) or keys >= len(words):
-        keys = 1
-        longest = min(max(words[1:], default=-GAP), width - GAP - min(words[0], (width - GAP) // 2))
-        least[0] = min(least[0], width - GAP - longest)
-    room = width - sum(least[:keys]) - GAP * keys
-    return [*least[:keys], *(min(width, room) for width in least[keys:])], keys
-
-
-def _blocks(least: Sequence[int], width: int | None, keys: int) -> list[list[int]]:
+def _blocks(widths: Sequence[int], right: Collection[int], width: int | None, keys: int) -> list[list[int]]:
     """Columns of each block: those that name a row, and as many more as fit."""
-    first = list(range(min(keys, len(least))))
+    first = list(range(min(keys, len(widths))))
     blocks = [[*first]]
-    for i in range(len(first), len(least)):
-        used = sum(least[j] + GAP for j in blocks[-1]) + least[i]
-        if width is not None and used > width and len(blocks[-1]) > len(first):
+    for i in range(len(first), len(widths)):
+        used = sum(widths[j] + GAP for j in blocks[-1]) + widths[i]
+        text = i == len(widths) - 1 and i not in right
+        if width is not None and used > width and not text and len(blocks[-1]) > len(first):
             blocks.append([*first])
         blocks[-1].append(i)
     return blocks
 
 
-def _widen(widths: dict[int, int], natural: Sequence[int], width: int | None) -> None:
-    """Distribute the remaining width of a line to the columns that lack most."""
-    left = 0 if width is None else width - sum(widths.values()) - GAP * (len(widths) - 1)
-    while left > 0:
-        most = max(widths, key=lambda i: natural[i] - widths[i])
-        if natural[most] <= widths[most]:
-            return
-        widths[most] += 1
-        left -= 1
-
-
-def _row_lines(
-    row: Sequence[str], widths: dict[int, int], right: Collection[int], colours: Mapping[str, str]
-) -> list[str]:
-    """Lines of one row of a block."""
-    cells = {i: _cell_lines(row[i], width) for i, width in widths.items()}
-    lines = []
-    for number in range(max(map(len, cells.values()))):
-        parts = []
-        for i, width in widths.items():
-            part = cells[i][number] if number < len(cells[i]) else ""
-            padded = part.rjust(width) if i in right else part.ljust(width)
-            colour = colours.get(row[i])
-            parts.append(padded.replace(part, f"\x1b[{colour}m{part}\x1b[0m") if colour and part else padded)
-        lines.append((" " * GAP).join(parts).rstrip())
-    return lines
-
-
-def _cell_lines(text: str, width: int) -> list[str]:
-    """Lines of a cell, with the indentation of its text."""
-    if len(text) <= width:
-        return [text]
-    indent = " " * (len(text) - len(text.lstrip()) + 2) if text[:1] == " " else ""
-    return wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
+def _cell(text: str, width: int, right: bool, colour: str | None) -> str:
+    padding = " " * (width - len(text))
+    shown = f"\x1b[{colour}m{text}\x1b[0m" if colour and text else text
+    return padding + shown if right else shown + padding

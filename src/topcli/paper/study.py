@@ -85,12 +85,12 @@ TABLE = Table(
     "claims",
     (
         Column("id", "id"),
-        Column("statement", "statement"),
         *(Column("", key) for key in ("source", "experiment")),
         Column("verdict", "verdict", key=""),
         Column("measured", "figure", number_text, key="figure"),
         Column("bound", "bound_text", key="bound"),
         Column("source", "source", key="", detail=True),
+        Column("statement", "statement"),
         *(Column("", key) for key in ("verdict", "note", "recorded", "seconds")),
     ),
     heading="Claims",
