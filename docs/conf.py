@@ -4,13 +4,12 @@ import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
 
-from docutils import nodes
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from reference_pages import draw_schemes, named_pages, write_pages  # beside this file
+from reference_pages import write_parts  # beside this file
 
 project = "topcli"
 author = "the topcli authors"
@@ -31,7 +30,7 @@ myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
-exclude_patterns = ["_build", "**.ipynb_checkpoints", "reference/parts/*"]
+exclude_patterns = ["_build", "**.ipynb_checkpoints", "reference/*"]
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"topcli {version}"
@@ -50,29 +49,7 @@ html_theme_options = {
 }
 
 
-def link_names(app: Sphinx, doctree: nodes.document, page: str) -> None:
-    """Link each name of a scheme or a top that is written as code to its page."""
-    targets = named_pages(page)
-    for literal in list(doctree.findall(nodes.literal)):
-        target = targets.get(literal.astext())
-        inside = literal.parent
-        while inside is not None and not isinstance(inside, (nodes.title, nodes.reference)):
-            inside = inside.parent
-        if target and target != page and inside is None:
-            link = nodes.reference("", "", internal=True, refuri=app.builder.get_relative_uri(page, target))
-            literal.replace_self(link)
-            link += literal
-
-
-def write_reference(app: Sphinx) -> None:
-    """Write the generated pages and draw their pictures."""
-    folder = Path(app.srcdir) / "reference"
-    write_pages(folder)
-    draw_schemes(folder)
-
-
 def setup(app: Sphinx) -> None:
-    """Write the generated pages before pages are read; show blocks of CSV as plain text; link names to their pages."""
+    """Write the parts of the reference before pages are read; show blocks of CSV as plain text."""
     app.add_lexer("csv", TextLexer)
-    app.connect("builder-inited", write_reference)
-    app.connect("doctree-resolved", link_names)
+    app.connect("builder-inited", lambda app: write_parts(Path(app.srcdir) / "reference"))

@@ -1,53 +1,165 @@
-"""Pages of the reference that are written when the documentation is built, from the descriptors in the package.
+"""Parts of the reference that are written when the documentation is built, from what the package declares.
 
-One page for each scheme and each top (``descriptor_pages``), each figure and each object of the Python interface
-(``object_pages``), files of the root of the checkout, and the parts that pages in ``docs/`` include, such as the
-commands (``command_pages``). ``conf.py`` calls ``write_pages``; nothing that it writes is kept in the repository.
+Each page of the reference includes one part: commands, config, schemes, tops, measures, the Python interface and the
+paper's claims. ``conf.py`` calls ``write_parts``; nothing that it writes is kept in the repository.
 """
 
 from __future__ import annotations
 
 import re
-import shutil
-import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from command_pages import commands_page
-from descriptor_pages import (
-    Page,
-    anchor,
-    file_of,
-    grouped,
-    indexed,
-    kept,
-    keys_of,
-    linked,
-    order,
-    own,
-    scheme_page,
-    shown_on,
-    spelled,
-    symbols,
-    table,
-    top_page,
-)
-from glossary_page import quantities, words
-from object_pages import object_files, object_page, object_table
-from scheme_pictures import draw_if_old
+from pydantic import BaseModel
 
-from topcli.figures.figure import Figure
-from topcli.studies.citations import bibliography, works_in
+import topcli
+from topcli.cli.app import all_commands, parameter_rows
+from topcli.cli.commands import GROUPS
+from topcli.contracts import Invariant, Scheme, Top
+from topcli.errors import capitalized
+from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 
-ROOT = Path(__file__).resolve().parent.parent
-IMAGES = ROOT / "docs" / "images"
-DRAWN = ROOT / "results" / "figures"
-"""Pictures that this checkout has drawn, for those that are not part of the documentation."""
-LISTS = ("schemes", "tops", "which-scheme", "catalogue")
-"""Pages that list schemes."""
+Page = list[str]
+
+HUGE = 1e15
+"""Limits beyond it are those of the machine, and are not shown."""
+EVERY = ("--plugin", "--help")
+"""Options of every command, described once."""
+CODE = (
+    r"((?<![\w-])--[a-z-]+|\btopcli list [a-z]+|\btopcli plot (?:section|sweep)\b|\btopcli [a-z]+|pip install '[^']+')"
+)
+"""Options and commands in a help text."""
+KEYS = ("key", "type", "default", "meaning")
+TYPES = (
+    *("show.report.Report", "show.report.StudyReport", "show.results.RunReport", "show.results.SweepReport"),
+    *("show.report.MotionReport", "contracts.Stepper", "contracts.Scheme", "contracts.Invariant", "contracts.Sampler"),
+    *("contracts.Block", "contracts.Integrability", "sweeps.batch.Batch"),
+)
+"""Types of arguments and results outside ``topcli`` itself, named from it on."""
+MEMBERS = {
+    "Top": "constants, invariants, euler_poisson, warnings, new\n   :exclude-members: model_config",
+    "Trajectory": "",
+    "Ensemble": "",
+    "Motion": "",
+    "show.report.Report": "save",
+    "show.report.StudyReport": "plot, as_dict",
+    "show.results.RunReport": "folder, outcome, status, is_ensemble, series, plot, as_dict",
+    "show.results.SweepReport": "folder, outcomes, rows, plot, as_dict",
+    "contracts.Scheme": "",
+}
+"""Members of classes that the page shows."""
 
 
-def config_page() -> Page:
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Page:
+    """Lines of a Markdown table; none without rows."""
+    lines = [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
+    return [f"| {' | '.join(header)} |", f"|{' --- |' * len(header)}", *lines, ""] if lines else []
+
+
+def prose(text: str) -> str:
+    """Docstring as Markdown."""
+    return text.replace("``", "`")
+
+
+def display(formula: str) -> Page:
+    """Display formulas, one for each part between empty lines."""
+    return [line for part in re.split(r"\n\s*\n", formula.strip()) for line in ("$$", part, "$$", "")]
+
+
+def grouped() -> dict[str, list[Scheme]]:
+    """The schemes of topcli by name."""
+    groups: dict[str, list[Scheme]] = {}
+    for scheme in sorted(all_schemes(), key=lambda scheme: scheme.name):
+        if scheme.origin == "topcli":
+            groups.setdefault(scheme.name, []).append(scheme)
+    return groups
+
+
+# commands
+
+
+def plain(text: str) -> str:
+    """Text of a help in Markdown: options and commands as code, and nothing else as markup."""
+    parts = re.split(CODE, text)
+    escaped = [re.sub(r"([\\`*_\[\]<>$])", r"\\\1", part) for part in parts]
+    return "".join(f"`{part}`" if i % 2 else escaped[i] for i, part in enumerate(parts))
+
+
+def parameters(context: Any) -> Iterator[tuple[str, str, str]]:
+    """Arguments and options of a command, without those of every command: name, meaning, and default and limits."""
+    for rows in parameter_rows(context.command, context).values():
+        for name, text in rows:
+            if not any(option in name for option in EVERY):
+                parts = re.fullmatch(r"(.*?)(?:  \[(.*)\])?", text, re.DOTALL)
+                meaning, extra = parts.groups("") if parts else (text, "")
+                yield f"`{name}`", plain(meaning), plain(extra)
+
+
+def commands_part() -> Page:
+    """All commands in the groups of ``topcli --help``: help, usage and options."""
+    lines: Page = []
+    for title, group in GROUPS.items():
+        lines += [f"## {title}", ""]
+        for path, context in all_commands().items():
+            if path.partition(" ")[0] not in group:
+                continue
+            lines += [f"{'####' if ' ' in path else '###'} topcli {path}", ""]
+            for part in re.split(r"\n\s*\n", (context.command.help or "").strip()):
+                lines += [plain(" ".join(part.split())), ""]
+            usage = " ".join([context.command_path, *context.command.collect_usage_pieces(context)])
+            lines += ["```text", usage, "```", ""]
+            lines += table(("argument or option", "meaning", "default and limits"), parameters(context))
+    return lines
+
+
+# config
+
+
+def spelled(value: Any) -> str:
+    """Value as YAML spells it."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def type_of(schema: Mapping[str, Any]) -> str:
+    """Type of a key in words, from its JSON Schema."""
+    if "anyOf" in schema:
+        return " or ".join(dict.fromkeys(type_of(choice) for choice in schema["anyOf"]))
+    if "enum" in schema or "const" in schema:
+        return " or ".join(f"`{spelled(value)}`" for value in schema.get("enum", [schema.get("const")]))
+    limits = [
+        f"{sign} {schema[key]:g}"
+        for key, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"))
+        if key in schema and abs(schema[key]) < HUGE
+    ]
+    names = {
+        "number": "number",
+        "integer": "whole number",
+        "boolean": "true or false",
+        "string": "text",
+        "array": "list",
+        "null": "null",
+        "object": "section",
+    }
+    word = names.get(str(schema.get("type")), "section" if "$ref" in schema else "see below")
+    return f"{word} {', '.join(limits)}".strip()
+
+
+def keys_of(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
+    """Key, type, default and description of each field of a model."""
+    rows = []
+    schemas = model.model_json_schema()["properties"]
+    for (name, schema), field in zip(schemas.items(), model.model_fields.values(), strict=True):
+        default = "required" if field.is_required() else f"`{spelled(schema.get('default'))}`"
+        default = "see below" if isinstance(schema.get("default"), dict) else default
+        rows.append((f"`{name}`", type_of(schema), default, prose(field.description or "")))
+    return rows
+
+
+def config_part() -> Page:
     """Keys of a config, from the models that read it."""
     from topcli.config.draws import Random
     from topcli.config.ensemble import Section
@@ -55,255 +167,153 @@ def config_page() -> Page:
     from topcli.config.models import Config, Output, PoincareSection
     from topcli.config.ranges import Range
 
-    header = ("key", "type", "default", "meaning")
-    lines = table(header, keys_of(Config))
-    lines += ["## `output`", "", *table(header, keys_of(Output))]
-    lines += [
-        "## `section`",
-        "",
-        "These are the keys of a Poincaré section ([Poincaré sections](sections.md)). Give either `component` or "
-        "`quantity`.",
-        "",
-        *table(header, keys_of(PoincareSection)),
-    ]
-    lines += [
-        "## `ensemble`",
-        "",
-        "These are the keys of an ensemble ([Ensembles](ensembles.md)). Give one of `states`, `grid` and `random`.",
-        "",
-        *table(header, keys_of(Section)),
-        "In `grid`, evenly spaced values can be written as a range, which is a section with these keys:",
-        "",
-        *table(header, keys_of(Range)),
-        "The section `random` has a key for each vector, which says how the vector is drawn, and these keys:",
-        "",
-        *table(header, keys_of(Random)),
-    ]
-    lines += [
-        "## `top`",
-        "",
-        "Give the kind of the top alone, or a section with `kind` and the parameters of the top. The page of each top "
-        "([Tops](tops.md)) explains the parameters. The kinds and the default values of their parameters are:",
-        "",
-    ]
-    for top in TOPS.values():
-        found = ", ".join(f"`{name}` = {spelled(field.default)}" for name, field in top.model_fields.items())
-        lines += [f"- `{top.form}`: {found or 'no parameters'}"]
-    lines += [
-        "",
-        "The kind `custom` declares [a top of your own](own-top.md). It has these keys:",
-        "",
-        *table(header, keys_of(CustomSection)),
-        "## `scheme`",
-        "",
-        "Give the name of the scheme alone, or a section with `name` and options. A scheme that can be composed also "
-        "takes the key `compose`, whose value is the name of a [composition](higher-order.md). The page of each scheme "
-        "([Schemes](schemes.md)) explains its options. These schemes have options (with their default values):",
-        "",
-    ]
-    for name, schemes in grouped().items():
-        found = ", ".join(
-            f"`{key}` = {spelled(field.default)}" for key, field in schemes[0].options.model_fields.items()
-        )
-        if found:
-            lines += [f"- `{name}`: {found}"]
-    return [*lines, ""]
-
-
-def integrable_table() -> Page:
-    """Table of the integrable maps of topcli."""
-    rows = []
-    for schemes in grouped().values():
-        for one in schemes:
-            if one.integrable is None:
-                continue
-            works = "; ".join(
-                f"{work.surnames} {work.fields.get('year', '')}".strip() for work in works_in(one.citation)
-            )
-            integrals = ", ".join(filter(None, (kept(one), symbols(own(one)))))
-            rows.append(
-                (
-                    f"[`{one.name}`](schemes/{one.name}.md), [{one.top}](tops/{file_of(one.top)}.md)",
-                    integrals,
-                    one.integrable.lax,
-                    one.integrable.poisson,
-                    order(one),
-                    works,
-                )
-            )
-    return table(("map", "integrals", "Lax pair", "Poisson bracket", "order", "citation"), rows)
-
-
-def integrable_page() -> Page:
-    """Page of the integrable maps."""
-    return [
-        "# Integrable maps of topcli",
-        "",
-        "A step of a scheme is a map of states. The orbits of an integrable map lie on tori (or curves), like those "
-        "of the continuous top. Such a map conserves as many independent integrals as the top, exactly or in modified "
-        "form. Other schemes conserve fewer integrals, or we do not know whether they are integrable. A projection or "
-        "a discrete gradient, for example, conserves the energy and k² of the Kowalevski top, but no Poisson bracket "
-        "that we know of. In the table, a tilde marks the modified form of an integral. The page [What "
-        "HK conserves with gamma](../hk-gamma.md) defines K, J, G, $K_i$ and $\\alpha_k$; $\\kappa_{ij}$ is "
-        "$(K_i/K_j - 1)$ divided by $(h/2)^2\\alpha_k$. L is a Lax matrix before a step, and L' is the same "
-        "matrix after it.",
-        "",
-        *integrable_table(),
-        "For the Kowalevski top, `backlund` is an integrable map; we know of no earlier one. [Its "
-        "derivation](../backlund.md) follows the general recipe of Kuznetsov and Vanhaecke (2000) with the Lax pair of "
-        "Bobenko, Reyman and Semenov-Tian-Shansky (1989). `hk` is not integrable for the Kowalevski top.",
-        "",
-        "The tests of topcli check numerically that each of these schemes preserves the bracket that the table calls "
-        "Lie-Poisson.",
-        "",
-    ]
-
-
-def picture_of(name: str) -> Path | None:
-    """Picture of a figure: the one that this checkout has drawn, or that of the documentation."""
-    return next((path for path in (DRAWN / f"{name}.png", IMAGES / f"{name}.png") if path.is_file()), None)
-
-
-def figure_page(name: str, figure: Figure) -> Page:
-    """Page of one figure of the catalogue."""
-    lines = [
-        f"# {name}",
-        "",
-        *indexed(f"figure {name}", name),
-        f"*{figure.title}.*",
-        "",
-        "```sh",
-        f"topcli plot {name}",
-        "```",
-        "",
-    ]
-    if picture_of(name):
-        lines += [f"![{figure.title}]({name}.png)", ""]
-    else:
-        lines += [f"This build of the documentation has no picture of it. `topcli plot {name}` draws it.", ""]
-    made = f"From `{figure.scene}`" if figure.scene.startswith("topcli ") else f"From the scene `{figure.scene}`"
-    return [*lines, f"{made}. The page [Figures](../../figures.md) explains the options of the command.", ""]
-
-
-def gallery(folder: Path) -> Page:
-    """Thumbnails and titles of all figures; pictures and thumbnails are written into ``folder``."""
-    from PIL import Image
-
-    from topcli.figures.catalogue import FIGURES
-
-    (folder / "figures").mkdir(exist_ok=True)
-    lines = ["````{container} gallery"]
-    for name, figure in FIGURES.items():
-        lines += ["```{container} card"]
-        if source := picture_of(name):
-            shutil.copyfile(source, folder / "figures" / f"{name}.png")
-            with Image.open(source) as picture:
-                small = picture.convert("RGB")
-                small.thumbnail((480, 480))
-                small.save(folder / "figures" / f"{name}.small.png")
-            lines += [f"[![{figure.title}](reference/figures/{name}.small.png)](reference/figures/{name}.md)", ""]
-        lines += [f"[**{name}**](reference/figures/{name}.md) {figure.title}", "```"]
-    return [*lines, "````", ""]
-
-
-def bibliography_entries() -> Page:
-    """All works, with what cites them and what could not be checked."""
-    citing: dict[str, list[str]] = {}
-    for name, schemes in grouped().items():
-        for work in {work.key: work for one in schemes for work in works_in(one.citation)}.values():
-            citing.setdefault(work.key, []).append(name)
-    for top in TOPS.values():
-        for work in works_in(top.citation):
-            citing.setdefault(work.key, []).append(top.form)
-    lines: Page = []
-    for one in sorted(bibliography().values(), key=lambda one: (one.surnames, one.fields.get("year", ""))):
-        cited = ", ".join(f"`{name}`" for name in dict.fromkeys(citing.get(one.key, ())))
-        about = f"Cited by {cited}." if cited else "Cited on other pages of this documentation."
-        if "not checked" in one.fields.get("note", "").lower():
-            about += " **Not checked in full.**"
-        lines += [f"({anchor(one)})=", f"{linked(one)}\\", about, ""]
+    sections = {
+        "`output`": ("", Output),
+        "`section`": (
+            "A [Poincaré section](chaos.md#poincare-sections). Give either `component` or `quantity`.",
+            PoincareSection,
+        ),
+        "`ensemble`": ("An [ensemble](ensembles.md). Give one of `states`, `grid` and `random`.", Section),
+        "`ensemble.grid`": ("Evenly spaced values can be written as a range, which is a section.", Range),
+        "`ensemble.random`": ("Besides these keys, a key for each vector says how the vector is drawn.", Random),
+        "`top` with `kind: custom`": ("[A top of your own](own-top.md).", CustomSection),
+    }
+    lines = table(KEYS, keys_of(Config))
+    for title, (about, model) in sections.items():
+        lines += [f"## {title}", "", *([about, ""] if about else []), *table(KEYS, keys_of(model))]
     return lines
 
 
-def root_page(name: str) -> Page:
-    """Page of a file in the root of the checkout; its links to pages lead there, other files are named."""
-    text = re.sub(r"\]\(docs/", "](../", (ROOT / name).read_text(encoding="utf-8"))
-    return [re.sub(r"\[([^\]]+)\]\((?!\.\./|https?:|#)([^)]+)\)", r"\1 (`\2`)", text)]
+# schemes and tops
 
 
-def requirements() -> Page:
-    """Versions of Python and of packages that topcli needs, from the metadata of the project."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    versions = [one.rpartition(" ")[2] for one in project["classifiers"] if "Python :: 3." in one]
-    extras = [(f"`{name}`", ", ".join(found)) for name, found in project["optional-dependencies"].items()]
-    return [
-        f"Python {versions[0]} to {versions[-1]}. `pip install .` installs these packages:",
-        "",
-        *(f"- {one}" for one in project["dependencies"]),
-        "",
-        "Extras such as `pip install '.[video]'` add packages:",
-        "",
-        *table(("extra", "packages"), extras),
-    ]
+def distinct(schemes: Sequence[Scheme], text: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """The tops, joined, and the text that they share, for each different text."""
+    tops: dict[str, list[str]] = {}
+    for scheme in schemes:
+        tops.setdefault(text[scheme.top], []).append(f"`{scheme.top}`")
+    for shared, names in tops.items():
+        yield ("" if len(tops) == 1 else ", ".join(names)), shared
 
 
-def pages(folder: Path) -> dict[str, Page]:
-    """Content of each page by its path in ``folder``."""
-    from topcli.figures.catalogue import FIGURES
-
-    found = {f"schemes/{name}.md": scheme_page(schemes) for name, schemes in grouped().items()}
-    found |= {f"tops/{file_of(form)}.md": top_page(top) for form, top in TOPS.items()}
-    found |= {f"figures/{name}.md": figure_page(name, figure) for name, figure in FIGURES.items()}
-    found |= {f"api/{file}.md": object_page(name) for name, file in object_files().items()}
-    return found | {
-        "integrable.md": integrable_page(),
-        "changelog.md": root_page("CHANGELOG.md"),
-        "contributing.md": root_page("CONTRIBUTING.md"),
-        "parts/commands.md": commands_page(),
-        "parts/words.md": words(),
-        "parts/quantities.md": quantities(),
-        "parts/config.md": config_page(),
-        "parts/gallery.md": gallery(folder),
-        "parts/bibliography.md": bibliography_entries(),
-        "parts/api.md": object_table(),
-        "parts/requirements.md": requirements(),
-    }
+def symbols(invariants: Iterable[Invariant]) -> str:
+    """Symbols of invariants, typeset."""
+    return ", ".join(f"${invariant.tex}$" for invariant in invariants)
 
 
-def named_pages(page: str) -> dict[str, str]:
-    """Pages of schemes, tops and objects of Python by their names, for links from ``page``.
-
-    ``exact`` is a verdict as well as a scheme, and a link only on pages that list schemes.
-    """
-    names = {f"topcli.{name}": f"reference/api/{file}" for name, file in object_files().items()}
-    names |= {form: f"reference/tops/{file_of(form)}" for form in TOPS}
-    names |= {name: f"reference/schemes/{name}" for name in grouped()}
-    if page not in LISTS and not page.startswith("reference/tops/"):
-        del names["exact"]
-    return names
+def conserved(scheme: Scheme) -> str:
+    """Invariants that a scheme conserves exactly, and its modified integrals."""
+    top = TOPS[scheme.top].new()
+    exact = symbols(invariant for invariant in top.invariants() if invariant.name in scheme.conserves) or "nothing"
+    modified = symbols(scheme.modified(top, 0.01, scheme.options())) if scheme.modified else ""
+    return f"{exact}; in modified form {modified}" if modified else exact
 
 
-def write_pages(folder: Path) -> list[Path]:
-    """Write all pages and the pictures of schemes into ``folder``; remove pages that are no longer made.
+def kind_of(scheme: Scheme) -> tuple[str, str]:
+    """Order of a scheme, and whether it is explicit and self-adjoint."""
+    order = str(scheme.order or ("by tolerance" if scheme.adaptive else "exact"))
+    kind = "adaptive" if scheme.adaptive else "explicit" if scheme.explicit else "implicit"
+    return order, f"{kind}, {'self-adjoint' if scheme.self_adjoint else 'not self-adjoint'}"
 
-    Returns the paths of the pages. A page whose text is unchanged is not written again, so that it is not built again.
-    """
+
+def schemes_part() -> Page:
+    """Table of the schemes, and a section on each: what it does, its formulas, conservation, options and limits."""
+    groups = grouped()
+    lines = table(
+        ("scheme", "title", "order", "kind"),
+        [(f"[`{name}`](#{name})", capitalized(some[0].title), *kind_of(some[0])) for name, some in groups.items()],
+    )
+    for name, some in groups.items():
+        lines += [f"## {name}", "", f"*{capitalized(some[0].title)}.*", ""]
+        for tops, doc in distinct(some, {scheme.top: scheme.doc for scheme in some}):
+            lines += [f"{f'{tops}: ' if tops else ''}{prose(doc)}", ""]
+        for tops, formula in distinct(some, {scheme.top: scheme.formula for scheme in some}):
+            lines += [*([f"{tops}:", ""] if tops else []), *display(formula)]
+        rows = [(f"`{scheme.top}`", *kind_of(scheme), conserved(scheme)) for scheme in some]
+        lines += table(("top", "order", "kind", "conserves exactly"), rows)
+        lines += table(("option", "type", "default", "meaning"), keys_of(some[0].options))
+        limits = {scheme.top: "\n".join(f"- `{key}`: {text}" for key, text in scheme.limits.items()) for scheme in some}
+        for tops, text in distinct(some, limits):
+            if text:
+                lines += [f"Limits{f' on {tops}' if tops else ''}:", "", text, ""]
+        lines += [f"Source: {citation}.\n" for citation in dict.fromkeys(scheme.citation for scheme in some)]
+    return lines
+
+
+def top_section(top: type[Top]) -> Page:
+    """Section on one form of a top: equations of motion, parameters and integrals."""
+    lines = [f"## {top.form}", "", prose(top.__doc__ or "").replace("\n    ", "\n"), "", *display(top.formula)]
+    vectors = ", ".join(f"`{name}`" for name in top.vectors)
+    lines += [f"`kind: {top.kind}`, initial vectors {vectors}.", ""]
+    lines += table(("parameter", "type", "default", "meaning"), keys_of(top))
+    if top.step_constants:
+        constants = ", ".join(f"`{constant}`" for constant in top.step_constants)
+        lines += [f"Constants `p` of a step: {constants}.", ""]
+    rows = []
+    for invariant in top.new().invariants():
+        level = " and ".join(f"`{name}` = {value:g}" for name, value in invariant.on.items())
+        about = invariant.meaning + (f"; conserved only where {level}" if level else "")
+        rows.append((f"${invariant.tex}$", f"`{invariant.name}`", about))
+    lines += table(("integral", "column", "meaning"), rows)
+    names = dict.fromkeys(scheme.name for scheme in all_schemes() if scheme.top == top.form)
+    return [*lines, f"Schemes: {', '.join(f'[`{name}`](schemes.md#{name})' for name in sorted(names))}.", ""]
+
+
+def tops_part() -> Page:
+    """A section on each form of a top."""
+    return [line for top in TOPS.values() for line in top_section(top)]
+
+
+# measures, Python interface, claims
+
+
+def measures_part() -> Page:
+    """Table of the measures of sweeps."""
+    from topcli.sweeps.measures import all_measures
+
+    rows = [(f"`{measure.name}`", prose(measure.summary), measure.unit) for measure in all_measures()]
+    return table(("measure", "content", "unit"), rows)
+
+
+def api_part() -> Page:
+    """Objects of the Python interface, from their docstrings: functions, then types."""
+    public = sorted(set(topcli.__all__) - {"__version__"})
+    functions = [name for name in public if name[0].islower()]
+    lines: Page = []
+    for title, directive, names in (
+        ("Functions", "autofunction", functions),
+        ("Types", "autoclass", [*(name for name in public if name not in functions), *TYPES]),
+    ):
+        lines += [f"### {title}", "", "```{eval-rst}"]
+        for name in names:
+            lines += [f".. {directive}:: topcli.{name}"]
+            lines += [f"   :members: {MEMBERS[name]}".rstrip()] if name in MEMBERS else []
+            lines += [""]
+        lines += ["```", ""]
+    return lines
+
+
+def claims_part() -> Page:
+    """All claims of the paper, with their verdicts; this runs their experiments."""
+    return [topcli.claims().to_markdown()]
+
+
+PARTS = {
+    "commands": commands_part,
+    "config": config_part,
+    "schemes": schemes_part,
+    "tops": tops_part,
+    "measures": measures_part,
+    "api": api_part,
+    "claims": claims_part,
+}
+"""Functions that write the parts, by the names of their files."""
+
+
+def write_parts(folder: Path) -> None:
+    """Write all parts into ``folder``; one whose text is unchanged keeps its file, so that it is not built again."""
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, lines in pages(folder).items():
-        path = folder / name
-        text = "\n".join(lines).rstrip() + "\n"
-        path.parent.mkdir(exist_ok=True)
+    for name, part in PARTS.items():
+        path, text = folder / f"{name}.md", "\n".join(part()).rstrip() + "\n"
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
-        written.append(path)
-    for path in folder.rglob("*.md"):
-        if path not in written:
-            path.unlink()
-    return written
-
-
-def draw_schemes(folder: Path) -> None:
-    """Draw the pictures of the pages of schemes."""
-    for name, schemes in grouped().items():
-        draw_if_old(shown_on(schemes), folder / "schemes" / f"{name}.png")

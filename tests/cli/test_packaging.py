@@ -198,9 +198,7 @@ def test_the_tutorial_works_on_a_bare_machine(bare: tuple[Path, dict[str, str]],
 
 def inline_commands(page: Path) -> list[str]:
     """Commands in the text of a page."""
-    found = [part for part in page.read_text(encoding="utf-8").split("`")[1::2] if part.startswith("topcli ")]
-    assert "topcli --version" in found
-    return found
+    return [part for part in page.read_text(encoding="utf-8").split("`")[1::2] if part.startswith("topcli ")]
 
 
 @pytest.mark.slow

@@ -8,11 +8,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from conftest import ROOT
 from shown import cells_of
-from topcli.schemes.registry import all_schemes
 from topcli.store.files import write_study
-from topcli.studies.scheme_page import schemes_page
 from topcli.studies.stress.study import FILE
 from topcli.studies.stress.trials import stress, stress_data
 
@@ -110,14 +107,6 @@ def test_limits_are_shown(cli) -> None:
     shown = {one["top"]: one["limits"] for one in cli("show", "midpoint", "--json").json()["schemes"]}
     assert {"euler", "heavy", "kowalevski"} <= shown.keys()
     assert "singular-step" in shown["heavy"]
-
-
-def test_the_page_of_the_schemes_is_up_to_date(cli) -> None:
-    page = (ROOT / "docs" / "schemes.md").read_text(encoding="utf-8")
-    assert page == schemes_page(), "make it again: topcli list schemes --markdown > docs/schemes.md"
-    assert cli("list", "schemes", "--markdown").out == page
-    shown = [line.split(" | ")[0] for line in page.splitlines() if line.startswith("| `")]
-    assert shown == [f"| `{name}`" for name in sorted({one.name for one in all_schemes() if one.origin == "topcli"})]
 
 
 # what is stored, and the picture

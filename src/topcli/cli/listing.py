@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from topcli.cli.app import Command
-from topcli.cli.options import Json, Markdown, complete_scheme, complete_top, option, top_option
+from topcli.cli.options import Json, complete_scheme, complete_top, option, top_option
 from topcli.cli.output import emit_text, print_cells, print_json, print_message
 from topcli.errors import shortened
 from topcli.table import Column, Table
@@ -128,19 +128,15 @@ def tops(as_json: Json = False) -> Listing:
 def schemes(
     top: OnlyTop = None,
     as_json: Json = False,
-    as_markdown: Markdown = False,
-) -> Listing | None:
+) -> Listing:
     """List the schemes with their declared properties.
 
     A plugin that cannot be loaded is reported on stderr.
     """
     from topcli.schemes.registry import all_schemes
-    from topcli.studies.scheme_page import scheme_data, schemes_page
+    from topcli.studies.scheme_page import scheme_data
 
     wanted = _forms(top)
-    if as_markdown:
-        emit_text(schemes_page())
-        return None
     items = [scheme_data(scheme) for scheme in all_schemes() if scheme.top in wanted]
     for item in items:
         item["options"] = {name: str(option["default"]) for name, option in item["options"].items()}
