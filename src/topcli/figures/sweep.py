@@ -14,10 +14,10 @@ from topcli.errors import UsageError
 from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, HeatPanel, KeyAxis, curve_column, plain
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid
-from topcli.glossary import in_words
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.store.files import sha256_of
+from topcli.sweeps.measures import in_words
 from topcli.sweeps.rows import SweepRows, key_labels
 from topcli.sweeps.table import SPREADS, aggregated, require_aggregate, require_groups
 from topcli.sweeps.table_text import left_out

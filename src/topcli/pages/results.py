@@ -21,7 +21,6 @@ from topcli.config.sweep import Sweep
 from topcli.contracts import Outcome
 from topcli.errors import counted
 from topcli.figures.sweep import Choice, curves
-from topcli.glossary import in_words, label
 from topcli.pages.contents import (
     Chapter,
     Facts,
@@ -50,6 +49,7 @@ from topcli.runs.report import (
 )
 from topcli.schemes.display import display_name
 from topcli.store.manifest import StoredRun
+from topcli.sweeps.measures import in_words
 from topcli.sweeps.rows import SweepRows, encoded, key_labels, read_rows
 from topcli.sweeps.run import SWEEP_FILE, stored_sweep_file
 from topcli.table import DASH, Cells, number, significant
@@ -131,7 +131,7 @@ def _verdicts(report: dict[str, Any]) -> Cells:
     rows = report["invariants"]
     lines = [[row["symbol"], row["statement"], number(row["max_deviation"], 2), row["name"]] for row in rows]
     marks = {row["statement"]: VERDICT_MARKS.get(row["verdict"], "") for row in rows}
-    header = ["invariant", "verdict", label("max_deviation"), "name"]
+    header = ["invariant", "verdict", "max deviation", "name"]
     return Cells("Verdicts", header, lines, numbers=False, marks=marks)
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli import glossary
 from topcli.analysis.quantities import FIGURES
 from topcli.analysis.tally import (
     DEVIATIONS,
@@ -27,7 +26,6 @@ from topcli.analysis.tally import (
 from topcli.contracts import Ending, Method, Outcome, Sampler
 from topcli.engine.run import NO_FAILURE, Endings
 from topcli.errors import counted
-from topcli.glossary import label
 from topcli.table import Column, Table, number, plus_minus, rounded_up, ten_digits, two_digits
 
 if TYPE_CHECKING:
@@ -54,28 +52,25 @@ class ReportColumn(Column):
 
     def compared_head(self, symbol: str) -> str:
         """Heading in comparisons, for the invariant of this symbol."""
-        return label(self.name, symbol) if self.name in glossary.QUANTITIES else f"{self.head} of {symbol}"
-
-
-def _quantity(key: str, show: Callable[[Any], str] = number, compared: bool = False) -> ReportColumn:
-    return ReportColumn(label(key), key, show, compared=compared)
+        head, unit, _ = self.head.partition(" per unit time")
+        return f"{head} of {symbol}{unit}"
 
 
 REPORT_COLUMNS = (
     ReportColumn("invariant", "symbol", str),
-    _quantity("first", ten_digits),
-    _quantity("min", ten_digits),
-    _quantity("max", ten_digits),
-    _quantity("max_deviation", compared=True),
-    _quantity("max_deviation_relative"),
-    _quantity("rms_deviation"),
-    _quantity("rms_deviation_relative"),
-    _quantity("drift", compared=True),
-    _quantity("drift_error", two_digits, compared=True),
-    _quantity("drift_bound", two_digits),
-    _quantity("drift_over_run"),
+    ReportColumn("first value", "first", ten_digits),
+    ReportColumn("min", "min", ten_digits),
+    ReportColumn("max", "max", ten_digits),
+    ReportColumn("max deviation", "max_deviation", compared=True),
+    ReportColumn("max deviation, relative", "max_deviation_relative"),
+    ReportColumn("rms deviation", "rms_deviation"),
+    ReportColumn("rms deviation, relative", "rms_deviation_relative"),
+    ReportColumn("drift per unit time", "drift", compared=True),
+    ReportColumn("standard error of the drift", "drift_error", two_digits, compared=True),
+    ReportColumn("95 % bound of the drift", "drift_bound", two_digits),
+    ReportColumn("drift over the run", "drift_over_run"),
     ReportColumn("model", "model", str, compared=True),
-    _quantity("round_off_bound"),
+    ReportColumn("round-off bound", "round_off_bound"),
     ReportColumn("verdict", "verdict", str, compared=True),
 )
 """Figures of the invariant report in the order of all its tables; the paths are fields of ``InvariantRow``."""
@@ -509,7 +504,7 @@ ENSEMBLE = Table(
         Column("within round-off", _within_round_off),
         *(Column("", key) for key in ("within_round_off", "judged")),
         *(
-            Column(f"{label(measure)}, {name}", f"{measure}.{name}", number)
+            Column(f"{measure.replace('_', ' ')}, {name}", f"{measure}.{name}", number)
             for measure in DEVIATIONS
             for name in (QUANTILES if measure == "max_deviation" else ("median", "max"))
         ),

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from topcli.errors import ExitCode, UnknownNameError, UsageError, counted, quoted
-from topcli.glossary import label
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import PYTHON_ONLY, Data, Faults, Flag, Head, Overrides, Result, Study, cited_parts, top_title
 from topcli.table import Column, Table, number
@@ -130,11 +129,11 @@ def _columns(data: Data) -> list[Column]:
 
 
 def _reversal_label(data: Data) -> str:
-    return label("reversal_defect") + (f" at h = {abs(data['schemes'][0]['h']):g}" if _same_step(data) else "")
+    return "reversal defect" + (f" at h = {abs(data['schemes'][0]['h']):g}" if _same_step(data) else "")
 
 
 def _swing_label(data: Data) -> str:
-    return label("first_swing_spacing", data["reference"]["swing"])
+    return f"first swing spacing of {data['reference']['swing']}"
 
 
 def _shown(name: str) -> Callable[[float | None], str]:
@@ -163,12 +162,12 @@ def _measured_columns(data: Data) -> list[Column]:
     return [
         Column("outcome", "outcome"),
         Column("", "message"),
-        Column(label("max_error"), "max_error", number),
-        Column(label("final_error"), "final_error", number),
+        Column("max error", "max_error", number),
+        Column("final error", "final_error", number),
         *_invariant_columns(schemes),
         *_modified_columns(schemes),
         Column(_reversal_label(data), "reversal_defect", number),
-        Column(label("reversal_order"), _order_of(data)),
+        Column("order of the reversal defect", _order_of(data)),
         Column("", "reversal_order"),
         Column(_swing_label(data), "first_swing_spacing", "{:.4f}".format),
         Column(f"ns per step{closed}", "nanoseconds_per_step", "{:.1f}".format),
@@ -200,7 +199,7 @@ def _modified_columns(schemes: Sequence[Data]) -> Iterator[Column]:
             return next((row[key] for row in scheme["modified"] if row["name"] == name), None)
 
         yield Column(
-            label("max_deviation", known["symbol"]), partial(of, key="max_deviation"), number, f"max_deviation.{name}"
+            f"max deviation of {known['symbol']}", partial(of, key="max_deviation"), number, f"max_deviation.{name}"
         )
         yield from (Column("", partial(of, key=key), key=f"{key}.{name}") for key in ("drift", "drift_error"))
         yield Column(f"verdict of {known['symbol']}", partial(of, key="verdict"), key=f"verdict.{name}")
@@ -232,7 +231,7 @@ TABLE = Table(
 
 def _brief_columns(data: Data) -> list[Column]:
     """Errors, reversal and swings, and the outcomes unless all runs completed."""
-    labels = {name: label(name) for name in ("max_error", "final_error", "reversal_defect")}
+    labels = {name: name.replace("_", " ") for name in ("max_error", "final_error", "reversal_defect")}
     labels["first_swing_spacing"] = _swing_label(data)
     columns = [Column(" ", _label)]
     if not all(map(_completed, data["schemes"])):
@@ -274,12 +273,12 @@ BRIEF = (
     Table(
         "schemes",
         _of_invariants(_deviation),
-        title=lambda data: f"{label('max_deviation')}, relative to the first value",
+        title=lambda data: "max deviation, relative to the first value",
     ),
     Table(
         "schemes",
         _of_invariants(_drift),
-        title=lambda data: f"{label('drift')}, with 95 % bounds, or the verdict",
+        title=lambda data: "drift per unit time, with 95 % bounds, or the verdict",
     ),
 )
 """Tables of a terminal without ``--verbose``: a line for each entry."""
@@ -297,7 +296,7 @@ def printed(result: Result, verbose: bool) -> Iterator[Table | str]:
     timed = [scheme for scheme in result.data["schemes"] if scheme["nanoseconds_per_step"] is not None]
     if timed:
         speeds = (f"{_label(scheme)} {scheme['nanoseconds_per_step']:.1f}" for scheme in timed)
-        yield f"{label('nanoseconds_per_step')}: {', '.join(speeds)}"
+        yield f"ns per step: {', '.join(speeds)}"
     yield "-v prints all values"
 
 

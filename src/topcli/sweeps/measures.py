@@ -21,7 +21,6 @@ from topcli.analysis.swings import minima_times
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.engine.tangent import obstacle as tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.glossary import FAMILY, QUANTITIES
 from topcli.runs.references import obstacle
 from topcli.schemes.plugins import origin_of, plugin_table, without_users_errors
 from topcli.schemes.registry import plugin_failures, schemes_of
@@ -37,6 +36,8 @@ TAKEN = frozenset(
     "row outcome message digest cpu current top initial scheme h N T output sample seed drawn".split()  # noqa: SIM905
 )
 """Names of other columns of a table of rows; those of keys may be followed by a dot."""
+FAMILY = ".NAME"
+"""End of the name of a family."""
 H_OF_NAMES = 2.0**-10
 """Step at which the integrals of a scheme are built when only their names are asked for."""
 
@@ -187,6 +188,19 @@ def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation
         return evaluate
 
     return register
+
+
+def of_name(name: str) -> Measure | None:
+    """Measure or member of a family such as ``drift.energy``; None for any other name."""
+    base, _, member = name.partition(".")
+    family = MEASURES.get(base + FAMILY)
+    return MEASURES.get(name) or (family and family.member(member))
+
+
+def in_words(name: str) -> str:
+    """Name of a measure for the axis of a figure: "drift of energy" for ``drift.energy``."""
+    base, _, member = name.partition(".")
+    return (f"{base} of {member}" if base + FAMILY in MEASURES else name).replace("_", " ")
 
 
 def all_measures() -> tuple[Measure, ...]:
@@ -347,12 +361,8 @@ def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
 
 
 INTEGRAL = "invariant"
-
-
-def _measure(key: str, **declared: Any) -> Callable[[Evaluation], Evaluation]:
-    """Register a measure or a family of topcli itself under its entry in the glossary."""
-    term = QUANTITIES[key]
-    return measure(term.name, summary=term.meaning, unit=term.unit, **declared)
+NUMBER, TIME, OF_NAME, OF_STATE = "number", "time", "unit of NAME", "unit of the state"
+"""Units in words; the numbers themselves are dimensionless."""
 
 
 def _of_swings(batch: Batch, figure: Callable[[Array], float]) -> Array:
@@ -361,19 +371,34 @@ def _of_swings(batch: Batch, figure: Callable[[Array], float]) -> Array:
     return np.array([figure(minima_times(batch.t, of_one)) for of_one in values])
 
 
-@_measure("swings", needs=[SWING])
+@measure(
+    "swings",
+    summary="number of swings, which are deep minima of one component of the state",
+    unit=NUMBER,
+    needs=[SWING],
+)
 def swings(batch: Batch) -> Array:
     """Number of deep minima within the recorded rows."""
     return _of_swings(batch, len)
 
 
-@_measure("median_swing_spacing", needs=[SWING])
+@measure(
+    "median_swing_spacing",
+    summary="median time from one swing to the next",
+    unit=TIME,
+    needs=[SWING],
+)
 def median_swing_spacing(batch: Batch) -> Array:
     """Median distance of neighbouring deep minima; nan for fewer than two."""
     return _of_swings(batch, lambda times: float(np.median(np.abs(np.diff(times)))) if len(times) > 1 else np.nan)
 
 
-@_measure("first_swing_spacing", needs=[SWING])
+@measure(
+    "first_swing_spacing",
+    summary="time from the first swing to the second",
+    unit=TIME,
+    needs=[SWING],
+)
 def first_spacing(batch: Batch) -> Array:
     """Distance of the first two deep minima; nan for fewer than two."""
     values = batch.columns[batch.experiment.top.swing]
@@ -381,8 +406,10 @@ def first_spacing(batch: Batch) -> Array:
     return np.array([np.nan if spacing is None else spacing for spacing in spacings])
 
 
-@_measure(
-    "drift",
+@measure(
+    "drift.NAME",
+    summary="slope of a line fitted to NAME, per unit time",
+    unit="unit of NAME per time",
     needs=[DRIFT],
     names=integral_names,
     noun=INTEGRAL,
@@ -392,8 +419,10 @@ def drift(batch: Batch, name: str) -> Array:
     return batch.drifts[name]
 
 
-@_measure(
-    "max_deviation",
+@measure(
+    "max_deviation.NAME",
+    summary="largest deviation of NAME from its first value",
+    unit=OF_NAME,
     needs=[DEVIATION],
     names=integral_names,
     noun=INTEGRAL,
@@ -403,21 +432,30 @@ def deviation(batch: Batch, name: str) -> Array:
     return batch.deviations[name]
 
 
-def _figure_of_column(name: str, figure: Callable[[Array], Array]) -> None:
+def _figure_of_column(name: str, word: str, figure: Callable[[Array], Array]) -> None:
     """Register a family: a figure of the recorded rows of one column."""
 
-    @_measure(name, needs=[COLUMN], names=column_names, noun="column")
+    @measure(
+        name + FAMILY,
+        summary=f"{word} value of NAME over the recorded rows",
+        unit=OF_NAME,
+        needs=[COLUMN],
+        names=column_names,
+        noun="column",
+    )
     def evaluate(batch: Batch, column: str) -> Array:
         return figure(batch.columns[column])
 
 
-_figure_of_column("min", lambda rows: rows.min(axis=1))
-_figure_of_column("max", lambda rows: rows.max(axis=1))
-_figure_of_column("mean", lambda rows: rows.mean(axis=1))
+_figure_of_column("min", "smallest", lambda rows: rows.min(axis=1))
+_figure_of_column("max", "largest", lambda rows: rows.max(axis=1))
+_figure_of_column("mean", "mean", lambda rows: rows.mean(axis=1))
 
 
-@_measure(
-    "frequency",
+@measure(
+    "frequency.NAME",
+    summary="frequency of the strongest spectral line of NAME in the recorded rows",
+    unit="cycles per unit time",
     needs=[COLUMN],
     names=column_names,
     noun="column",
@@ -428,8 +466,10 @@ def frequency(batch: Batch, column: str) -> Array:
     return np.array([strongest_line(rows).frequency for rows in batch.columns[column]]) / spacing
 
 
-@_measure(
-    "digits",
+@measure(
+    "digits.NAME",
+    summary="number of decimal digits in which the weighted averages of NAME over the two halves of the run agree",
+    unit=NUMBER,
     needs=[COLUMN],
     names=column_names,
     noun="column",
@@ -439,8 +479,10 @@ def digits(batch: Batch, column: str) -> Array:
     return agreement_digits(batch.columns[column])
 
 
-@_measure(
+@measure(
     "max_error",
+    summary="largest distance of a recorded state from the reference solution",
+    unit=OF_STATE,
     needs=[ERROR],
     obstacle=obstacle,
 )
@@ -449,8 +491,10 @@ def max_error(batch: Batch) -> Array:
     return batch.max_error
 
 
-@_measure(
+@measure(
     "final_error",
+    summary="distance of the last state from the reference solution",
+    unit=OF_STATE,
     needs=[FINAL_ERROR],
     obstacle=obstacle,
 )
@@ -459,8 +503,11 @@ def final_error(batch: Batch) -> Array:
     return batch.final_error
 
 
-@_measure(
+@measure(
     "reversal_defect",
+    summary="difference between a state and the result of one step of |h| forward and one step back; the largest over "
+    "16 states of the run",
+    unit=OF_STATE,
     needs=[PROBES],
 )
 def reversal(batch: Batch) -> Array:
@@ -474,8 +521,10 @@ def reversal(batch: Batch) -> Array:
     return np.where(np.isnan(defect), np.inf, defect)
 
 
-@_measure(
-    "counter",
+@measure(
+    "counter.NAME",
+    summary="number of events called NAME that the scheme counted",
+    unit=NUMBER,
     names=counter_names,
     noun=COUNTER,
 )
@@ -491,8 +540,10 @@ def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
     return reason and f"scheme {scheme.name!r} {reason}"
 
 
-@_measure(
+@measure(
     "lyapunov",
+    summary="largest Lyapunov exponent, after a transient",
+    unit="inverse time",
     obstacle=_tangent_obstacle,
 )
 def lyapunov(batch: Batch) -> Array:
@@ -502,8 +553,10 @@ def lyapunov(batch: Batch) -> Array:
     return batch.growth.exponents
 
 
-@_measure(
+@measure(
     "chaotic",
+    summary="1 for a chaotic orbit, 0 for a regular one or a point; otherwise missing",
+    unit=NUMBER,
     obstacle=_tangent_obstacle,
 )
 def chaotic(batch: Batch) -> Array:
@@ -511,14 +564,21 @@ def chaotic(batch: Batch) -> Array:
     return shares_of_chaos(batch.growth.verdicts)
 
 
-@_measure("steps", of_failed=True)
+@measure(
+    "steps",
+    summary="number of steps taken; for a failed run, the number of the step that failed",
+    unit=NUMBER,
+    of_failed=True,
+)
 def steps(batch: Batch) -> Array:
     """Step number at which the run ended."""
     return batch.endings.step.astype(np.float64)
 
 
-@_measure(
+@measure(
     "seconds",
+    summary="wall time of the steps; runs computed together in a batch share its time equally; not reproducible",
+    unit="seconds",
     reproducible=False,
 )
 def seconds(batch: Batch) -> Array:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from topcli.errors import counted
-from topcli.glossary import definition
+from topcli.sweeps.measures import of_name
 from topcli.sweeps.table import ORDER, SPREADS, Cell, Summary, SweepTable
 from topcli.table import (
     error_places,
@@ -204,13 +204,8 @@ def _latex_label(text: str) -> str:
 
 
 def _definitions(measures: Sequence[str]) -> list[str]:
-    """Sentence on each measure of topcli: its meaning, and its symbol if it has one."""
-    found = {name: definition(name) for name in measures}
-    return [
-        escaped(f"{name}: {meaning}") + (f", ${symbol}$." if symbol else ".")
-        for name, (meaning, symbol) in found.items()
-        if meaning
-    ]
+    """Sentence on each measure that is registered."""
+    return [escaped(f"{name}: {found.summary}.") for name in measures if (found := of_name(name))]
 
 
 def _units(measures: Sequence[str]) -> str:
