@@ -161,6 +161,15 @@ LORENZ = {"x": "10*(y - x)", "y": "28*x - y - x*z", "z": "x*y - 8/3*z"}
 ROESSLER = {"x": "-y - z", "y": "x + 0.2*y", "z": "0.2 + z*(x - 5.7)"}
 HENON_HEILES = {"x": "px", "y": "py", "px": "-x - 2*x*y", "py": "-y - x*x + y*y"}
 
+NEUMANN = {
+    "name": "neumann",
+    "top": {"kind": "clebsch", "omega1": 1.0, "omega2": 2.0, "omega3": 4.0},
+    "initial": {"m": [1e-6, 0.0, 0.0], "p": [0.0, 0.0, 1.0]},
+    "scheme": "midpoint",
+    "h": 0.05,
+    "N": 1000,
+}
+
 
 def families() -> Iterator[tuple[str, Any, NDArray[np.float64]]]:
     """Orbits that are not chaotic: a name, a config, and initial states (m, d)."""
@@ -174,9 +183,9 @@ def families() -> Iterator[tuple[str, Any, NDArray[np.float64]]]:
     pushed = np.hstack(
         [10.0 ** -rng.uniform(0.5, 7.0, (16, 1)) * rng.normal(size=(16, 3)), np.tile([0.0, 0.0, 1.0], (16, 1))]
     )
-    yield "near separatrices: Neumann's problem, `midpoint`, h = 0.05", "clebsch_hard", pushed
+    yield "near separatrices: Neumann's problem, `midpoint`, h = 0.05", NEUMANN, pushed
     pushed = np.array([[10.0**-depth, 0.0, 0.0, 0.0, 0.0, 1.0] for depth in DEPTHS])
-    yield "unstable periodic orbits: Neumann's problem in a plane", "clebsch_hard", pushed
+    yield "unstable periodic orbits: Neumann's problem in a plane", NEUMANN, pushed
     yield "escapes: x' = 0.1 x, `rk4`", of_field({"x": "0.1*x"}, "rk4", 0.02), np.array([[1.0], [1e-6]])
     saddle = of_field({"x": "x", "y": "-y"}, "rk4", 0.002)
     yield "escapes: saddle, `rk4`", saddle, np.array([[1e-6, 1.0], [1.0, 1.0]])

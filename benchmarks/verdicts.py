@@ -28,7 +28,7 @@ from topcli.table import markdown_table
 KOWALEVSKI = ("kowalevski_hk", "kowalevski_generic_hk", "kowalevski_torus")
 SCENES = (
     *KOWALEVSKI,
-    *("lagrange_hk", "lagrange_fast", "heavy_hk", "heavy_chaotic", "euler_gamma_hk", "clebsch_hard", "so4_hard"),
+    *("lagrange_hk", "lagrange_waves", "heavy_hk", "heavy_chaotic", "euler_gamma_hk", "clebsch_gentle", "so4_gentle"),
 )
 SCHEMES: dict[str, tuple[Any, Sequence[str]]] = {
     "HK": ("hk", SCENES),
@@ -37,8 +37,7 @@ SCHEMES: dict[str, tuple[Any, Sequence[str]]] = {
     "rk4": ("rk4", SCENES),
     "hybrid": ("hybrid", KOWALEVSKI),
     "Bohlin A": ("bohlin-a", KOWALEVSKI),
-    "HK, projected": ("hk-projected", KOWALEVSKI),
-    "HK, projected symmetrically": ("hk-symproj", KOWALEVSKI),
+    "HK, projected": ({"name": "hk", "project": 1}, KOWALEVSKI),
 }
 LENGTHS = (3.0, 5.0, 8.0, 13.0, 20.0, 35.0, 60.0, 100.0, 180.0, 300.0)
 LONGER = 100

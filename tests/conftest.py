@@ -9,7 +9,7 @@ import signal
 import sys
 import zlib
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,14 +109,10 @@ def pytest_runtest_teardown(item: pytest.Item) -> Generator[None]:
 @pytest.fixture
 def own_registry() -> Iterator[None]:
     """Schemes, tops and measures registered by a test are gone after it."""
-    from topcli.schemes.plugins import registry
-    from topcli.schemes.registry import all_schemes, load_plugin_file
+    from scheme_files import unchanged_tables
 
-    all_schemes()  # so that the built-in ones are among them
-    before = registry.snapshot()
-    yield
-    registry.restore(before)
-    load_plugin_file.cache_clear()
+    with unchanged_tables():
+        yield
 
 
 @pytest.fixture(params=["gmpy2", "mpmath"])
@@ -149,25 +145,23 @@ class Said:
 
 
 @pytest.fixture
-def cli(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path
-) -> Generator[Callable[..., Said]]:
-    """Call ``main`` like the installed command, in an empty working folder; plugins are forgotten at the end."""
+def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_tmp: Path) -> Callable[..., Said]:
+    """Call ``main`` like the installed command, in an empty folder; plugin files are forgotten after each call."""
+    from scheme_files import unchanged_tables
     from topcli.__main__ import main
 
     def call(*arguments: str) -> Said:
         monkeypatch.setattr(sys, "argv", ["topcli", *arguments])
         capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
+        own = {"--plugin", "--scheme-file"}.intersection(arguments) or "check" in arguments[:1]
+        with unchanged_tables() if own else nullcontext(), pytest.raises(SystemExit) as leaving:
             main()
         out, err = capsys.readouterr()
         assert "Traceback" not in out + err
         code = leaving.value.code
         return Said(0 if code is None else int(code), out, err)
 
-    yield call
-    if "topcli.schemes.registry" in sys.modules:
-        sys.modules["topcli.schemes.registry"].unload_plugin_files()
+    return call
 
 
 @pytest.fixture

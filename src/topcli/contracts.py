@@ -21,14 +21,14 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from topcli.arithmetic.sized import Sized
-from topcli.errors import UsageError, counted
+from topcli.errors import counted
 
 Floats = tuple[float, ...]
 Array = NDArray[np.floating[Any]]
@@ -105,7 +105,7 @@ def double_of(x: Fraction) -> float:
         return math.inf if x > 0 else -math.inf
 
 
-def _of_numpy(x: Any) -> Any:
+def of_numpy(x: Any) -> Any:
     """Double whose powers and quotients are infinite where those of Python raise; other numbers as they are."""
     return np.float64(x) if isinstance(x, float) else x
 
@@ -131,7 +131,7 @@ def invariant_of(
         with np.errstate(all="ignore"):
             return Sized.of(integral(tuple(map(Sized, y.T)), p)).size + np.zeros(len(y))
 
-    words = (integral.__doc__ or name).strip().splitlines()[0].rstrip(".")
+    words = (integral.__doc__ or name or "-").strip().splitlines()[0].rstrip(".")
     symbol, tex = symbols or (name, rf"\mathrm{{{name.replace('_', ' ')}}}")
     return Invariant(name, symbol, tex, words[:1].lower() + words[1:], value, scale, on or {})
 
@@ -284,10 +284,10 @@ class Top(BaseModel):
 
     def modified_invariants(self, scheme: str, h: float) -> tuple[Invariant, ...]:
         """Return ``integrals_of`` as invariants."""
-        return self._invariants(self.integrals_of(scheme, _of_numpy(h)))
+        return self._invariants(self.integrals_of(scheme, of_numpy(h)))
 
     def _invariants(self, integrals: Mapping[str, Integral]) -> tuple[Invariant, ...]:
-        p = tuple(map(_of_numpy, self.constants()))
+        p = tuple(map(of_numpy, self.constants()))
         return tuple(
             invariant_of(name, integral, p, self.symbols.get(name), self.holds_on.get(name))
             for name, integral in integrals.items()
@@ -300,36 +300,19 @@ class Top(BaseModel):
         -------
         EulerPoisson
             Coefficients for a rigid body without a rotor. Schemes and Lax pairs that need the moments of inertia use
-            these coefficients, after ``checked_equations`` has compared the equations with ``field``.
+            these coefficients, after ``tops.bodies`` has compared the equations with ``field``.
         """
         raise NotImplementedError
-
-    def warnings(self) -> tuple[str, ...]:
-        """Return warnings about unusual parameters that do not prevent a run.
-
-        Returns
-        -------
-        tuple of str
-            One line for each warning. By default, the only warning is about moments of inertia that violate the
-            triangle inequality (each is at most the sum of the other two).
-        """
-        try:
-            moments = checked_equations(self, "the check of the moments").moments
-        except UsageError:
-            return ()
-        (small, _), (middle, _), (large, axis) = sorted(zip(moments, "ABC", strict=True))
-        if large <= (small + middle) * (1.0 + 1e-12):  # decimals such as 0.3, 0.1, 0.2 are rounded
-            return ()
-        listed = ", ".join(f"{moment:g}" for moment in moments)
-        return (
-            f"the moments ({listed}) violate the triangle inequality: {axis} = {large:g} > {small:g} + {middle:g}; "
-            "no rigid body has such moments, but the equations are integrated",
-        )
 
     @classmethod
     def new(cls) -> Self:
         """Return the top with its default parameters."""
         return cls()
+
+    @classmethod
+    def generic(cls) -> Self:
+        """Return a top by which schemes decide what they conserve for all parameters."""
+        return cls.new()
 
     def section(self, parameters: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the section ``top`` of a config as plain data, with these ``parameters`` in place of the top's own."""
@@ -347,132 +330,6 @@ class Top(BaseModel):
             name: list(state[start:stop]) if stop - start > 1 else state[start]
             for name, (start, stop) in cls.vectors.items()
         }
-
-
-AGREEMENT = 1e-12
-"""Relative difference between ``field`` and ``euler_poisson`` that rounding may explain, component by component."""
-PROBES = 4
-SIZES = ((1.0, 1.0), (0.0, 1.0), (1.0, 0.0), (1e-6, 1.0), (1e6, 1.0))
-"""Sizes of omega and gamma at which they are compared, so that no term hides behind a larger one."""
-
-
-MOVED = 1e-6
-"""Relative change of a vertical that finite differences may leave."""
-
-
-def checked_rotation(top: Top, needed_by: str) -> None:
-    """Check that ``top`` gives its angular velocity, and that its ``vertical`` is fixed in space.
-
-    In the body's frame, the rate of change of the vertical must be vertical x angular velocity. This is tested at
-    several states. ``needed_by`` has the same meaning as in ``checked_equations``.
-
-    Raises
-    ------
-    UsageError
-        If the top gives no angular velocity, or if its vertical moves.
-    """
-    velocity, vertical = type(top).angular_velocity, type(top).vertical
-    if velocity is None:
-        raise UsageError(
-            f"top {top.kind!r}: {needed_by} needs its angular velocity, which it does not declare; if it turns like a "
-            "body, define angular_velocity, three numbers in the body's frame"
-        )
-    p, d = top.constants(), len(top.components)
-    raised: list[Exception] = []
-    for probe in range(PROBES):
-        y = np.cos(np.arange(1.0, d + 1.0) + d * probe)  # in general position
-        try:
-            omega = velocity(tuple(y.tolist()), p)
-            rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
-            s = 1e-3 / max(1.0, float(np.abs(rates).max()))
-            if not s > 0.0:  # beyond the range of a double there is nothing to compare
-                continue
-            near = [tuple((y + k * s * rates).tolist()) for k in (0, -2, -1, 1, 2)]
-            along = [vertical(state, p) for state in near] if vertical else []
-        except (ArithmeticError, ValueError) as error:  # outside the domain of a root or a logarithm, perhaps
-            raised.append(error)
-            continue
-        for name, value in (("angular_velocity", omega), ("vertical", along[0] if along else omega)):
-            if not isinstance(value, tuple) or len(value) != 3:
-                raise UsageError(f"top {top.kind!r}: {name} must return a tuple of three numbers, not {value!r}")
-        with np.errstate(all="ignore"):
-            v = np.array(along or [omega] * 5, dtype=float)
-            rate, turn = (v[1] - v[4] + 8.0 * (v[3] - v[2])) / (12.0 * s), np.cross(v[0], omega)
-            rounding = np.abs(v).max() * (MOVED * (1.0 + np.abs(omega).max()) + AGREEMENT / s)
-            moves = vertical is not None and np.abs(rate - turn).max() > rounding + MOVED * np.abs(rate).max()
-        if moves:
-            shown = [", ".join(f"{value:.6g}" for value in vector) for vector in (rate, turn, y)]
-            raise UsageError(
-                f"top {top.kind!r}: its vertical is not fixed in space: it changes by ({shown[0]}), and "
-                f"vertical x angular_velocity is ({shown[1]}), at ({shown[2]})"
-            )
-    if len(raised) == PROBES:
-        error = f"{type(raised[-1]).__name__}: {raised[-1]}"
-        raise UsageError(f"top {top.kind!r}: angular_velocity or vertical fails at every state that was tried: {error}")
-
-
-def checked_equations(top: Top, needed_by: str) -> EulerPoisson:
-    """Return ``top.euler_poisson()`` after comparing it with ``top.field``.
-
-    Parameters
-    ----------
-    top : Top
-        Any top, also one from a user's file.
-    needed_by : str
-        User of the equations, for the error message, such as "scheme 'taylor'".
-
-    Raises
-    ------
-    UsageError
-        If the top gives no Euler-Poisson equations, or if they differ from its field. The message names the component
-        that differs.
-    """
-    try:
-        equations, fault = _compared(top)
-    except NotImplementedError:
-        other = "use a scheme that needs the field alone, such as rk4, or " if needed_by.startswith("scheme") else ""
-        raise UsageError(
-            f"top {top.kind!r}: {needed_by} needs its Euler-Poisson equations, which it does not define; "
-            f"{other}define euler_poisson()"
-        ) from None
-    if fault:
-        raise UsageError(f"top {top.kind!r}: euler_poisson(), which {needed_by} needs, is not its field: {fault}")
-    return equations
-
-
-def _compared(top: Top) -> tuple[EulerPoisson, str]:
-    """The top's equations, and by how much which component of its field differs from them; empty if none does."""
-    equations = top.euler_poisson()
-    d, field = len(top.components), getattr(type(top), "field", None)
-    if field is None:  # then the equations are all there is
-        return equations, ""
-    p, signs = tuple(map(float, top.constants())), np.array([equations.omega_sign] * 3 + [1.0] * 3)
-    (A, B, C), (x0, y0, z0) = (map(float, three) for three in (equations.moments, equations.gravity))
-    in_doubles = EulerPoisson((A, B, C), (x0, y0, z0))
-    if d not in (3, 6):
-        return equations, f"its state has {d} components; expected omega (3), or omega and gamma (6)"
-    for probe in range(PROBES):
-        direction = np.cos(np.arange(1.0, 7.0) + 6.0 * probe)  # in general position
-        for omega, gamma in SIZES:
-            y = np.concatenate([omega * direction[:3], (gamma if d == 6 else 0.0) * direction[3:]])
-            sized = [Sized.of(rate) for rate in in_doubles.rates(tuple(map(Sized, (signs * y).tolist())))]
-            expected, terms = signs * [one.value for one in sized], np.array([one.size for one in sized])
-            with np.errstate(all="ignore"):
-                rates = np.array(field(tuple(y[:d].tolist()), p), dtype=float)
-            if rates.shape != (d,):
-                return equations, f"the field has {rates.size} components, the state {d}"
-            # beyond the range of a double there is nothing to compare
-            judged = np.isfinite(rates) & np.isfinite(terms[:d])
-            with np.errstate(all="ignore"):
-                wrong = judged & (np.abs(rates - expected[:d]) > AGREEMENT * terms[:d])
-            if wrong.any():
-                i = int(np.argmax(wrong))
-                state = ", ".join(f"{value:.3g}" for value in y[:d])
-                return equations, (
-                    f"{top.components[i]}' is {rates[i]:.10g} by the field and {expected[i]:.10g} by the equations "
-                    f"at ({state})"
-                )
-    return equations, ""
 
 
 class NoOptions(BaseModel):
@@ -534,9 +391,9 @@ class Stepper:
     source : callable, optional
         ``source()`` returns the source code of a step that is generated from the top's field. None for a step written
         by hand. For a run in another precision than double, the code is generated again from exact constants.
-    composable : Stepper, optional
-        The same method with a working state that does not depend on h, for methods that change the step size within one
-        step. None if the working state of this Stepper does not depend on h, or if there is no such method.
+    change : callable, optional
+        ``change(state, h, p)`` returns the changes of the components, then the status and the numbers of counted
+        events, if the step is the state plus this change. The sums can then be compensated.
     tangent : callable, optional
         ``tangent()`` returns a Stepper for a state together with a tangent vector. Its working state starts with the d
         components of the state, followed by the d components of the vector. None if the compiler can differentiate the
@@ -555,7 +412,7 @@ class Stepper:
     stages: tuple[StepFunction, tuple[float, ...]] | None = None
     constants: tuple[Fraction, ...] = ()
     source: Callable[[], str] | None = None
-    composable: Stepper | None = None
+    change: StepFunction | None = None
     tangent: Callable[[], Stepper] | None = None
 
     def parameters(self, top: Top) -> Floats:
@@ -568,17 +425,6 @@ class Stepper:
         return tuple(double_of(c) for c in self.constants)
 
 
-class Accuracy(NamedTuple):
-    """Limits of the accuracy of a closed form along one motion, in the units of the state."""
-
-    round_off: float
-    """Bound of the round-off in the states."""
-    reason: str
-    """Formula of the bound, with the components that it concerns."""
-    sensitivity: float | None
-    """Largest change of the states if each component of the initial state changes by one ulp; None if unknown."""
-
-
 @dataclass(frozen=True)
 class Sampler:
     """Scheme that evaluates a closed-form solution at the times of the steps, instead of iterating a step.
@@ -589,13 +435,9 @@ class Sampler:
         ``states(y0, h, n, p)`` takes the initial state, shape (d,), the step size, the step numbers, shape (m,), and
         the constants of the top. It returns the states after these numbers of steps, shape (m, d). For a Poincaré
         section, the numbers ``n`` may be fractions, because the section needs states between two steps.
-    accuracy : callable, optional
-        ``accuracy(y0, h, n, p)`` returns an ``Accuracy``, which contains the limits of the accuracy of the states after
-        ``n`` steps; ``n`` has shape (m,).
     """
 
     states: Callable[[Array, float, Any, Floats], Array]
-    accuracy: Callable[[Array, float, NDArray[np.int64], Floats], Accuracy] | None = None
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from copy import copy
 from typing import Any
 
 import pytest
@@ -59,19 +58,10 @@ def test_an_option_means_the_same_everywhere() -> None:
     assert len(set(short)) == len(short)
 
 
-@pytest.mark.parametrize("change", [{"help": "Other."}, {"opts": ["--quiet"]}, {"is_flag": False}])
-def test_an_option_with_another_meaning_would_be_found(change: dict[str, Any]) -> None:
-    found = [(command, option) for command, option in options() if "--quiet" in option.opts]
-    other = copy(found[0][1])
-    for name, value in change.items():
-        setattr(other, name, value)
-    assert len(meanings([*found, ("run", other)])["--quiet"]) == 2
-
-
 COMMON = {
     "--out": "run sweep bench compare analyse order roundoff stress lyapunov plot report animate table",
     "--results": "report plot animate table verify show list-runs",
-    "--format": "table plot compare analyse order roundoff lyapunov",
+    "--format": "table plot compare analyse order roundoff stress lyapunov",
     "--force": "run plot report animate table init",
     "--quiet": "run sweep bench plot report animate table verify init",
 }

@@ -65,7 +65,7 @@ def test_warm_run_is_light(tmp_path: Path) -> None:
 @pytest.mark.parametrize("option", [(), ("--motion",)])
 def test_only_the_option_imports_the_closed_forms(option: tuple[str, ...], tmp_path: Path) -> None:
     found = set(imported_by(tmp_path, "show", "kowalevski_generic_hk", *option))
-    assert len({"mpmath", "topcli.analysis.motion.of_top"} & found) == (2 if option else 0)
+    assert ("topcli.analysis.motion.of_top" in found) == bool(option)
     assert not {"matplotlib", "pandas"} & found
 
 
@@ -124,7 +124,7 @@ def settings_of_size(scene: str, size: float) -> Iterator[str]:
 
 
 SIZES = {"a denormal": 5e-324, "tiny": 1e-200, "large": 1e20, "huge": 1e200, "the largest": 1.7e308}
-SCENES_OF_SIZES = (*(name for name in scene_files() if name.endswith("_gentle")), "euler_dmv")
+SCENES_OF_SIZES = (*(name for name in scene_files() if name.endswith("_gentle")), "euler_hk")
 
 
 @pytest.mark.slow

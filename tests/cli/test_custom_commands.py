@@ -55,31 +55,6 @@ def test_runs_and_comparisons_agree_with_an_independent_integration(cli, config:
     assert [scheme["invariants"][0]["verdict"] for scheme in found][1] == "exact"
 
 
-def test_orders_are_as_declared(cli, config: Path) -> None:
-    found = cli("order", "hk", "midpoint", "rk4", "--config", "v.yaml", "--json")
-    assert found.code == 0
-    rows = {row["scheme"]: row for row in found.json()["schemes"]}
-    assert {name: round(row["order"], 1) for name, row in rows.items()} == {"hk": 2.0, "midpoint": 2.0, "rk4": 4.0}
-
-
-def test_hard_cases(cli, config: Path) -> None:
-    found = cli("stress", "hk", "midpoint", "rk4", "--config", "v.yaml", "--json")
-    assert found.code == 0
-    trials = found.json()["trials"]
-    assert {trial["verdict"] for trial in trials} == {"ok"}
-    outcomes = {(trial["scheme"], trial["case"]): trial["outcome"] for trial in trials}
-    assert outcomes["midpoint", "drift"] == "held"
-    assert outcomes["rk4", "there-and-back"] == "degraded"
-    assert cli("stress", "hk", "--config", "v.yaml", "--top", "euler").code == 2
-
-
-def test_round_off_is_a_random_walk(cli, config: Path) -> None:
-    found = cli("roundoff", "midpoint", "--config", "v.yaml", "--steps", "1e5", "--json")
-    assert found.code == 0
-    rows = found.json()["forms"][0]["invariants"]
-    assert {row["name"] for row in rows} == {"energy", "momentum"}
-
-
 def test_sweeps_tables_pictures_and_pages(cli, config: Path) -> None:
     Path("s.yaml").write_text(SWEEP)
     assert cli("sweep", "s.yaml").code == 0
@@ -101,17 +76,6 @@ def test_sweeps_tables_pictures_and_pages(cli, config: Path) -> None:
     page = Path("page.html").read_text()
     assert "custom top of w1, w2, w3" in page
     assert "((B - C)*w2*w3 - k*w2)/A" in page
-
-
-def test_a_run_resumes_from_its_own_config(cli, config: Path) -> None:
-    first = cli("run", "v.yaml")
-    again = cli("run", "results/v/config.yaml", "--set", "name=v")
-    assert "up to date" in again.err
-    assert first.out == again.out
-    Path("v.yaml").write_text(VOLTERRA.replace("- k*w2)/A", "- k*w2 + 0)/A"))
-    other = cli("run", "v.yaml")
-    assert other.code == 2
-    assert "holds a different experiment (top.field.w1" in other.err
 
 
 def test_a_series_of_another_program(cli, config: Path) -> None:

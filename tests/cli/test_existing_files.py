@@ -18,7 +18,7 @@ WRITERS = {
     "compare": "compare hk --save mine.json",
     "check": "check --scheme hk --top euler --save mine.json",
     "figure": "compare hk --set h=0.01 --set T=1 --plot --format svg --out .",
-    "plot": "plot fig1 --set N=20 --format svg --out .",
+    "plot": "plot fig1 --format svg --out .",
     "order": "order hk --max-steps 100 --top euler --h 0.05 --h 0.025 --save mine.json",
 }
 """A command that writes a file, by a name for it."""

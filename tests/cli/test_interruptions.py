@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from cases import table_of
 from conftest import ROOT
 from faults import Disk
 from injected import command_in_fork, python_process, signal_to_self, topcli_process
-from topcli.cli.output import ProgressDisplay, spell_seconds
+from topcli.cli.output import ProgressDisplay
 from topcli.store.manifest import stored_runs
 from topcli.store.series import read_series
 
@@ -151,7 +148,7 @@ def test_unusable_stdout_is_not_reported_as_a_bug(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-# progress in a log
+# progress
 
 
 class Clock:
@@ -162,50 +159,6 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
-def shown_over(clock: Clock, display: ProgressDisplay, done: Iterator[int], total: int, note: str = "") -> None:
-    """Show the progress at each second."""
-    display.begin("long")
-    for count in done:
-        display(count, total, note)
-        clock.now += 1.0
-
-
-def test_progress_in_a_log_is_sparse_and_tells_rate_and_time_left(clock: Clock, capsys) -> None:
-    hours, rate = 20, 50_000
-    total = rate * 3600 * hours + 1_000_000  # resumed: a million steps had been done before
-    steps = (1_000_000 + rate * second for second in range(3600 * hours))
-    shown_over(clock, ProgressDisplay(1, False, clock), steps, total)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "long: 0.0%, 1800000 of 3601000000 steps, 5e+04 steps/s, 19:59:44 h left"
-    assert len(lines) < 6 * hours + 40
-    assert lines[-1].endswith("min left")
-    assert "100.0%" not in lines[-1]
-
-
-def test_the_rate_follows_the_machine(clock: Clock, capsys) -> None:
-    """A machine that slows down: the time left follows from the last half minute."""
-    display = ProgressDisplay(2, False, clock)
-    shown_over(clock, display, itertools.accumulate([1000] * 100 + [100] * 100), 1_000_000)
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert "[1/2] long: " in last
-    assert "100 steps/s" in last
-    shown_over(clock, display, itertools.accumulate([10] * 20), 1_000)
-    (first,) = capsys.readouterr().err.splitlines()
-    assert first.startswith("[2/2] long: ")
-    assert ", 10 steps/s" in first, "of this run alone"
-
-
-def test_progress_of_a_sweep_has_rows_and_failures(clock: Clock, capsys) -> None:
-    shown_over(clock, ProgressDisplay(1, False, clock, unit="rows"), iter(range(0, 101, 5)), 200, "4 failed")
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "long: 40.0%, 80 of 200 rows, 5 rows/s, 24 s left, 4 failed"
 
 
 def test_progress_survives_a_terminal_that_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,18 +173,3 @@ def test_progress_survives_a_terminal_that_is_gone(monkeypatch: pytest.MonkeyPat
     teller(1, 10)
     teller(2, 10)
     teller.close()
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    table_of("""
-0.2      0 s
-99       99 s
-185      3:05 min
-3600     1:00:00 h
-90_000   25:00:00 h
-300_000  3 d 11 h
-"""),
-)
-def test_durations_are_spelled_out(seconds: float, words: str) -> None:
-    assert spell_seconds(seconds) == words

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -10,7 +10,6 @@ import pytest
 from conftest import ROOT, Said
 from documentation import read_page
 from topcli.cli.app import all_commands
-from topcli.schemes.registry import unload_plugin_files
 
 
 @pytest.mark.parametrize("name", [name for name in all_commands() if name != "list"])
@@ -22,12 +21,11 @@ def test_every_command_loads_a_plugin(cli: Callable[..., Said], name: str) -> No
 
 
 @pytest.fixture
-def gyrostat(cli: Callable[..., Said]) -> Iterator[Callable[..., Said]]:
+def gyrostat(cli: Callable[..., Said]) -> Callable[..., Said]:
     """Call a command with the top and the scheme of the documentation."""
     for name, text in read_page(ROOT / "docs" / "own-scheme.md").files().items():
         Path(name).write_text(text)
-    yield lambda *arguments: cli(*arguments, "--plugin", "gyrostat.py")
-    unload_plugin_files()
+    return lambda *arguments: cli(*arguments, "--plugin", "gyrostat.py")
 
 
 def test_an_own_top_is_listed_with_schemes_that_run(gyrostat: Callable[..., Said]) -> None:

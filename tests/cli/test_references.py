@@ -15,10 +15,8 @@ from ruamel.yaml import YAML
 import topcli
 from conftest import ROOT
 from topcli import __version__
-from topcli.cli.app import all_commands
-from topcli.config.models import Config
 from topcli.schemes.compose import COMPOSITIONS
-from topcli.schemes.registry import all_schemes, unload_plugin_files
+from topcli.schemes.registry import all_schemes
 from topcli.studies.citations import bibliography, plain_text, works_in
 from topcli.sweeps.measures import MEASURES
 from topcli.tops import TOPS
@@ -97,7 +95,6 @@ def test_addresses_of_a_work_are_those_of_its_bibtex() -> None:
         "doi:10.1007/s002200050652": "https://doi.org/10.1007/s002200050652",
         "arXiv:chao-dyn/9805006": "https://arxiv.org/abs/chao-dyn/9805006",
     }
-    assert set(works["hairer2006dmv"].addresses.values()) == {works["hairer2006dmv"].fields["url"]}
     assert works["kahan1993"].addresses == {}
     for one in works.values():
         assert ("eprint" in one.fields) == ("archiveprefix" in one.fields)
@@ -106,20 +103,20 @@ def test_addresses_of_a_work_are_those_of_its_bibtex() -> None:
 
 
 def test_a_work_is_named_by_its_words() -> None:
-    assert [entry.key for entry in works_in("after Hairer 2000")] == ["hairer2000"]
+    assert [entry.key for entry in works_in("after Cooper 1987")] == ["cooper1987"]
     assert [entry.key for entry in works_in("Kimura, Hirota 2000; Kahan 1993")] == ["kimura2000", "kahan1993"]
-    assert works_in("Hairer 2001") == []
+    assert works_in("Cooper 1988") == []
     assert plain_text(r"{B{\"a}cklund} {\`A} {\o} 1--2") == "Bäcklund À ø 1–2"
 
 
 def test_cite_prints_the_works_of_a_scheme_in_its_order(cli) -> None:
     hk = keys(cli("cite", "HK").out)
-    assert hk == ["kahan1993", "hirota2000", "celledoni2013", "petrera2011", "sogo", "kimura2000"]
+    assert hk == ["kahan1993", "hirota2000", "kimura2000", "petrera2011", "celledoni2013", "sogo"]
     assert keys(cli("cite", "backlund+kahan-li8").out) == ["kuznetsov2000", "bobenko1989", "kahan1997"]
     assert keys(cli("cite", "kowalevski").out) == ["kowalevski1889", "sogo"]
     assert keys(cli("cite", "suzuki4").out) == ["suzuki1990"]
     both = keys(cli("cite", "kowalevski", "hk").out)
-    assert both == ["kowalevski1889", "sogo", *hk[:-2], "kimura2000"]
+    assert both == ["kowalevski1889", "sogo", *hk[:-1]]
     assert "title = {Discretization of the {Euler} top}," in cli("cite", "hk").out
 
 
@@ -138,13 +135,12 @@ def test_cite_alone_cites_topcli_and_the_paper(cli) -> None:
 
 
 def test_cite_as_json(cli) -> None:
-    data = json.loads(cli("cite", "midpoint4", "--json").out)
-    assert [entry["key"] for entry in data["entries"]] == ["dahlby2011", "cooper1987"]
+    data = json.loads(cli("cite", "dmv", "--json").out)
+    assert [entry["key"] for entry in data["entries"]] == ["moser1991", "mclachlan1995", "mclachlan2005"]
     assert all(entry["bibtex"].startswith("@article{") for entry in data["entries"])
 
 
-def test_a_plugin_is_cited_by_its_own_words(cli, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    request.addfinalizer(unload_plugin_files)
+def test_a_plugin_is_cited_by_its_own_words(cli, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(MINE)
     printed = cli("cite", "mine", "--plugin", str(tmp_path / "mine.py")).out
     assert printed == "@misc{mine,\n  note = {Private notes 2020},\n}\n"
@@ -172,61 +168,6 @@ def rows(page: str) -> dict[str, list[str]]:
 def sections(page: str) -> dict[str, str]:
     """Text of each section by its heading."""
     return dict(re.findall(r"^#{2,4} ([^\n]+)\n(.*?)(?=^##|\Z)", page, re.MULTILINE | re.DOTALL))
-
-
-def test_commands_are_listed_with_all_options(maker: ModuleType) -> None:
-    """Each option with its help, its default and its bounds."""
-    page = "\n".join(maker.commands_part())
-    for name, context in all_commands().items():
-        options = rows(sections(page)[f"topcli {name}"])
-        options = {cell.strip("`").split(" ")[0].strip(","): rest for cell, rest in options.items()}
-        for parameter in context.command.params:
-            if parameter.param_type_name != "option" or "--plugin" in parameter.opts:
-                continue
-            meaning, extra = options[min(parameter.opts, key=len)]
-            assert meaning.replace("`", "").replace("\\", "").strip() == parameter.help
-            assert ("repeatable" in extra) == parameter.multiple
-            if isinstance(parameter.show_default, str):
-                assert parameter.show_default in extra.replace("\\", "").replace("`", "")
-    assert "[default" not in page
-    assert "\n--" not in page.replace("| ---", "")
-
-
-def test_keys_of_a_config_are_listed(maker: ModuleType) -> None:
-    keys = rows("\n".join(maker.config_part()))
-    assert {f"`{name}`" for name in Config.model_fields} <= set(keys)
-    assert keys["`every`"][:2] == ["whole number ≥ 1, ≤ 1e+12", "`1`"]
-    assert keys["`format`"][:2] == ["`parquet` or `csv`", "`parquet`"]
-    assert keys["`h`"][1] == "required"
-    assert keys["`output`"][1] == "see below"
-    assert maker.table(("a", "b"), [("x|y", "z")])[2] == r"| x\|y | z |"
-
-
-def test_schemes_are_described_as_declared(maker: ModuleType) -> None:
-    page = "\n".join(maker.schemes_part())
-    about = sections(page)
-    assert page.count("$$") % 2 == 0
-    for scheme in all_schemes():
-        text = about[scheme.name]
-        assert all(part.strip() in text for part in scheme.formula.split("\n\n"))
-        assert all(limit in text for limit in scheme.limits.values())
-        assert all(f"| `{key}` |" in text for key in scheme.options.model_fields)
-        assert scheme.doc.replace("``", "`") in text
-    hk = rows(about["hk"])
-    assert hk["`lagrange`"][:2] == ["2", "explicit, self-adjoint"]
-    assert hk["`lagrange`"][2].startswith(r"$m\cdot e_3$; in modified form ")
-    assert hk["`kowalevski`"][2] == "nothing"
-    assert r"\kappa_{12}" in hk["`euler`"][2]
-
-
-def test_tops_are_described_as_declared(maker: ModuleType) -> None:
-    about = sections("\n".join(maker.tops_part()))
-    assert list(about) == list(TOPS)
-    heavy = rows(about["heavy"])
-    assert heavy["`B`"][:2] == ["number > 0", "`1.5`"]
-    assert heavy["$m\\cdot\\gamma$"][0] == "`m_gamma`"
-    assert r"J\dot\omega = J\omega\times\omega + \gamma\times r" in about["heavy"]
-    assert "[`hk`](schemes.md#hk)" in about["heavy"]
 
 
 def test_every_public_object_is_documented(maker: ModuleType) -> None:

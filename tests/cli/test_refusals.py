@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,6 @@ from cases import cases_of
 from conftest import ROOT, Said
 from documentation import read_page
 from stored_results import store_run, store_sweep
-from topcli.schemes import registry
 
 pytestmark = pytest.mark.slow
 
@@ -60,7 +59,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def refused(cli: Cli, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], str]]:
+def refused(cli: Cli, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
     """Message of a command in the folder, which must refuse."""
 
     def call(command: str) -> str:
@@ -73,15 +72,14 @@ def refused(cli: Cli, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
         assert sorted(folder.rglob("*")) == before
         return said.err
 
-    yield call
-    registry.unload_plugin_files()
+    return call
 
 
 MISTAKES = """
 rnu
     error: no such command 'rnu'; did you mean 'run'? (see topcli --help)
 discover results/mine
-    error: no such command 'discover'; topcli integrability finds the integrals of a map; for an orbit, see docs/integr
+    error: no such command 'discover'; topcli integrability finds the integrals of a map
 run
     error: missing argument 'CONFIG' (see topcli run --help)
 run kowalevski_hk --thread 2
@@ -250,7 +248,7 @@ order hk --h 0.1 --h "1e-2, 2e-2"
 order hk --h fine
     --h 'fine': must be one number; for example --h 0.1 --h 0.05
 stress dg5
-    did you mean 'dg4'?
+    error: unknown scheme 'dg5'; known: backlund, bohlin-a
 stress hk+suzuki5
     did you mean 'suzuki4'?
 stress --case dleone
@@ -314,9 +312,9 @@ table results/swept --rows h --columns scheme --value max_error --out bare
 report minee --out page.html
     error: 'minee': no such file or folder, and no run of this name in results; did you mean 'mine'?
 report results --out page.html
-    error: results: no run, sweep or study is stored here; give one of the results in it, such as results/
+    error: results: no run is stored here (manifest.json is missing); give one of the runs in it, such as results/
 report bare --out page.html
-    error: bare: no run, sweep or study is stored here
+    error: bare: no run is stored here (manifest.json is missing)
 report file.txt --out page.html
     error: file.txt: not a file that topcli report reads
 report none.json --out page.html

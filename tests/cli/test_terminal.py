@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -18,14 +17,11 @@ from cases import cases_of
 from config_texts import BASE, refusal, write
 from conftest import ROOT
 from sweep_rows import write_rows
-from terminal import in_terminal
 from topcli.errors import (
-    LIST_LENGTH,
     MESSAGE_LENGTH,
     TopcliError,
     UsageError,
     clipped,
-    nearest,
     printable,
     quoted,
     shortened,
@@ -208,74 +204,10 @@ def test_foreign_runs_are_listed_as_data(cli, in_tmp: Path, monkeypatch: pytest.
     assert document.json()["runs"][0]["name"] == NAME
 
 
-def test_markup_is_data_in_the_progress_bar(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    from topcli.cli import output
-
-    monkeypatch.setattr(output, "_terminal", lambda stream: True)
-    monkeypatch.setenv("TERM", "xterm")
-    times = iter([0.0, 0.0, 10.0, 11.0, 12.0, 13.0])
-    teller = output.ProgressDisplay(1, False, lambda: next(times))
-    teller.begin("[link=http://evil]a[/link]:boom:\x1b[31m\x9b")
-    teller(5, 10, "4 failed")
-    shown = teller._bar.get_renderable()
-    from rich.console import Console
-
-    with Console(width=200, markup=False, emoji=False).capture() as captured:
-        Console(width=200).print(shown)
-    teller.close()
-    out = capsys.readouterr().out + captured.get()
-    assert r"[link=http://evil]a[/link]:boom:\x1b[31m\x9b" in out
-    assert "4 failed" in out
-
-
-def test_yaml_of_exclamation_marks_is_read_in_linear_time(tmp_path: Path) -> None:
-    """Tenfold text takes tenfold CPU time, not a hundredfold: the ratio is that of a quadratic reader at 30."""
-
-    def seconds(length: int) -> float:
-        path = write(tmp_path, "!" * length)
-        began = time.process_time()
-        message = refusal(path)
-        assert "tags such as '!!!" in message
-        return time.process_time() - began
-
-    small = min(seconds(100_000) for _ in range(3))
-    assert seconds(1_000_000) < 30.0 * small + 0.1
-
-
 def test_nothing_given_prints_the_help(cli) -> None:
     said = cli()
     assert said.code == 2
     assert "Run and compare:" in said.out + said.err
-
-
-def test_help_is_readable(cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Summaries whole at 80 columns; no types of Python, no backticks; a metavar for every option with a value."""
-    monkeypatch.setenv("COLUMNS", "80")
-    from typer.main import get_command
-
-    from topcli.cli.app import app
-
-    groups = {"": get_command(app)}
-    groups["list"] = groups[""].commands["list"]  # type: ignore[attr-defined]
-    for group, command in groups.items():
-        out = cli(*group.split(), "--help").out
-        for name, one in command.commands.items():  # type: ignore[attr-defined]
-            summary = (one.help or "").split("\n\n")[0].replace("\n", " ")
-            assert len(summary) <= 60, summary
-            assert summary in out
-            if name == "list":
-                continue
-            text = cli(*group.split(), name, "--help").out
-            assert not too_wide(text), name
-            assert not re.search("<[a-z]", text), name
-            assert "`" not in text, name
-            for parameter in one.params:
-                assert re.fullmatch("[A-Z].*[^.][.]", parameter.help), f"{name} {parameter.name}"
-                if parameter.param_type_name == "option" and not parameter.is_flag and parameter.name != "help":
-                    assert parameter.metavar, f"{name} {parameter.name}"
-        assert not too_wide(out)
-        assert "..." not in out.replace("[ARGS]...", "")
-        assert "`" not in out
 
 
 FAULTS = [
@@ -309,66 +241,6 @@ def test_an_exception_is_printed_safely_and_blamed_on_whose_it_is(
 
 TOPCLI = [sys.executable, "-m", "topcli"]
 
-ESCAPES = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
-
-COLOURS = re.compile(r"\x1b\[(?:[0-9;]*;)?(?:3|4|9|10)[0-9](?:;[0-9;]*)?m")
-
-
-def too_wide(text: str, columns: int = 80) -> list[str]:
-    return [line for line in ESCAPES.sub("", text).replace("\r", "\n").split("\n") if len(line) > columns]
-
-
-def test_lines_that_are_too_wide_are_found() -> None:
-    assert too_wide("\x1b[31m" + "x" * 80 + "\n" + "y" * 81) == ["y" * 81]
-    assert too_wide("z" * 60 + "\r" + "z" * 60) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "command",
-    [
-        "show hk",
-        "show fig1",
-        "init",
-        "run kowalevski_hk --set N=200",
-        "run kowalevski_hkk",
-        "compare hk hybrid bohlin-a --set N=200",
-        "sweep kowalevski_errors --dry-run",
-    ],
-)
-def test_nothing_is_wider_than_80_columns(command: str, tmp_path: Path) -> None:
-    code, shown = in_terminal([*TOPCLI, *command.split()], tmp_path)
-    assert code in (0, 2), shown
-    assert shown.strip()
-    assert "Traceback" not in shown
-    assert not too_wide(shown)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("environment", "escapes", "colours"),
-    [({}, True, True), ({"NO_COLOR": "1"}, True, False), ({"TERM": "dumb"}, False, False)],
-    ids=str,
-)
-def test_colour_and_bars_where_they_are_welcome(
-    environment: dict[str, str], escapes: bool, colours: bool, tmp_path: Path
-) -> None:
-    """A run of some seconds has a bar; PATIENCE is 0.5 s."""
-    run = ["run", "kowalevski_hk", "--set", "N=50000000", "--set", "output.every=1000000"]
-    code, shown = in_terminal([*TOPCLI, *run], tmp_path, **environment)
-    assert code == 0
-    assert bool(ESCAPES.search(shown)) == escapes
-    assert bool(COLOURS.search(shown)) == colours
-
-
-@pytest.mark.slow
-def test_the_next_command_stays_on_a_line_of_its_own(tmp_path: Path) -> None:
-    """It is copied from the terminal."""
-    name = "an-experiment-whose-name-takes-some-space.yaml"
-    code, shown = in_terminal([*TOPCLI, "init", name], tmp_path)
-    assert code == 0
-    assert shown.splitlines()[-1] == f"next: topcli run {name}"
-
 
 @pytest.mark.slow
 def test_messages_follow_the_data_in_one_log(tmp_path: Path) -> None:
@@ -381,11 +253,3 @@ def test_messages_follow_the_data_in_one_log(tmp_path: Path) -> None:
     lines = done.stdout.splitlines()
     assert lines[0].startswith("kowalevski_hk")
     assert lines[-1] == "wrote hk.json"
-
-
-def test_a_long_list_of_names_is_replaced_by_the_command_that_lists_them() -> None:
-    few = ["a" * 10, "b" * (LIST_LENGTH - 12)]
-    many = ["a" * 10, "b" * (LIST_LENGTH - 11)]
-    assert nearest("zzz", few, "topcli list x") == "known: " + ", ".join(few)
-    assert nearest("zzz", many, "topcli list x") == "`topcli list x` lists them"
-    assert nearest("zzz", many) == "known: " + ", ".join(many)

@@ -69,7 +69,7 @@ def test_both_spellings_mean_the_same(tmp_path: Path) -> None:
     assert all(one == found[0] for one in found)
     assert {one.digest for one in found} == {found[0].digest}
     assert found[0].digest != base.digest
-    assert found[0].resolved()["scheme"] == {"name": "hk+kahan-li8", "compensated": False}
+    assert found[0].resolved()["scheme"] == {"name": "hk+kahan-li8", "compensated": False, "project": 0}
     again = load_experiment(write(tmp_path, found[0].to_yaml(), "again.yaml"))
     assert again == found[0]
     assert load_experiment(again.resolved()).digest == found[0].digest
@@ -81,7 +81,7 @@ def test_both_spellings_mean_the_same(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("with_options")
 def test_options_are_the_bases() -> None:
     scene = load_experiment(HK, ["scheme={name: kick-turn, compose: suzuki4, pace: double}", "N=10"])
-    assert scene.resolved()["scheme"] == {"name": "kick-turn+suzuki4", "pace": "double"}
+    assert scene.resolved()["scheme"] == {"name": "kick-turn+suzuki4", "pace": "double", "project": 0}
     assert fits(config_schema(), scene.resolved())
     plain, double = (
         topcli.simulate(HK, scheme="kick-turn+suzuki4", N=n, h=h).states[-1] for n, h in ((10, 2e-3), (10, 1e-3))
@@ -89,9 +89,10 @@ def test_options_are_the_bases() -> None:
     assert np.array_equal(topcli.simulate(scene.resolved()).states[-1], plain)
     assert not np.array_equal(plain, double)
     # a comparison keeps the options of the experiment's own scheme, whichever of the two is composed
-    assert under_scheme(scene, "kick-turn").options.model_dump() == {"pace": "double"}
-    assert under_scheme(scene, "Kick-Turn+Kahan-Li6").options.model_dump() == {"pace": "double"}
-    assert under_scheme(load_experiment(HK), "kick-turn+suzuki4").options.model_dump() == {"pace": "plain"}
+    assert under_scheme(scene, "kick-turn").options.model_dump() == {"pace": "double", "project": 0}
+    assert under_scheme(scene, "Kick-Turn+Kahan-Li6").options.model_dump() == {"pace": "double", "project": 0}
+    plain = under_scheme(load_experiment(HK), "kick-turn+suzuki4")
+    assert plain.options.model_dump() == {"pace": "plain", "project": 0}
 
 
 @pytest.mark.parametrize("word", ["a+b", "a"])
@@ -99,7 +100,7 @@ def test_the_plus_and_the_key_are_taken(word: str) -> None:
     class Options(BaseModel):
         compose: str = Field(default="x", description="taken")
 
-    with pytest.raises(ValueError, match="are reserved for compositions"):
+    with pytest.raises(ValueError, match="is reserved for what topcli does with the steps of a scheme"):
 
         @registry.scheme(
             word,

@@ -137,14 +137,14 @@ def test_python_interface() -> None:
     data: dict[str, Any] = {
         "top": "kowalevski",
         "initial": {"omega": np.array([2.0, 0.0, 0.0]), "gamma": ("auto", 0, np.float64(1e-3))},
-        "scheme": {"name": "bohlin-b", "chart": "single"},
+        "scheme": {"name": "bohlin-b", "branch": "nearest"},
         "h": np.float64(1e-3),
         "N": np.int64(7),
         "output": {"columns": ("t", "k_sq"), "every": 7},
     }
     experiment = load_experiment(data, ["scheme.branch=sign"])
     assert (experiment.name, experiment.y0) == ("kowalevski_bohlin_b", (2.0, 0.0, 0.0, *PAPER_GAMMA))
-    assert experiment.options.model_dump() == {"branch": "sign", "chart": "single"}
+    assert experiment.options.model_dump() == {"branch": "sign", "project": 0}
     assert experiment.output.columns == ("t", "k_sq")
     assert isinstance(experiment.method(), Stepper)
     assert load_experiment(experiment.resolved()) == experiment
@@ -213,14 +213,14 @@ def test_overrides_replace_keys() -> None:
         "name": "1e3",
         "top": {"kind": "kowalevski", "c0": -1.0, "A": 2.0},
         "initial": {"omega": [2.0, 0.0, 0.0], "gamma": [-PAPER_GAMMA[0], 0.0, 1e-3]},
-        "scheme": {"name": "hybrid", "branch": "sign"},
+        "scheme": {"name": "hybrid", "branch": "sign", "project": 0},
         "h": 0.01,
         "N": 5000,
         "output": {"format": "parquet", "every": 10, "columns": ["t", "k_sq"]},
     }
     assert load_experiment(path, overrides[::-1]) == changed
-    whole = load_experiment(path, ["scheme.chart=single", "scheme=bohlin-b"])
-    assert whole.resolved()["scheme"] == {"name": "bohlin-b", "branch": "nearest", "chart": "single"}
+    whole = load_experiment(path, ["scheme.branch=sign", "scheme=bohlin-b"])
+    assert whole.resolved()["scheme"] == {"name": "bohlin-b", "branch": "sign", "project": 0}
     assert load_experiment(path, ["top=kowalevski", "top.c0=2"]).top.model_dump() == {"c0": 2.0, "A": 2.0}
 
 

@@ -20,8 +20,9 @@ from topcli.config.schema import config_schema, starter_config
 from topcli.config.text import parse_yaml
 from topcli.errors import TopcliError, UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS
+from topcli.schemes.own_tops import top_class
 from topcli.studies.lax_checks import lax_experiment
-from topcli.tops import CATALOGUE, TOPS, BodyTop, top_class
+from topcli.tops import CATALOGUE, TOPS, BodyTop
 
 schema_of_configs = cache(config_schema)
 PAIRS = [*((scheme.top, scheme.name) for scheme in SCHEMES), *((form, "hk") for form in CATALOGUE)]

@@ -33,11 +33,6 @@ def test_double_is_the_default_and_no_part_of_the_identity() -> None:
     assert not {"precision", "max_digits"} & plain.resolved().keys()
 
 
-def test_digest_of_a_scene_from_before_the_precision() -> None:
-    scene = load_experiment("kowalevski_hk")
-    assert scene.digest == "bdaf2c7534a860456921b8ac45fda8d4fb9c7c119a5d0706ab7aa3a4ca51ab1d"
-
-
 def test_precision_and_its_keys_enter_the_digest() -> None:
     rational = LAGRANGE | {"precision": "rational"}
     configs = [

@@ -223,11 +223,13 @@ import json, sys
 from itertools import chain
 from pathlib import Path
 from topcli.engine.run import Run
-from topcli.schemes.registry import find_scheme, load_plugin_file
+from topcli.schemes.plugins import load_plugin_file
+from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 load_plugin_file(Path(sys.argv[1]))
 top = Kowalevski()
-run = Run(top, find_scheme("mine", "kowalevski").build(top, None), (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), 0.1, 3)
+mine = find_scheme("mine", "kowalevski")
+run = Run(top, mine.build(top, mine.options()), (1.0, 0.0, 0.0, 1.0, 0.0, 0.0), 0.1, 3)
 last = [chunk.states[-1, 0] for chunk in run if len(chunk.n)][-1]
 print(json.dumps({"last": last, "cached": run.cached, "numba": "numba" in sys.modules}))
 """

@@ -85,7 +85,8 @@ def test_a_trajectory_has_the_bits_of_a_single_run(scheme, monkeypatch: pytest.M
     y0 = random_states(count, 5)[:, : len(top.components)]
     for h, every in ((0.02, 1), (-0.03, 7)):
         run = assert_same(top, method, y0, h, N, every, lanes=sorted({0, 1, count - 1, min(count - 1, TILE - 1)}))
-        assert {ending.outcome for ending in run.endings} == {Outcome.COMPLETED}
+        outcomes = {Outcome.COMPLETED, *([Outcome.BLEW_UP] if scheme.name == "bohlin-b" else [])}  # where gamma3 is -1
+        assert {ending.outcome for ending in run.endings} <= outcomes
 
 
 @pytest.mark.slow

@@ -287,7 +287,7 @@ first = digests()
 for module in pkgutil.walk_packages(topcli.__path__, "topcli."):
     if not module.name.endswith("__main__"):
         importlib.import_module(module.name)
-from topcli.schemes.kowalevski.closed_form.multiprecision import digits, mp
+from topcli.arithmetic.multiprecision import digits, mp
 with digits(33):
     mp.zeta(3)
     assert digests() == first, set(digests()) ^ set(first)

@@ -19,20 +19,18 @@ from declared import SCHEMES
 from steppers import built
 from topcli.analysis import reference
 from topcli.analysis.tally import InvariantTally
-from topcli.arithmetic.elliptic import landen
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, check_stop, stopping_when
 from topcli.engine import ensemble, tile
 from topcli.engine.ensemble import EnsembleRun, Execution
 from topcli.engine.precise_numbers import LONG, Rational
-from topcli.engine.run import Run, nanoseconds_per_step
+from topcli.engine.run import Run
 from topcli.errors import RunError
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
-from topcli.schemes.any_top import dmv, rk2_rk4_dop853
+from topcli.schemes.any_top import runge_kutta
 from topcli.schemes.any_top.taylor import MAX_EXPANSIONS, SHORTEST_REACH
 from topcli.schemes.kowalevski import exact
-from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
@@ -129,17 +127,16 @@ def test_dop853_gives_up_a_hopeless_step_early() -> None:
     """At 12 evaluations for some tenths of a unit of time, 1e9 would take 1e10 evaluations or more."""
     ending = Run(Kowalevski(), built("dop853"), GEN, 1e9, 2).collect().ending
     assert (ending.outcome, ending.step) == (Outcome.NO_CONVERGENCE, 1)
-    assert rk2_rk4_dop853.TRIAL < ending.counters["evaluations"] < rk2_rk4_dop853.TRIAL + 15
+    assert runge_kutta.TRIAL < ending.counters["evaluations"] < runge_kutta.TRIAL + 15
 
 
-def test_the_set_up_of_a_closed_form_stops_when_asked(impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exact, "_kept", dict)
+def test_the_set_up_of_a_closed_form_stops_when_asked(impatient: None) -> None:
+    exact._motions.cache_clear()
     asked = AskedAt(3)
     with stopping_when(asked), pytest.raises(StopAsked):
         exact.exact_states(np.array(GEN), 0.1, np.array([1]), (1.0,))
     assert asked.count == 3
-    run = Run(Kowalevski(), built("exact"), GEN, 0.1, 10, stop=AskedAt(3))
-    found = run.collect()
+    found = Run(Kowalevski(), built("exact"), GEN, 0.1, 10, stop=AskedAt(3)).collect()
     assert (found.ending.outcome, found.n.tolist()) == (Outcome.INTERRUPTED, [0])
 
 
@@ -191,40 +188,9 @@ def test_an_operation_on_long_rational_numbers_heeds_a_stop() -> None:
                 operation()
 
 
-def test_searches_end_for_any_number() -> None:
-    """The search for a longer step of ``dmv`` among denormal numbers, and a Landen transformation of nan."""
-    tried: list[float] = []
-
-    def rotation(m: Any, c: Any, h: float) -> Any:
-        tried.append(h)
-        return (0.0, 0.0, 0.0, 0.0 if abs(h) <= 5e-324 else math.nan, 0.0)
-
-    assert dmv.longest_step(rotation, (1.0, 0.0, 0.0), (), 4e-323) == 5e-324
-    assert dmv.longest_step(rotation, (1.0, 0.0, 0.0), (), 1.0) == 0.0
-    singular = lambda m, c, h: (0.0, 0.0, 0.0, 0.0 / (0.0 if h > 0.25 else 1.0), 0.0)  # noqa: E731
-    assert dmv.longest_step(singular, (1.0, 0.0, 0.0), (), 1.0) == 0.25
-    assert len(tried) < 200
-    assert all(np.isnan(one).all() for one in landen(np.array([0.5]), math.nan)[:2])
-
-
 def test_constants_beyond_the_range_of_doubles_are_infinite() -> None:
     constants = (Fraction(1, 3), Fraction(10) ** 400, -(Fraction(10) ** 400), Fraction(1, 10**400))
     assert Stepper(lambda s, h, p: s, 1, constants=constants).doubles == (1 / 3, math.inf, -math.inf, 0.0)
-
-
-def test_slow_interpreted_steps_are_timed_few_at_a_time() -> None:
-    """By a clock on which each step takes ten seconds."""
-    now = [0]
-
-    def slow(s: Any, h: float, p: Any) -> Any:
-        now[0] += 10 * 10**9
-        return s
-
-    found = nanoseconds_per_step(
-        [(Kowalevski(), Stepper(slow, 6, plain=True), GEN, 0.1)], repetitions=2, clock=lambda: now[0]
-    )
-    assert found == [1e10]
-    assert now[0] == 30 * 10**9
 
 
 @pytest.mark.slow
@@ -248,6 +214,8 @@ SIZES = (5e-324, 1.0, 1e150, 1e306)
 STEPS = (5e-324, 1e-300, -0.01, 1.0, 1e150)
 QUESTIONS = 100
 """Questions whether to stop that two steps of a scheme, or its refusal, may take; the most is 40."""
+PANELS = 5000
+"""Questions of a set-up of a closed form, each of less than a millisecond."""
 
 
 @pytest.mark.slow
@@ -266,11 +234,11 @@ def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: Non
         refused = [RunError] if isinstance(found, Sampler) else []
         with np.errstate(all="ignore"), stopping_when(asked), suppress(*refused):
             assert Run(top, found, y0, h, 2, stop=asked).collect().ending.outcome is not Outcome.INTERRUPTED
-        assert asked.count <= QUESTIONS, (size, h)
+        assert asked.count <= (PANELS if isinstance(found, Sampler) else QUESTIONS), (size, h)
 
 
 def test_a_step_of_too_many_evaluations_does_not_converge(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rk2_rk4_dop853, "MAX_EVALUATIONS", 3000)
+    monkeypatch.setattr(runge_kutta, "MAX_EVALUATIONS", 3000)
     experiment = load_experiment("heavy_hk", ["scheme=dop853", "h=100", "N=3"])
     run = Run(experiment.top, experiment.method(), experiment.y0, 100.0, 3)
     for _ in run:
@@ -350,22 +318,3 @@ def test_a_run_stopped_within_a_chunk_resumes_to_the_same_bytes(
     series = [(folder.stored.folder / "series.parquet").read_bytes() for folder in (result, whole)]
     assert series[0] == series[1]
     assert result.report["invariants"] == whole.report["invariants"]
-
-
-def test_times_of_steps_are_medians_without_the_first_and_over_the_steps_taken() -> None:
-    """With a clock made up here: 50,000 compiled steps, 512 interpreted ones, 5,000 states of a closed form.
-
-    A run that ends by itself is timed up to its end.
-    """
-    top, exploding = Kowalevski(), (3.0, -2.0, 6.0, 0.6, 0.48, 0.64)
-    names = ("hk", "dop853", "exact", "rk4")
-    schemes = [find_scheme(name, "kowalevski") for name in names]
-    methods = [scheme.build(top, scheme.options()) for scheme in schemes]
-    ended = Run(top, methods[3], exploding, 1.0, 50_000).collect().ending.step
-    assert 1 < ended < 100
-    elapsed = [[9e9, 1e3, 9e9, 9e9], [7e6, 5e6, 1e6, 3e6], [1e6, 9e6, 5e6, 3e6], [4e6, 2e6, 3e6, 3e6]]
-    ticks = iter([tick for row in elapsed for one in row for tick in (0, int(one))])
-    runs = [(top, method, GEN, 0.01) for method in methods[:3]] + [(top, methods[3], exploding, 1.0)]
-    found = nanoseconds_per_step(runs, 50_000, repetitions=3, clock=lambda: next(ticks))
-    assert found == pytest.approx([4e6 / 50_000, 5e6 / 512, 3e6 / 5_000, 3e6 / ended], rel=1e-12)
-    assert next(ticks, None) is None

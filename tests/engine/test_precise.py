@@ -32,7 +32,7 @@ from topcli.engine.precise_numbers import (
 from topcli.engine.run import Recorded, Run
 from topcli.errors import UsageError
 from topcli.runs.report import ORDINARY
-from topcli.schemes.registry import composed, find_scheme
+from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 
 LIMIT = 1e-12
@@ -278,7 +278,7 @@ def test_rebuilt_steps_have_the_bits_of_doubles_at_53_bits(scheme: Scheme) -> No
 
 @pytest.mark.slow
 def test_compositions_conserve_at_50_digits() -> None:
-    scheme = composed(find_scheme("midpoint", "lagrange"), "kahan-li6")
+    scheme = find_scheme("midpoint+kahan-li6", "lagrange")
     made = ready(scheme, 50)
     found = carried_out(made, 20)
     assert max(map(float, declared_deviations(scheme, made, found.states).values())) < BELOW

@@ -26,7 +26,6 @@ from topcli.field.expression import FUNCTIONS, in_arithmetic
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import NotPolynomialError, decimal, field_of
 from topcli.field.straight_line import function_of
-from topcli.schemes.compose import compose
 from topcli.schemes.compose import obstacle as not_composable
 from topcli.schemes.registry import find_scheme, schemes_of
 from topcli.tops import TOPS
@@ -83,8 +82,8 @@ def test_kahans_tangent_map_is_the_derivative_of_the_step(form: str) -> None:
     top = TOPS[form].new()
     field, d, first = field_of(top), len(top.components), len(top.constants())
     plain, both = generated(KahanStep, field, first), generated(KahanTangent, field, first)
-    step = function_of(plain.code.graph, "step", plain.code.outputs)
-    tangent = function_of(both.code.graph, "tangent", both.code.outputs)
+    step = function_of(plain.graph, "step", plain.outputs)
+    tangent = function_of(both.graph, "tangent", both.outputs)
     exact_step, exact_tangent = (in_arithmetic(function, decimal, None) for function in (step, tangent))
     p, q = ((Fraction(0),) * first + made.constants for made in (plain, both))
     y, v = (tuple(Fraction(round(1000 * x), 1000) for x in state) for state in states_of(form, 2))
@@ -381,7 +380,7 @@ def every_step() -> list[tuple[str, str]]:
     for k, form in enumerate(TOPS):
         top, names = TOPS[form].new(), []
         for scheme in schemes_of(form):
-            composed = scheme if not_composable(scheme) else compose(scheme, "yoshida4")
+            composed = scheme if not_composable(scheme) else find_scheme(f"{scheme.name}+yoshida4", form)
             method = composed.build(top, composed.options())
             if not obstacle(method):
                 names.append(composed.name)

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from cases import table_of
 from conftest import Said
-from drawn_artists import eye_of, points_of
+from drawn_artists import points_of
 from topcli.errors import RunError
-from topcli.figures.animation import Stage, animate, attitudes_at, gif_durations, palette, planned, turns
+from topcli.figures.animation import Stage, animate, attitudes_at, planned, turns
 from topcli.figures.body import BodyMotion, stored_body_motion
 from turning import TURNED, stored, turned_apart
 
@@ -60,23 +60,6 @@ def test_frames_show_the_run_at_their_times(motion: BodyMotion) -> None:
     np.testing.assert_array_equal(stage.frame(12), picture)
 
 
-@pytest.mark.slow
-def test_trace_is_the_path_of_the_axis_so_far(motion: BodyMotion) -> None:
-    stage = Stage(motion, planned(motion, 10.0, 2.0, 300, None, None))
-    stage.frame(19)
-    axis = Rotation.from_quat(motion.attitude, scalar_first=True).apply([1.0, 0.0, 0.0])
-    last = int(stage.rows[19])
-    for near, far in (stage.artist.old, stage.artist.new):
-        points = np.where(np.isfinite(points_of(near)), points_of(near), points_of(far))
-        first = 0 if near is stage.artist.old[0] else len(points_of(stage.artist.old[0])) - 1
-        count = len(points) - (near is stage.artist.new[0])
-        np.testing.assert_allclose(points[:count], axis[first : first + count], atol=1e-12)
-        assert first + count <= last + 1
-    assert first + count == last + 1
-    hidden = np.isfinite(points_of(stage.artist.new[1])[:-1, 0])
-    np.testing.assert_array_equal(hidden, axis[first : last + 1] @ eye_of(stage.figure.axes[0]) < 0.0)
-
-
 def test_attitudes_between_rows_are_on_great_circles(motion: BodyMotion) -> None:
     times = np.array([motion.t[10], 0.25 * motion.t[10] + 0.75 * motion.t[11], motion.t[-1]])
     found, rows = attitudes_at(motion, times)
@@ -88,32 +71,11 @@ def test_attitudes_between_rows_are_on_great_circles(motion: BodyMotion) -> None
     assert turns(-motion.attitude[10:12] * np.array([[1.0], [-1.0]]))[0] == pytest.approx(whole, rel=1e-9)
 
 
-def test_default_end_keeps_the_motion_smooth(motion: BodyMotion) -> None:
-    film = planned(motion, 25.0, 2.0, 720, None, None)
-    turned = turns(attitudes_at(motion, film.times)[0])
-    assert film.times[0] == 0.0
-    assert nutation_of(motion) < film.times[-1] < motion.t[-1]
-    assert turned.mean() == pytest.approx(0.12, rel=0.06)
-    whole = planned(motion, 25.0, 60.0, 720, None, None)
-    assert whole.times[-1] == motion.t[-1]
-    part = planned(motion, 25.0, 1.0, 720, 1.0, 3.5)
-    assert (part.times[0], part.times[-1], len(part.times)) == (1.0, 3.5, 25)
-
-
 def nutation_of(motion: BodyMotion) -> float:
     """Time from the first to the third extremum of the height of the traced axis, here the first one."""
     heights = Rotation.from_quat(motion.attitude, scalar_first=True).apply([1.0, 0.0, 0.0])[:, 2]
     extrema = np.sort(np.concatenate([argrelmax(heights)[0], argrelmin(heights)[0]]))
     return float(motion.t[extrema[2]] - motion.t[extrema[0]])
-
-
-def test_a_short_film_shows_a_whole_nutation(motion: BodyMotion) -> None:
-    for begin in (None, 0.5):
-        film = planned(motion, 25.0, 0.2, 720, begin, None)
-        assert film.times[-1] - film.times[0] == pytest.approx(nutation_of(motion), abs=0.5)
-        heights = Rotation.from_quat(attitudes_at(motion, np.linspace(*film.times[[0, -1]], 400))[0], scalar_first=True)
-        inside = np.diff(np.sign(np.diff(heights.apply([1.0, 0.0, 0.0])[:, 2])))
-        assert np.count_nonzero(inside) >= 2, "the axis rises and falls"
 
 
 @pytest.mark.slow
@@ -150,25 +112,6 @@ def test_gif_holds_all_frames_at_the_wanted_speed(tmp_path: Path, motion: BodyMo
     assert seen[0] == (0, 15)
     assert seen[-1] == (15, 15)
     assert list(path.parent.iterdir()) == [path]
-
-
-@pytest.mark.slow
-def test_palette_of_a_gif_has_all_colours_of_a_frame(motion: BodyMotion) -> None:
-    """No pixel is far from its nearest colour, also of frames whose marked sector is hidden in the first one."""
-    colours = palette().astype(float)
-    assert len(colours) <= 256
-    stage = Stage(motion, planned(motion, 10.0, 2.0, 300, None, None))
-    for index in (0, 7, 19):
-        seen = np.unique(stage.frame(index).reshape(-1, 3), axis=0).astype(float)
-        nearest = np.array([np.abs(colours - one).max(axis=1).min() for one in seen])
-        assert np.quantile(nearest, 0.9) <= 24.0
-        assert nearest.max() <= 60.0  # of pixels between two colours
-
-
-def test_durations_of_a_gif_are_whole_ticks() -> None:
-    assert gif_durations(3, 30.0) == [30, 40, 30]
-    assert sum(gif_durations(300, 24.0)) == 12500
-    assert gif_durations(2, 50.0) == [20, 20]
 
 
 def test_a_missing_encoder_is_said_first(

@@ -13,7 +13,6 @@ import topcli
 from topcli.analysis.motion.of_top import closed_form_top
 from topcli.analysis.reference import reference_states
 from topcli.figures.motion import AXIS, MOST_NUTATIONS, motion_drawn
-from topcli.figures.picture import Panel
 from topcli.figures.space import Polhodes, Sphere
 from topcli.show.report import MotionReport
 from topcli.tops.lagrange import LagrangeInertial
@@ -117,28 +116,3 @@ def test_every_motion_of_the_lagrange_top_can_be_drawn(omega: list[float], gamma
     found = lagrange(omega, gamma)
     assert found.plot(Figure().add_subplot()).has_data()
     assert np.isfinite(trace(found)).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("scene", "sets"), [("heavy_hk", []), ("euler_gamma_hk", ["top.A=2", "top.C=2"])])
-def test_other_motions_are_components_over_time(scene: str, sets: list[str]) -> None:
-    motion = topcli.motion(scene, overrides=sets)
-    panel, data = drawn_motion(motion)
-    assert isinstance(panel, Panel)
-    assert [line.column for line in panel.lines] == ["omega1", "omega2", "omega3"]
-    state = motion.state
-    assert [data[line.column][0] for line in panel.lines] == list(state[:3])
-
-
-@pytest.mark.slow
-def test_a_picture_in_space_takes_the_place_of_flat_axes() -> None:
-    found, figure = topcli.motion("euler_hk"), Figure()
-    left, right = figure.subplots(1, 2)
-    place = right.get_subplotspec()
-    axes = found.plot(right)
-    assert axes.name == "3d"
-    assert figure.axes == [left, axes]
-    assert axes.get_subplotspec() == place
-    inset = found.plot(Figure().add_axes((0.1, 0.2, 0.3, 0.4)))
-    assert inset.get_position().bounds == pytest.approx((0.1, 0.2, 0.3, 0.4))
-    assert found.plot(axes) is axes

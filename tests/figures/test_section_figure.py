@@ -58,28 +58,3 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(UsageError, match=message):
             section_figure(folders, x, None, colour)
-
-
-@pytest.mark.parametrize(
-    ("changes", "part"),
-    [
-        ({"top": {"kind": "kowalevski", "c0": -0.5}}, "top"),
-        ({"scheme": "rk4"}, "scheme"),
-        ({"scheme": {"name": "hk", "compensated": True}}, "scheme"),
-        ({"h": 0.05}, "h"),
-        ({"section": {"component": "gamma2", "direction": "down"}}, "section"),
-        ({"output": {"quantities": {"q": "2*omega1"}}}, "column q"),
-        ({"output": {}}, "column q"),
-        ({"initial": {"omega": [0.4, 0.2, 1.1], "gamma": [0.6, 0.0, 0.8]}}, ""),
-        ({"N": 2000}, ""),
-    ],
-)
-def test_a_figure_has_the_title_and_the_axes_of_all_its_runs(tmp_path: Path, changes: dict, part: str) -> None:
-    config = {**CONFIG, "N": 1000, "output": {"quantities": {"q": "omega1"}}}
-    two = run_experiment(load({**config, **changes, "name": "two"}), tmp_path).stored.folder
-    one = run_experiment(load(config), tmp_path).stored.folder
-    if not part:
-        section_figure([one, two], "q", "omega3", None)
-        return
-    with pytest.raises(UsageError, match=rf"two: its {part} differs from that of .*one; draw it in its own figure"):
-        section_figure([one, two], "q", "omega3", None)

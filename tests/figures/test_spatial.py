@@ -9,27 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.colors import same_color
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from scipy.spatial.transform import Rotation
 
 from drawn_artists import (
     arrows,
     drawn_from,
-    explained,
     eye_of,
     in_two_parts,
-    look,
     points_of,
     seen,
     series_of,
     texts_of,
     vector,
 )
-from topcli.config.load import load_experiment
 from topcli.contracts import Top
 from topcli.figures.body import body_of, surface_distance
 from topcli.figures.picture import draw
-from topcli.figures.space import Polhodes, Sphere, polhodes, set_view
+from topcli.figures.space import Sphere, polhodes
 from topcli.tops.euler import Euler, EulerGamma, field
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -51,20 +46,6 @@ def assert_curve(axes: Any, points: np.ndarray, near: str, far: str, dot: int = 
     (mark,) = (line for line in axes.lines if line.get_marker() in "oD")
     np.testing.assert_allclose(points_of(mark)[0], points[dot], atol=1e-12)
     return mark
-
-
-@pytest.mark.parametrize("reach", [1.0, 1.3])
-def test_the_view_is_parallel_and_has_its_width(reach: float) -> None:
-    """The camera is mplot3d's projection but for the scale; a sphere of the radius ``reach`` fills the picture."""
-    (axes,) = draw([Sphere("", ("x", "y", "z"))], {name: np.array([1.0]) for name in "xyz"}).axes
-    camera = set_view(axes, 20.0, 50.0, reach, middle=0.2)
-    np.testing.assert_allclose(camera @ camera.T, np.eye(3), atol=1e-15)
-    np.testing.assert_allclose(camera[2], eye_of(axes), atol=1e-15)
-    points = np.random.default_rng(1).normal(size=(40, 3))
-    flat, places = (points @ camera.T)[:, :2] - [0.0, 0.2], seen(axes, points)
-    scale = (flat * places).sum() / (flat**2).sum()
-    np.testing.assert_allclose(places, scale * flat, atol=1e-12)
-    assert reach * scale == pytest.approx(0.09, rel=0.04)  # of mplot3d's window from -0.095 to 0.09
 
 
 @pytest.mark.slow
@@ -151,28 +132,6 @@ def test_polhodes_run_the_way_of_the_motion(tmp_path: Path) -> None:
     assert not dots  # the other ends of the axes are hidden
 
 
-@pytest.mark.slow
-def test_the_ellipsoid_is_lit_and_tinted_by_its_formula(tmp_path: Path) -> None:
-    """Pale at the separatrix, blue or ochre beyond, and light from the upper left; faces behind are left out."""
-    (axes,) = drawn_from("polhodes", tmp_path).axes
-    (faces,) = [one for one in axes.collections if isinstance(one, Poly3DCollection)]
-    corners = np.asarray(faces._faces)  # type: ignore[attr-defined]
-    eye = eye_of(axes)
-    right = np.cross([0.0, 0.0, 1.0], eye) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], eye))
-    light = -0.45 * right + 0.45 * np.cross(eye, right) + 0.77 * eye
-    middles = corners.mean(axis=1)
-    np.testing.assert_allclose(corners**2 @ MOMENTS, 1.0, rtol=1e-12)
-    normals = middles * MOMENTS
-    level = np.clip((normals**2).sum(axis=1) - 2.0, -1.0, 1.0)[:, None]  # m² at 2E = 1 is between 1 and 3
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    assert (normals @ eye).min() > 0.0
-    tint = np.where(level > 0.0, (0.44, 0.63, 0.80), (0.93, 0.72, 0.42))
-    colours = np.array((0.985, 0.975, 0.955)) * (1.0 - abs(level)) + abs(level) * tint
-    expected = np.minimum(colours * (0.73 + 0.31 * np.maximum(normals @ light, 0.0)[:, None]), 1.0)
-    np.testing.assert_allclose(np.asarray(faces._facecolor3d)[:, :3], expected, atol=1e-9)  # type: ignore[attr-defined]
-    assert len(corners) == pytest.approx(90 * 180 / 2, rel=0.02)
-
-
 @pytest.mark.parametrize("moments", [(3.0, 2.0, 1.0), (1.0, 2.5, 1.7), (2.0, 3.0, 2.5)])
 def test_curves_are_polhodes_in_the_sense_of_the_motion(moments: tuple[float, float, float]) -> None:
     top, inertia = Euler(A=moments[0], B=moments[1], C=moments[2]), np.array(moments)
@@ -188,69 +147,6 @@ def test_curves_are_polhodes_in_the_sense_of_the_motion(moments: tuple[float, fl
             rate = np.array([field(tuple(w), top.constants()) for w in curve[:-1]])
             cosine = (step * rate).sum(axis=1) / np.linalg.norm(step, axis=1) / np.linalg.norm(rate, axis=1)
             assert cosine.min() > 0.99
-
-
-LEGENDS = {
-    "traces": ["trace", "on the far side", "its bounds", "start", "$t = 0, 1, 2, ...$"],
-    "body": ["trace of the axis", "on the far side", "the axis at the end"],
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LEGENDS)
-def test_the_legend_explains_every_mark(name: str, tmp_path: Path) -> None:
-    """Also the colours of the legend are those of the curves."""
-    figure = drawn_from(name, tmp_path)
-    key = explained(figure)
-    assert list(key) == LEGENDS[name]
-    for axes in figure.axes:
-        for line in (line for line in axes.lines if str(line.get_label())[0] != "_"):
-            assert look(key[str(line.get_label())]) == look(line)
-
-
-def test_polhodes_explain_their_tints_by_the_moments() -> None:
-    """Blue is around the axis of the largest moment, ochre around that of the smallest."""
-    angle = np.linspace(0.0, 6.0, 50)
-    data = {"omega1": 0.0 * angle, "omega2": 0.0 * angle + 1.0, "omega3": 0.0 * angle}
-    (legend,) = [axes.get_legend() for axes in draw([Polhodes((1.0, 3.0, 2.0))], data).axes]
-    assert legend
-    tints = {text.get_text(): handle for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True)}
-    assert list(tints)[:3] == ["run", "separatrix", "other polhodes"]
-    assert same_color(tints[r"around $\omega_2$"].get_facecolor(), (0.44, 0.63, 0.80))  # type: ignore[union-attr]
-    assert same_color(tints[r"around $\omega_1$"].get_facecolor(), (0.93, 0.72, 0.42))  # type: ignore[union-attr]
-
-
-BODIES = [
-    ("euler_attitude", (1.0, 0.0, 0.0), 0.45, [r"$\boldsymbol{e}_1$", r"$\boldsymbol{m}$"]),
-    ("lagrange_attitude", (0.0, 0.0, 1.0), 0.93, [r"$\boldsymbol{e}_3$", r"$\boldsymbol{p}$"]),
-    ("kowalevski_attitude", (1.0, 0.0, 0.0), 0.5, [r"$\boldsymbol{e}_1$", r"$\boldsymbol{p}$"]),
-]
-"""Scene, axis of the body, part of the rows that is shown, and names of the axis and the vertical."""
-
-
-@pytest.mark.slow
-def test_bodies_stand_as_the_runs_say(tmp_path: Path) -> None:
-    """Only the faces turned to the viewer are drawn."""
-    figure = drawn_from("body", tmp_path)
-    for axes, (scene, axis, until, names) in zip(figure.axes, BODIES, strict=True):
-        series = series_of(tmp_path, scene)
-        turned = Rotation.from_quat(np.column_stack([series[f"q{i}"] for i in range(4)]), scalar_first=True)
-        last = round(until * (len(turned) - 1))
-        path = turned.apply(axis)[: last + 1]
-        azimuth = math.degrees(math.atan2(path[0, 1], path[0, 0])) + 70.0
-        assert (axes.elev, axes.azim) == pytest.approx((22.0, azimuth))  # type: ignore[attr-defined]
-        assert_curve(axes, np.vstack([path, path[-1:]]), "#0072B2", "#A6CDE6", -1)
-        one = load_experiment(scene)
-        body = body_of(one.top, one.y0)
-        corners = np.array([turned[last].apply(face) for face in body.faces])
-        near = turned[last].apply(body.normals) @ eye_of(axes) > 0.0
-        *_, faces = [each for each in axes.collections if isinstance(each, Poly3DCollection)]
-        shown = np.asarray(faces._faces)  # type: ignore[attr-defined]
-        np.testing.assert_allclose(shown, corners[near], atol=1e-12)
-        hues = np.asarray(faces._facecolor3d)[:, :3]  # type: ignore[attr-defined]
-        bright = np.linalg.norm(hues, axis=1) / np.linalg.norm(body.colours[near], axis=1)
-        assert 0.55 < bright.min() < bright.max() < 1.05
-        assert texts_of(axes) == names
 
 
 @pytest.mark.parametrize(

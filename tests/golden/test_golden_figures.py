@@ -21,15 +21,13 @@ from figure_studies import figure_named
 from sweep_rows import write_rows
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.comparison import loaded_analysis, loaded_comparison
-from topcli.figures.errors import loaded_study
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.sweep import Choice, sweep_figure
 from topcli.studies.study import Result
 from topcli.sweeps.rows import read_rows
 
-SHORT = {"fig1": ["N=900"], "fig2": ["N=900"], "fig3": ["N=900"], "fig4": ["N=900"], "modified": ["N=900"]}
-SHORT |= {name: ["N=300"] for name in ("sphere", "nutation", "polhodes", "body", "traces")}
-SLOW = {"chaos", "error-and-cost", "torus-points", "compare", "catalogue"}
+OF_RUNS = ("fig1", "fig2", "fig3", "fig4", "modified", "polhodes", "body", "traces")
+SLOW = {"chaos", "torus-points"}
 """Of what takes long, the loaded panels are drawn by tests of their own from made-up numbers."""
 
 
@@ -111,16 +109,12 @@ def of_figure(figure: Figure) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", [name for name in FIGURES if name not in SLOW])
 def test_figure(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    figure = drawn_from(name, tmp_path, SHORT[name]) if name in SHORT else figure_named(name, tmp_path, monkeypatch)
+    figure = drawn_from(name, tmp_path) if name in OF_RUNS else figure_named(name, tmp_path, monkeypatch)
     golden.check(f"figure_{name}", of_figure(figure), rel=2e-3)
 
 
 T = np.linspace(0.0, 12.0, 240)
 CONFIG = {"name": "a_$cene", "h": 0.25, "top": "euler", "initial": {"omega": [1, 0, 0]}, "scheme": "hk", "N": 1}
-STUDY = [
-    {"scheme": name, "points": [{"h": h, "error": 7.0 * h**p, "seconds": 1e-7 / h} for h in (0.5, 0.25, 0.125)]}
-    for name, p in (("hk", 2), ("backlund+suzuki4", 4), ("midpoint4", 2))
-]
 
 
 def compared() -> Loaded:
@@ -139,8 +133,8 @@ def analysed() -> Loaded:
 
 @pytest.mark.parametrize(
     "loaded",
-    [compared, analysed, lambda: loaded_study({"duration": 100.0, "schemes": STUDY}, "")],
-    ids=["comparison", "analysis", "cost"],
+    [compared, analysed],
+    ids=["comparison", "analysis"],
 )
 def test_made_up(loaded: Any, request: pytest.FixtureRequest) -> None:
     golden.check(f"figure_of_{request.node.callspec.id}", of_figure(drawn(loaded())), rel=2e-3)

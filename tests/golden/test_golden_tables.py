@@ -37,7 +37,6 @@ def measured(name: str, out: Path) -> Any:
         "lyapunov": lambda: topcli.lyapunov("kowalevski_hk", spectrum=True, overrides=["N=2000", "h=0.05"]),
         "frequencies": lambda: topcli.frequencies("kowalevski_generic_hk", overrides=["N=2000"]),
         "integrability": lambda: topcli.integrability("suslov"),
-        "discover": lambda: topcli.discover(run),
         "check": lambda: topcli.check(schemes=["rk4"], top="euler"),
         "compare": lambda: topcli.compare("hk", "bs", "exact", config="euler_hk", **short),
         "analyse": lambda: topcli.analyse(run / "series.parquet", "euler_hk"),

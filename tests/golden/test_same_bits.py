@@ -27,8 +27,7 @@ CASES = [
     for scheme in (
         "hk",
         {"name": "hk", "compensated": True},
-        "hybrid-xi",
-        "dg4",
+        {"name": "hk", "project": 1},
         "taylor",
         "exact",
         "backlund",

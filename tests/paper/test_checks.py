@@ -281,8 +281,7 @@ def test_most_orbits_of_b_as_printed_end_at_the_pole() -> None:
     for _ in range(32):
         omega, gamma = draws.normal(scale=1.5, size=3), draws.normal(size=3)
         state = {"omega": omega.tolist(), "gamma": (gamma / np.linalg.norm(gamma)).tolist()}
-        scheme = {"name": "bohlin-b", "chart": "single"}
-        run = topcli.simulate("kowalevski_bohlin_b", scheme=scheme, h=0.4, N=2000, initial=state)
+        run = topcli.simulate("kowalevski_bohlin_b", h=0.4, N=2000, initial=state)
         if len(run) < 2001:
             ended += 1
             finite = run["gamma3"][np.isfinite(run.states).all(axis=1)]

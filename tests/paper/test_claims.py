@@ -1,4 +1,4 @@
-"""Output on the claims: tables, details, JSON, the page, exit codes."""
+"""Output on the claims: JSON and exit codes."""
 
 from __future__ import annotations
 
@@ -9,21 +9,16 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import typer
-from matplotlib.figure import Figure
 
-import topcli
 from topcli.cli.study import command
-from topcli.figures.outcomes import VerdictPanel
-from topcli.paper.claim import FAILS, HOLDS, HOLDS_WITHIN, MISPRINT, NOT_TRIED, Measurement
+from topcli.paper.claim import FAILS, HOLDS, MISPRINT, NOT_TRIED, Measurement
 from topcli.paper.decide import Claims, decide_claims
 from topcli.paper.ledger import ledger, read_ledger
 from topcli.paper.page import claims_page
 from topcli.paper.study import CLAIMS as STUDY
 from topcli.paper.study import decided_result
-from topcli.show.report import StudyReport
 from topcli.studies import SILENT, Watch
 from topcli.studies.study import Result
 
@@ -47,21 +42,6 @@ def test_json_has_one_list_of_claims(cli) -> None:
     reasons = ["the two sides of an identity are equal in rational numbers"] * 2 + ["rounding with 50 digits"]
     assert [row["bound_reason"] for row in rows] == reasons
     assert set(document["controls"]) == {"identity", "reversible"}
-
-
-@pytest.mark.slow
-def test_details_and_json_agree(cli) -> None:
-    (row,) = json.loads(cli("claims", "hk-heavy-small", "--json").out)["claims"]
-    assert row["verdict"] == "holds within 0.00064"
-    said = cli("claims", "HK-heavy-small")
-    assert said.code == 0
-    lines = dict(line.strip().split(": ", 1) for line in said.out.splitlines())
-    assert lines["hk-heavy-small"] == row["verdict"]
-    for key in ("statement", "source", "experiment"):
-        assert lines[key] == row[key]
-    assert lines["measured"] == f"{row['figure']:.2g} ({row['measures']})"
-    assert lines["bound"] == f"{row['bound_text']} ({row['bound_reason']})"
-    assert row["bound"]["high"] == pytest.approx(6.4e-4, rel=1e-2)
 
 
 SMALL = """
@@ -114,26 +94,6 @@ def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, 
         return code, *capsys.readouterr()
 
     return printed
-
-
-def test_table_shows_the_figures_of_each_claim(report) -> None:
-    """Claims that do not hold come first; with details the others follow."""
-    summary = "3 claims of the paper: 1 holds, 1 holds within its bound, 1 does not hold as stated"
-    code, out, err = report(small())
-    assert (code, err) == (0, "")
-    said, blank, title, header, *lines = out.splitlines()
-    assert (said, blank, title) == (summary, "", "claims that do not hold as stated, or were not decided")
-    assert re.split(r"\s{2,}", header.strip()) == ["id", "verdict", "measured", "bound", "statement"]
-    rows = [re.split(r"\s{2,}", line.strip()) for line in lines]
-    assert rows == [["three", "does not hold as stated", "4", "≤ 3", "<b>three</b> | x."]]
-    lines = report(small(), verbose=True)[1].splitlines()
-    header = ["id", "verdict", "measured", "bound", "source", "statement"]
-    assert re.split(r"\s{2,}", lines[7].strip()) == header
-    assert [re.split(r"\s{2,}", line.strip()) for line in (lines[4], *lines[8:])] == [
-        ["three", "does not hold as stated", "4", "≤ 3", "section 1", "<b>three</b> | x."],
-        ["one", "holds", "4", "≤ 4", "section 1", "<b>one</b> | x."],
-        ["two", "holds within 5 mm", "4", "≤ 5 mm", "section 1", "<b>two</b> | x."],
-    ]
 
 
 @pytest.mark.slow
@@ -192,56 +152,6 @@ def test_missing_package_is_not_tried(report, monkeypatch: pytest.MonkeyPatch) -
     assert "**fig2-abc**" not in listed
     (line,) = (line for line in listed.splitlines() if "**hk-heavy-equation**" in line)
     assert re.search(r"\| misprint \| largest difference [^|]* \| \d.*; corrected: 0 \| 0 \|$", line)
-
-
-def test_progress_counts_claims_and_controls() -> None:
-    steps: list[tuple[int, int]] = []
-    decide_claims(claims=read_ledger(SMALL), on_progress=lambda done, total: steps.append((done, total)))
-    assert steps == [(done, 5) for done in range(1, 6)]
-
-
-@pytest.mark.slow
-def test_report_has_the_figures_of_each_claim() -> None:
-    found = small()
-    shown = StudyReport(STUDY, decided_result(found))
-    assert repr(shown).endswith("3 claims of the paper: 1 holds, 1 holds within its bound, 1 does not hold as stated>")
-    assert shown.table.loc["two", ["figure", "bound", "verdict"]].tolist() == [4.0, "≤ 5 mm", "holds within 5 mm"]
-    assert "&lt;b&gt;one&lt;/b&gt;" in shown._repr_html_()
-
-
-@pytest.mark.slow
-def test_plot_counts_the_verdicts_of_each_part_of_the_paper() -> None:
-    names = ("hk-heavy-small", "hk-heavy-equation", "hybrid-k-sq", "hybrid-reversible")
-    axes = topcli.claims(names, progress=False).plot(Figure().add_subplot())
-    assert [label.get_text() for label in axes.get_yticklabels()] == [
-        "HK scheme of heavy tops",
-        "Hybrid scheme and summary",
-    ]
-    bars = {one.get_label(): [bar.get_width() for bar in one] for one in axes.containers}
-    assert bars == {HOLDS: [0, 1], HOLDS_WITHIN: [1, 0], MISPRINT: [1, 0], FAILS: [0, 1]}
-    assert sorted(text.get_text() for text in axes.texts) == ["1"] * 4
-    assert [bar.get_x() for bar in axes.containers[-1]] == [2, 1], "bars are side by side"
-
-
-def test_bars_of_verdicts_have_their_numbers_within_and_their_own_colours() -> None:
-    """Blue is what holds, orange what does not, grey what was not tried; the number is in the middle of its bar."""
-    rows = {HOLDS: [4.0, 0.0], HOLDS_WITHIN: [2.0, 1.0], MISPRINT: [1.0, 3.0], FAILS: [3.0, 2.0], NOT_TRIED: [0.0, 5.0]}
-    axes = Figure().add_subplot()
-    VerdictPanel(("first", "second"), tuple(rows)).paint(axes, {name: np.array(rows[name]) for name in rows}, {})
-    texts = {text.get_position(): text.get_text() for text in axes.texts}
-    legend = axes.get_legend()
-    keys = dict(zip([text.get_text() for text in legend.get_texts()], legend.get_patches(), strict=True))
-    hues = []
-    for (verdict, counts), bars in zip(rows.items(), axes.containers, strict=True):
-        assert [bar.get_width() for bar in bars] == counts
-        for row, (bar, count) in enumerate(zip(bars, counts, strict=True)):
-            assert not count or texts.pop((bar.get_x() + 0.5 * count, row)) == f"{count:.0f}"
-        assert keys[verdict].get_facecolor() == bars[0].get_facecolor()
-        red, _, blue, _ = bars[0].get_facecolor()
-        hues.append("blue" if blue > red + 0.3 else "orange" if red > blue + 0.3 else "grey")
-    assert not texts
-    assert hues == ["blue", "blue", "orange", "orange", "grey"]
-    assert len({bars[0].get_facecolor() for bars in axes.containers}) == len(rows)
 
 
 def test_a_figure_that_is_not_finite_is_null_in_json() -> None:

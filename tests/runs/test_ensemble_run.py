@@ -22,9 +22,8 @@ from topcli.engine import ensemble as engine
 from topcli.errors import UsageError
 from topcli.runs import ensemble as study
 from topcli.runs.decision import RunOptions
-from topcli.runs.report import SHOWN_TRAJECTORIES, ensemble_statements
+from topcli.runs.report import SHOWN_TRAJECTORIES
 from topcli.runs.run import RunResult, run_experiment
-from topcli.store.parts import parts_of
 from topcli.store.series import read_series
 
 RANDOM = {"count": 70, "seed": 3, "gamma": "sphere", "omega": {"near": 0.3}}
@@ -75,16 +74,6 @@ def test_the_series_holds_single_runs(tmp_path: Path) -> None:
         single = topcli.simulate(found.member(i).resolved())
         for name in ("n", "t", *found.top.components, "k_sq"):
             assert np.array_equal(series[name][rows], single[name]), name
-
-
-def test_a_running_ensemble_shows_what_it_computes(tmp_path: Path) -> None:
-    seen: set[str] = set()
-
-    def progress(done: int, total: int) -> None:
-        seen.update(part.owner["digest"] for part in parts_of(tmp_path))
-
-    stored = run_experiment(experiment(), tmp_path, RunOptions(on_progress=progress)).stored
-    assert seen == {stored.manifest["digest"]}
 
 
 def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,14 +258,3 @@ def test_exit_codes_count_failed_trajectories(cli, in_tmp: Path) -> None:
     text = some.to_yaml().replace("omega: [0.5,", "omega: [1e200,").replace("name: some", "name: all")
     (in_tmp / "all.yaml").write_text(text)
     assert cli("run", "all.yaml").code == 1
-
-
-def test_a_report_begins_with_what_holds() -> None:
-    """Each invariant in a sentence, after the failures and before the table."""
-    spread = {"min": 1e-9, "5 %": 2e-9, "median": 3e-9, "95 %": 4e-9, "max": 5e-9}
-    row = {"symbol": "E", "judged": 4, "within_round_off": 1, "max_deviation": spread}
-    report = {"invariants": [row, {**row, "symbol": "k²", "judged": 1, "max_deviation": {**spread, "max": None}}]}
-    assert ensemble_statements(report) == [
-        "E: 1 of 4 trajectories within round-off; largest deviation: median 3.0e-09, maximum 5.0e-09",
-        "k²: 1 of 1 trajectory within round-off; largest deviation: median 3.0e-09, maximum –",
-    ]

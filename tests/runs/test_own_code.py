@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,6 @@ from documentation import read_page
 from scheme_files import loaded_file
 from topcli.config.load import load_experiment
 from topcli.engine.fingerprint import own_code
-from topcli.schemes import registry
 from topcli.schemes.registry import all_schemes, find_scheme, scheme
 from topcli.sweeps.row_results import forget
 from topcli.tops import TOPS
@@ -33,10 +32,9 @@ ENERGY = ("+ p[2] * y[2] ** 2) / 2", "+ p[2] * y[2] ** 2) / 3")
 COMPOSED = """
 import topcli
 from topcli.contracts import Stepper
-from topcli.schemes.kowalevski.hk import hk_kowalevski
 
 def step(y, h, p):
-    return hk_kowalevski(y, 1.0 * h, p)
+    return (y[0] + 1.0 * h * y[1], *y[1:])
 
 @topcli.scheme("own-hk", top="kowalevski", title="HK", order=2, explicit=True, self_adjoint=True, citation="none",
                equations="none")
@@ -47,12 +45,11 @@ def build(top, options):
 
 
 @pytest.fixture
-def folder(cli: Callable[..., Said]) -> Iterator[Path]:
+def folder(cli: Callable[..., Said]) -> Path:
     """The working folder, with the files of the page."""
     for name, text in FILES.items():
         Path(name).write_text(text)
-    yield Path()
-    registry.unload_plugin_files()
+    return Path()
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -118,13 +115,11 @@ def test_an_edited_file_does_not_replace_the_earlier_run(cli: Callable[..., Said
     """Under rk4 alike, although that is topcli's own scheme; with --force the earlier run is renamed, and said so."""
     command = ("run", "rotor.yaml", "--plugin", "gyrostat.py", "--set", f"scheme={name}", "--set", "name=rotor")
     assert cli(*command).code == 0
-    registry.unload_plugin_files()
     manifest = json.loads(Path("results/rotor/manifest.json").read_text())
     assert manifest["top_origin"] == "gyrostat.py"
     assert manifest["scheme_origin"] == ("gyrostat.py" if name == "heun" else "topcli")
     edit(folder / "gyrostat.py", *FIELD)
     refused = cli(*command)
-    registry.unload_plugin_files()
     assert refused.code == 2
     first, second = refused.err.splitlines()
     assert first.startswith(
@@ -153,7 +148,6 @@ def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Sai
         if old:
             edit(folder / "gyrostat.py", old, new)
         said.append(cli(*command))
-        registry.unload_plugin_files()
         forget()
     assert [one.code for one in said] == [0, 0, 0]
     assert ["(2 ran)" in one.out + one.err for one in said] == [True, False, True]

@@ -1,4 +1,4 @@
-"""Quantities of ``output``: columns, reports, figures and measures of formulas that a user writes."""
+"""Quantities of ``output``: columns, reports and measures of formulas that a user writes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from custom_tops import config
 from resuming import after, content
 from sweeping import sweep, table
 from topcli.analysis.quantities import QuantityTally, quantities_of, quantity_rows
-from topcli.config.load import load, load_experiment
+from topcli.config.load import load
 from topcli.config.sweep import load_sweep
 from topcli.errors import ConfigError, TopcliError, UnknownNameError
-from topcli.pages.pictures import series_pictures
 from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
+from topcli.schemes.own_tops import top_class
 from topcli.store.series import read_series
-from topcli.tops import top_class
 
 QUANTITIES = {"spin": "sqrt(w1**2 + w2**2 + w3**2)", "phase": "w3*t + k*h - 0.1", "half": 0.5}
 FIGURES = ("first", "last", "min", "max", "mean")
@@ -57,18 +56,6 @@ def test_quantities_are_columns_and_their_figures_are_in_the_report(tmp_path: Pa
     cells = [float(cell) for cell in line.split("|")[2:-1]]
     assert cells == pytest.approx([rows["phase"][figure] for figure in FIGURES], rel=1e-9)
     assert "- phase = `w3*t + k*h - 0.1`" in text
-
-
-def test_a_run_prints_the_figures_of_its_quantities(cli) -> None:
-    Path("q.yaml").write_text(load(with_quantities()).to_yaml())
-    printed = cli("run", "q.yaml").out.splitlines()
-    rows = json.loads(Path("results/observed/report.json").read_text())["quantities"]
-    at = next(i for i, line in enumerate(printed) if line.startswith("quantity"))
-    assert printed[at].split() == ["quantity", *FIGURES]
-    for line, row in zip(printed[at + 1 :], rows, strict=True):
-        name, *cells = line.split()
-        assert name == row["name"]
-        assert [*map(float, cells)] == pytest.approx([row[figure] for figure in FIGURES], rel=1e-9)
 
 
 def test_quantities_of_a_built_in_top() -> None:
@@ -157,15 +144,13 @@ def test_a_quantity_without_a_value_is_no_number_in_any_precision(tmp_path: Path
     quantities = {"root": "log(-w1**2)", "pole": "1/t", "arc": "acos(2 + w1**2)", "turn": "atan2(w2, w1)/pi"}
     given = config(output={"quantities": quantities}, N=20)
     double = topcli.simulate(given)
-    run = run_experiment(load({**given, "precision": 40, "output": {**given["output"], "digits": 30}}), tmp_path)
+    run = run_experiment(load({**given, "precision": 40}), tmp_path)
     series = read_series(run.stored.series)
     for name in quantities:
         finite = np.isfinite(double[name])
         assert finite.sum() == {"pole": 20, "turn": 21}.get(name, 0)
         assert series[name][finite] == pytest.approx(double[name][finite], rel=1e-14)
         assert np.array_equal(np.isfinite(series[name]), finite)
-        texts = np.array([float(text) for text in series[f"{name}_decimal"]])
-        assert texts == pytest.approx(series[name], rel=1e-15, nan_ok=True)
 
 
 @pytest.mark.usefixtures("small_chunks")
@@ -179,17 +164,6 @@ def test_a_resumed_run_has_the_same_figures(tmp_path: Path) -> None:
     resumed = content(result.stored.folder)
     assert resumed["report"] == whole["report"]
     assert resumed["series"] == whole["series"]
-
-
-def test_pictures_show_quantities_over_time(tmp_path: Path) -> None:
-    experiment = load_experiment(with_quantities())
-    result = run_experiment(experiment, tmp_path, RunOptions())
-    pictures = series_pictures(result.stored.series, experiment, experiment.h, "page")
-    assert pictures is not None
-    shown = {picture.name: [line.column for line in picture.panel.lines] for picture in pictures.pictures}
-    assert shown["page-spin"] == ["spin"]
-    assert shown["page-phase"] == ["phase"]
-    assert not {"deviation:spin", "deviation:phase"} & {name for names in shown.values() for name in names}
 
 
 def test_measures_of_columns(tmp_path: Path) -> None:

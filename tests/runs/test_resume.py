@@ -70,7 +70,7 @@ def test_every_scheme_resumes_bit_for_bit(scheme: Scheme) -> None:
 
 RESUMED = """
 increments: kowalevski_hk parquet N=100
-carried phase: kowalevski_hk csv scheme=hybrid-xi N=100
+carried phase: kowalevski_hk csv scheme=hybrid N=100
 iterative with counters: kowalevski_hk parquet scheme=hybrid-sym N=100
 interpreted: kowalevski_hk csv scheme=dop853 N=70
 closed form: euler_gamma_hk parquet scheme=exact N=100

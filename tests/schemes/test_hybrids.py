@@ -12,7 +12,6 @@ from stepping import deviations, error_at, ran, stepper
 from topcli.analysis.tally import InvariantRow, InvariantTally
 from topcli.contracts import Floats, Outcome
 from topcli.engine.run import Run
-from topcli.schemes.kowalevski.bohlin import SWITCH_BELOW, method_b_single, method_b_switch
 from topcli.schemes.kowalevski.hybrid import enter_carried
 from topcli.tops.kowalevski import Kowalevski
 
@@ -21,65 +20,31 @@ DELONE = (0.9, 0.3, 1.0, 0.72, 0.54, math.sqrt(1.0 - 0.72**2 - 0.54**2))
 SCENES = [(GEN, 0.05), (PAPER, 0.01), (DELONE, 0.02)]
 
 
-def test_bohlin_b_on_the_other_chart_is_its_mirror_image() -> None:
-    """gamma3 -> -gamma3 with (omega1, omega2) -> -(omega1, omega2) takes one chart's gamma to the other's."""
-    for y in random_states(20, seed=8):
-        w1, w2, w3, g1, g2, g3 = map(float, y)
-        shrink = 0.5 / math.hypot(g1, g2)
-        g1, g2, g3 = shrink * g1, shrink * g2, math.sqrt(0.75)
-        up = method_b_single(w1, w2, w3, g1, g2, g3, 0.01)
-        down = method_b_switch(-w1, -w2, w3, g1, g2, -g3, 0.01)
-        assert (down[0], down[1], -down[2]) == up
-
-
-def test_bohlin_b_keeps_the_papers_chart_on_the_papers_scene() -> None:
-    states, ending = ran(stepper("bohlin-b"), PAPER, 1e-3, 50_000)
-    assert ending.counters == {"chart_switches": 0, "ambiguous_roots": 0}
-    assert np.array_equal(states, ran(stepper("bohlin-b", chart="single"), PAPER, 1e-3, 50_000)[0])
-
-
-def test_bohlin_b_passes_the_south_pole() -> None:
-    """Through gamma3 = -1 with chart switches; the paper's single chart does not survive the same orbit."""
-    y0, h = (1.5, 0.0, 0.0, 0.0, -math.sin(3.0), math.cos(3.0)), 1e-3
-    states, ending = ran(stepper("bohlin-b"), y0, h, 20_000)
-    assert ending.outcome is Outcome.COMPLETED
-    crossings = np.count_nonzero(np.diff(states[:, 5] < SWITCH_BELOW))
-    assert crossings > 2
-    assert ending.counters == {"chart_switches": crossings, "ambiguous_roots": 0}
-    assert states[:, 5].min() < -0.999
+def test_bohlin_b_is_lost_at_the_pole() -> None:
+    """Near gamma3 = -1 the paper's coordinate is infinite: the run blows up there. gamma stays a unit vector before."""
+    y0 = (0.05, 0.0, 0.0, math.sqrt(1.0 - 0.9**2), 0.0, -0.9)
+    assert ran(stepper("bohlin-b"), (0.01, 0.0, 3.0, 1e-8, 0.0, -1.0), 0.1, 1000)[1].outcome is Outcome.BLEW_UP
+    states, _ = ran(stepper("bohlin-b"), y0, 0.01, 200)
     assert np.abs((states[:, 3:] ** 2).sum(axis=1) - 1.0).max() < 8 * 2.0**-52
-    assert np.abs(np.diff(states, axis=0)).max() < 5 * h  # no jump, at the pole or at a switch
-    _, single = ran(stepper("bohlin-b", chart="single"), (0.01, 0.0, 3.0, 1e-8, 0.0, -1.0), 0.1, 1000)
-    assert single.outcome is Outcome.BLEW_UP
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["hybrid-sym", "hybrid-xi"])
 @pytest.mark.parametrize(("y0", "h"), SCENES)
-def test_lengths_stay_within_ulps_over_many_steps(name: str, y0: Floats, h: float) -> None:
-    states, ending = ran(stepper(name), y0, h, 50_000, 100)
+def test_lengths_stay_within_ulps_over_many_steps(y0: Floats, h: float) -> None:
+    states, ending = ran(stepper("hybrid-sym"), y0, h, 50_000, 100)
     assert ending.outcome is Outcome.COMPLETED
     found = deviations(states)
     assert found["gamma_sq"] < 5.0
     assert found["k_sq"] < 20.0
 
 
-def test_hybrid_xi_is_the_hybrid() -> None:
-    """The same trajectory up to round-off, on generic orbits, for either branch of the root, and for k = 0."""
-    for branch in ("nearest", "sign"):
-        for y in [GEN, DELONE, *map(tuple, random_states(5, seed=33))]:
-            mine, hybrid = (ran(stepper(name, branch=branch), y, 0.02, 100)[0] for name in ("hybrid-xi", "hybrid"))
-            assert np.abs(mine - hybrid).max() < 1e-11
-
-
 def test_carried_xi_without_a_direction() -> None:
     """k = 0 or gamma = 0 divide by nothing."""
     assert enter_carried((1.0, 0.0, 0.5, 1.0, 0.0, 0.0), 0.1, (1.0,))[6:9] == (1.0, 0.0, 0.0)
     for y in [(0.0,) * 6, (0.7, -0.4, 1.3, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)]:
-        for name in ("hybrid-sym", "hybrid-xi"):
-            states, ending = ran(stepper(name), y, 0.01, 1000)
-            assert ending.outcome is Outcome.COMPLETED, (name, y)
-            assert max(deviations(states)[n] for n in ("gamma_sq", "k_sq")) < 20.0
+        states, ending = ran(stepper("hybrid-sym"), y, 0.01, 1000)
+        assert ending.outcome is Outcome.COMPLETED, y
+        assert max(deviations(states)[n] for n in ("gamma_sq", "k_sq")) < 20.0
 
 
 @pytest.mark.slow
@@ -117,14 +82,12 @@ def drifts(name: str, h: float = 0.05, t: float = 1e5) -> tuple[dict[str, Invari
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "h", "bound"), [("midpoint4", 0.05, 1e-14), ("backlund", 0.05, 1e-12), ("backlund", 0.4, 1e-12)]
-)
-def test_four_integrals_do_not_drift(name: str, h: float, bound: float) -> None:
-    rows, in_errors = drifts(name, h)
+@pytest.mark.parametrize("h", [0.05, 0.4])
+def test_four_integrals_do_not_drift_under_backlund(h: float) -> None:
+    rows, in_errors = drifts("backlund", h)
     assert max(in_errors.values()) < 5.0
     assert {row.verdict for row in rows.values()} == {"exact"}
-    assert all(row.max_deviation < bound * max(1.0, abs(row.first)) for row in rows.values())
+    assert all(row.max_deviation < 1e-12 * max(1.0, abs(row.first)) for row in rows.values())
 
 
 @pytest.mark.slow

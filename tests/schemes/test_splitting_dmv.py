@@ -1,4 +1,4 @@
-"""Splitting and discrete Moser-Veselov: what is exact in them, preprocessed moments, and where they end."""
+"""Splitting and discrete Moser-Veselov: what is exact in them, and where they end."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from stepping import Steps, made, ran, root_mean_square, states_of
 from topcli.analysis.reference import reference_states
 from topcli.arithmetic.vectors import orthogonal_rodrigues_increment, rodrigues_increment, rotation_coefficients
 from topcli.contracts import Outcome, Top
-from topcli.errors import UsageError
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -32,16 +31,9 @@ def test_the_closed_form_is_taken_for_equal_moments_only(gravity: bool, change: 
     def body(B: float) -> Top:
         return Heavy(A=1.0, B=B, C=0.7) if gravity else Euler(A=1.0, B=B, C=0.7)
 
-    for B, same in ((1.0, "closed"), (1.0 + change, "axes")):
-        top = body(B)
-        assert top.euler_poisson().moments[1] == B
-        by_choice, chosen = Steps(top, "splitting"), Steps(top, "splitting", free=same)
-        other = Steps(body(1.0), "splitting", free="axes" if same == "closed" else "closed")
-        for y in states_of(top, 5, seed=31):
-            assert by_choice(y, 0.4).tolist() == chosen(y, 0.4).tolist()
-            assert np.abs(by_choice(y, 0.4) - other(y, 0.4)).max() > 1e-5
-    with pytest.raises(UsageError, match="free: closed needs two equal moments"):
-        made(body(1.0 + change), "splitting", free="closed")
+    equal, other = Steps(body(1.0), "splitting"), Steps(body(1.0 + change), "splitting")
+    for y in states_of(body(1.0), 5, seed=31):
+        assert np.abs(equal(y, 0.4) - other(y, 0.4)).max() > 1e-5
 
 
 def test_corrections_complete_the_circle() -> None:
@@ -90,18 +82,10 @@ def test_moser_veselov_keeps_a_small_momentum_along_an_axis_of_symmetry() -> Non
     assert Steps(EulerGamma(A=1.0, B=2.0, C=2.0), "dmv")((1e-18, 1.0, -0.7, 0.6, 0.0, 0.8), 0.05, 1000)[0] == 1e-18
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("top", TOPS_TRIED, ids=repr)
-def test_too_long_a_step_names_the_longest(top: Top) -> None:
-    """The hint is right to its digits: a little less works, a little more does not."""
-    method, y0 = made(top, "dmv"), GEN[: len(top.components)]
-    _, failed = ran(method, y0, 3.0, 10, 1, top)
+def test_too_long_a_step_ends_the_run(top: Top) -> None:
+    _, failed = ran(made(top, "dmv"), GEN[: len(top.components)], 3.0, 10, 1, top)
     assert (failed.outcome, failed.step) == (Outcome.NO_CONVERGENCE, 1)
-    assert "the largest h that works from there is about" in failed.message
-    if not any(top.euler_poisson().gravity):  # otherwise the kick depends on h
-        longest = float(failed.message.split()[-1])
-        for factor, outcome in ((0.99, Outcome.COMPLETED), (1.01, Outcome.NO_CONVERGENCE)):
-            assert ran(method, y0, factor * longest, 1, 1, top)[1].outcome is outcome, (factor, longest)
 
 
 def test_spherical_top_steps_up_to_one_radian() -> None:
@@ -109,37 +93,3 @@ def test_spherical_top_steps_up_to_one_radian() -> None:
     top, y = EulerGamma(A=1.0, B=1.0, C=1.0), (0.0, 0.6, 0.8, 1.0, 0.0, 0.0)
     for h, outcome in ((0.999, Outcome.COMPLETED), (1.001, Outcome.NO_CONVERGENCE)):
         assert ran(made(top, "dmv"), y, h, 1, 1, top)[1].outcome is outcome
-
-
-def test_refused_options_say_why() -> None:
-    with pytest.raises(UsageError, match="moments: preprocessed needs a free body"):
-        made(Kowalevski(), "dmv", moments="preprocessed")
-    with pytest.raises(UsageError, match="order: 6 needs moments: preprocessed"):
-        made(Euler(), "dmv", order=6)
-    assert made(Kowalevski(c0=0.0), "dmv", moments="preprocessed").iterative
-    with pytest.raises(UsageError, match=r"free: closed needs two equal moments, A = B, not A = 2.0 and B = 1.5"):
-        made(Heavy(), "splitting", free="closed")
-    assert made(Heavy(B=2.0), "splitting", free="closed").step is not made(Heavy(), "splitting").step
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("top", "order", "counts"),
-    [
-        (Euler(), 4, (60, 120)),
-        (EulerGamma(A=1.3, B=2.0, C=0.9), 6, (40, 80)),
-        (Euler(), 8, (28, 56)),
-        (EulerGamma(A=1.3, B=2.0, C=0.9), 10, (24, 48)),
-    ],
-)
-def test_preprocessed_moments_raise_the_order(top: Top, order: int, counts: tuple[int, int]) -> None:
-    """For omega and for gamma, by the root mean square of the errors from twelve states each."""
-    step, vectors = Steps(top, "dmv", moments="preprocessed", order=order), len(top.components) // 3
-    errors = []
-    for y in states_of(top, 12, seed=26):
-        y[:3] *= 0.7
-        truth = reference_states(top, tuple(y.tolist()), np.array([4.0]))[0]
-        misses = [step(y, 4.0 / N, N) - truth for N in counts]
-        errors.append([[np.linalg.norm(miss[part]) for part in (slice(0, 3), slice(3, 6))] for miss in misses])
-    coarse, fine = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert np.log2(coarse[:vectors] / fine[:vectors]) == pytest.approx(order, abs=0.1)

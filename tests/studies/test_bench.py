@@ -10,11 +10,11 @@ import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 
 from cases import table_of
 from topcli.analysis.reference import reference_states
@@ -22,9 +22,7 @@ from topcli.contracts import Scheme, Stepper
 from topcli.engine.run import Run
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.bench import measure
 from topcli.studies.bench.contest import (
-    SCENES,
     LineUp,
     Problem,
     Rung,
@@ -32,7 +30,6 @@ from topcli.studies.bench.contest import (
     choose,
     default_names,
     ladder,
-    tolerance_option,
 )
 from topcli.studies.bench.measure import (
     Effort,
@@ -43,10 +40,8 @@ from topcli.studies.bench.measure import (
     as_rows,
     bench,
     explore,
-    time_all,
 )
 from topcli.studies.bench.peers import PEERS, NoResultError, Peer, PeerProblem, checked, find_peers, missing
-from topcli.studies.entries import scheme_with
 from topcli.tops import TOPS
 
 
@@ -60,54 +55,9 @@ def test_steps_divide_the_interval_and_get_finer() -> None:
         assert steps[20] / steps[18] == pytest.approx(ratio**2, rel=1e-2)
 
 
-def test_the_step_ladder_of_a_state_of_any_size() -> None:
-    scheme = find_scheme("hk", "kowalevski")
-    for size in (0.0, 1e-12, 1e6):
-        rungs = list(ladder(scheme, np.full(6, size), 0.5))
-        assert 1 <= rungs[0].steps <= 0.125 * 1e6 + 1
-        assert all(math.isfinite(rung.value) and rung.value > 0.0 for rung in rungs)
-
-
-class Series(BaseModel):
-    """Options of an adaptive scheme."""
-
-    tol: float = Field(default=1e-10, gt=0.0, le=1e-4)
-
-
-class Pair(BaseModel):
-    """Options of another."""
-
-    rtol: float = Field(default=1e-6, ge=2.5e-14)
-    atol: float = Field(default=1e-8, ge=1e-15)
-
-
-class Neither(BaseModel):
-    """Options without a tolerance."""
-
-    precision: float = 1e-6
-
-
 def adaptive(options: type[BaseModel]) -> Scheme:
     base = find_scheme("rk4", "kowalevski")
     return Scheme(**{**vars(base), "name": "mine", "adaptive": True, "options": options})
-
-
-def test_tolerances_come_from_the_options() -> None:
-    y0 = np.ones(6)
-    tols = list(ladder(adaptive(Series), y0, 1.0))
-    assert tolerance_option(adaptive(Series)) == "tol"
-    assert [rung.value for rung in tols] == [*(float(f"{m}e-{n}") for n in range(4, 18) for m in ("1", "0.32")), 1e-18]
-    assert all(rung.steps == 1 and rung.options == (("tol", rung.value),) for rung in tols)
-    pairs = list(ladder(adaptive(Pair), y0, 1.0))
-    assert [rung.value for rung in pairs] == [
-        *(float(f"{m}e-{n}") for n in range(2, 14) for m in ("1", "0.32")),
-        2.5e-14,
-    ]
-    for rung in pairs:
-        assert dict(rung.options)["atol"] == pytest.approx(max(1e-2 * rung.value, 1e-15), rel=1e-12)
-        Pair.model_validate(dict(rung.options))  # within its limits
-    with pytest.raises(UsageError, match="no option tol or rtol"):
-        ladder(adaptive(Neither), y0, 1.0)
 
 
 def test_every_adaptive_scheme_has_a_ladder() -> None:
@@ -118,24 +68,6 @@ def test_every_adaptive_scheme_has_a_ladder() -> None:
         assert len(rungs) > 5
         for rung in rungs:
             scheme.options.model_validate(dict(rung.options))
-
-
-def test_bench_scenes_have_their_tops_and_durations() -> None:
-    problems = {problem.name: problem for problem in bench_problems((), ())}
-    assert list(problems) == list(SCENES)
-    assert problems["kowalevski-generic"].duration == 1000.0
-    assert problems["kowalevski-paper"].duration == 50.0
-    assert {problem.top.kind for problem in problems.values()} == {"kowalevski", "euler", "lagrange"}
-    for problem in problems.values():
-        assert len(problem.times) == 101
-        assert problem.times[0] == 0.0
-        assert problem.times[-1] == pytest.approx(problem.duration, rel=1e-15)
-
-
-def test_a_config_is_a_scene(in_tmp: Path) -> None:
-    (problem,) = bench_problems((), ("heavy_hk",), ("N=500",), 10)
-    assert problem.name == "heavy_hk"
-    assert problem.duration == problem.experiment.h * 500
 
 
 @pytest.mark.parametrize(
@@ -166,36 +98,17 @@ def test_every_scheme_takes_part_or_is_left_out_with_a_reason() -> None:
         assert [scheme.name for scheme in line_up.closed_forms] == ["exact"]
 
 
-@pytest.mark.parametrize("form", list(TOPS))
-def test_every_order_that_options_give_takes_part(form: str) -> None:
-    for scheme in all_schemes():
-        if scheme.top != form:
-            continue
-        models = scheme.options.model_fields
-        choices = [[(key, value) for value in get_args(models[key].annotation) or ()] for key in models]
-        orders = set()
-        for picked in itertools.product(*([None, *some] for some in choices)):
-            try:
-                options = scheme.options.model_validate(dict(one for one in picked if one))
-            except ValueError:
-                continue
-            orders.add(scheme.order_for(options))
-        names = [name for name in default_names(form) if name.partition(":")[0] == scheme.name]
-        assert sorted(map(str, orders)) == sorted(str(scheme_with(name, form).order) for name in names)
-
-
 def test_names_that_do_not_fit_are_refused() -> None:
     kowalevski, euler = bench_problems(("kowalevski-generic", "euler"), ())
     assert dict(choose(euler, ("hk", "hybrid")).left_out) == {"hybrid": "does not fit the top euler"}
     assert [scheme.name for scheme in choose(kowalevski, ("dop853",)).schemes] == ["dop853"]
-    assert [scheme.order for scheme in choose(euler, ("dmv:moments=preprocessed,order=8",)).schemes] == [8]
-    (refused,) = choose(euler, ("dmv:order=6",)).left_out
-    assert refused == ("dmv:order=6", "order: 6 needs moments: preprocessed; with plain moments the order is 2")
+    entries = ("backlund:nodes=exact", "backlund:nodes=plain", "dmv+kahan-li8:project=1")
+    assert [scheme.order for scheme in choose(kowalevski, entries).schemes] == [None, 2, 8]
     for names, message in (
         (("hk", "HK"), "named twice"),
         (("midpont",), "did you mean"),
-        (("dmv:moment=plain",), r"dmv:moment=plain: scheme 'dmv' has no option 'moment'.*'moments'"),
-        (("dmv:order=5",), "order: "),
+        (("dmv:projct=1",), r"dmv:projct=1: scheme 'dmv' has no option 'projct'.*project"),
+        (("dmv:project=-1",), "project: "),
     ):
         with pytest.raises(UsageError, match=message):
             choose(euler, names)
@@ -286,15 +199,6 @@ class Scripted:
         return [2.0, 1.0]
 
 
-def test_a_ladder_ends_at_the_budget_and_says_so(short: Problem) -> None:
-    mine = Scripted([1e-1, 1e-2, 1e-3, 1e-4, 1e-5], [0.001, 0.002, 0.004, 0.008, 0.016], short)
-    standing = explore(mine, short, mine.reference, Effort(0.01, 1))
-    assert [rung.error for rung in standing.rungs] == [1e-1, 1e-2, 1e-3, 1e-4]
-    assert standing.ended == "h = 0.062 would take about 0.016 s a run; 0.01 s are allowed"
-    patient = Scripted(mine.errors, mine.spent, short, patience=2.0)
-    assert len(explore(patient, short, mine.reference, Effort(0.01, 1)).rungs) == 5
-
-
 def test_a_ladder_ends_at_round_off_and_not_before(short: Problem) -> None:
     errors = [1.0, 2.0, 1.5, 1e-3, 1e-9, 1.2e-9, 0.9e-9, 1e-9, 1e-10]
     mine = Scripted(errors, [1e-4] * len(errors), short)
@@ -323,16 +227,6 @@ def test_a_step_that_cannot_be_compiled_stops_nothing_else(short: Problem) -> No
     assert len(talk) == 1
     assert talk[0].startswith("error: kowalevski_generic_hk: bad failed")
     assert result["competitors"][1]["points"]
-
-
-def test_repetitions_are_interleaved_and_the_best_process_counts(short: Problem) -> None:
-    mine = Scripted([1e-1, 1e-2], [1e-4] * 2, short)
-    standing = explore(mine, short, mine.reference, Effort(1.0, 3))
-    time_all([standing], Effort(1.0, 3), lambda done, total: None)
-    assert sorted(mine.calls[:2]) == [1, 2]
-    assert sorted(mine.calls[2:4]) == [1, 2]
-    assert standing.broken == "its process died"  # at the fifth call; what was measured stands
-    assert [point.seconds for point in standing.points()] == [1.0, 1.0]
 
 
 def test_a_missing_peer_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -427,40 +321,6 @@ def test_a_rung_s_figures_are_those_of_its_samples(short: Problem) -> None:
     assert one["invariants"] == {"energy": 3e-5, "gamma_sq": 4e-6}
     assert (other["seconds"], other["fastest"], other["quartiles"]) == (7.7, 7.7, [7.7, 7.7])
     assert (other["repetitions"], other["processes"], other["drift"]) == (0, [], 0.0)
-
-
-class Answering:
-    """A process of a peer that answers with made-up seconds."""
-
-    def __init__(self, seconds: float, states: np.ndarray) -> None:
-        self.spent, self.states = seconds, states
-        self.asked: list[Any] = []
-
-    def send(self, *request: Any) -> None:
-        self.asked.append(request)
-
-    def answer(self) -> Any:
-        return self.spent if self.asked[-1][0] == "seconds" else (self.states, self.spent, 10.0 * self.spent)
-
-
-def test_the_first_call_of_a_peer_counts_its_fastest_process(short: Problem) -> None:
-    states = np.arange(6.0 * (short.intervals + 1)).reshape(-1, 6)
-    processes: Any = [Answering(3.0, states), Answering(2.0, states + 1.0), Answering(5.0, states)]
-    mine = measure.PeerCompetitor("v", "tol", [1e-3], processes)
-    first = mine.run(Rung(1e-3))
-    assert (first.seconds, first.compile_seconds) == (2.0, 20.0)
-    assert np.array_equal(first.states, states)
-    assert mine.seconds(Rung(1e-3), 4) == [3.0, 2.0, 5.0]
-    assert processes[1].asked == [("run", "v", 1e-3), ("seconds", "v", 1e-3, 4)]
-
-
-@pytest.mark.slow
-def test_the_set_up_of_a_closed_form_is_timed_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    (paper,) = bench_problems((), ("kowalevski_hk",), ("h=0.01", "N=100"), 10)
-    clock = iter([200.0, 200.25, 300.0, 307.0])
-    monkeypatch.setattr(measure.time, "process_time", lambda: next(clock))
-    found = measure.closed_form(find_scheme("exact", "kowalevski"), paper)
-    assert (found.seconds_per_state, found.setup_seconds) == (7.0 / 200_000, 0.25)
 
 
 PEER = """

@@ -1,4 +1,4 @@
-"""The results of a bench on disk, the command, and the figure."""
+"""The results of a bench on disk, and the command."""
 
 from __future__ import annotations
 
@@ -6,14 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from cases import table_of
 from topcli.errors import RunError
-from topcli.figures.catalogue import FIGURES
-from topcli.figures.figure import Request
 from topcli.studies.bench.contest import Problem, bench_problems, choose
 from topcli.studies.bench.measure import Effort, bench
 from topcli.studies.bench.result import DECADES, POINTS, points_table, store_bench, stored_benches
@@ -73,17 +70,6 @@ def test_half_written_result_is_not_read(result: dict[str, Any], tmp_path: Path)
     assert stored_benches(tmp_path) == []
 
 
-def test_non_finite_errors_are_stored_and_drawn_as_missing(result: dict[str, Any], tmp_path: Path) -> None:
-    lost = json.loads(json.dumps(result))
-    lost["competitors"][0]["points"][0]["error"] = None
-    store_bench(lost, "code", "start", "end", tmp_path / "bench")
-    assert pq.read_table(tmp_path / "bench" / lost["name"] / POINTS).column("error").null_count == 1
-    loaded = FIGURES["work-precision"].load(Request(tmp_path))
-    (panel,) = loaded.panels
-    assert panel.scene == lost["name"]
-    assert np.isfinite(loaded.data()[f"{lost['name']}:hk:error"]).sum() < len(lost["competitors"][0]["points"])
-
-
 @pytest.mark.slow
 def test_bench_measures_and_draws_end_to_end(cli: Any) -> None:
     scenes = ("--scene", "lagrange", "--scene", "kowalevski-paper")
@@ -124,23 +110,3 @@ def test_mistakes_are_reported_with_a_correction(cli: Any, arguments: str, messa
     assert failed.code == 2
     assert message in failed.err
     assert not Path("results").exists()
-
-
-@pytest.mark.slow
-def test_the_figure_reads_results_and_measures_nothing(result: dict[str, Any], cli: Any) -> None:
-    nothing = cli("plot", "work-precision")
-    assert nothing.code == 2
-    assert "topcli bench" in nothing.err
-    store_bench(result, "code", "start", "end", Path("results/bench"))
-    made = cli("plot", "work-precision", "--format", "png", "--json").json()["figures"]
-    assert [figure["status"] for figure in made] == ["drawn"]
-    data = pq.read_table("results/figures/work-precision.parquet")
-    column = data.column("kowalevski_generic_hk:rk4:error").to_numpy()
-    measured = [row["error"] for row in result["competitors"][1]["points"]]
-    drawn = column[np.isfinite(column)]
-    assert len(drawn) > 2
-    assert set(drawn) <= set(measured)
-    assert (np.diff(drawn) < 0.0).all()
-    assert cli("plot", "work-precision", "--format", "png", "--json").json()["figures"][0]["status"] == "up to date"
-    store_bench(result, "code", "start", "later", Path("results/bench"))
-    assert cli("plot", "work-precision", "--format", "png", "--json").json()["figures"][0]["status"] == "drawn"

@@ -78,7 +78,7 @@ def test_a_scheme_that_blows_up_is_compared_as_far_as_it_went() -> None:
         [
             "initial.omega=[0.01, 0, 3]",
             "initial.gamma=[1e-8, 0, -auto]",
-            "scheme={name: bohlin-b, chart: single}",
+            "scheme=bohlin-b",
             "h=0.1",
             "N=500",
         ],

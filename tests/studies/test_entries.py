@@ -129,27 +129,6 @@ def test_a_plain_comparison_has_the_same_figures_as_an_entry_alone() -> None:
     assert np.array_equal(own.arrays["error:hk:h=0.02"], given.arrays["error:hk"])
 
 
-@pytest.mark.slow
-def test_the_table_names_each_entry_once(cli: Any) -> None:
-    said = cli("compare", "-v", *MIXED, "--config", SCENE, "--set", "h=0.01", "--set", "N=2000")
-    title, header, *lines = said.out.splitlines()
-    assert title.endswith("t from 0 to 20")
-    assert header.split() == list(MIXED)
-    assert lines[0].split() == ["h", "0.01", "0.02", "0.01", "0.04"]
-    assert lines[1].split() == ["N", "2000", "1000", "2000", "500"]
-    assert said.err == ""
-    few = cli("compare", "hk", f"hk:h={1 / 99!r}", "--config", SCENE, "--set", "h=0.01", "--set", "N=100")
-    assert "warning: the errors are compared at 2 times" in few.err
-
-
-@pytest.mark.slow
-def test_options_of_all_are_shown_beside_the_label(cli: Any) -> None:
-    sets = ("--config", SCENE, "--set", "N=20", "--set", "scheme.branch=sign")
-    lines = cli("compare", "hybrid", "hybrid:branch=nearest", "hybrid:h=0.002", *sets).out.splitlines()[2:5]
-    labels = [line.split("  ")[0] for line in lines]
-    assert labels == ["hybrid (branch=sign)", "hybrid:branch=nearest", "hybrid:h=0.002 (branch=sign)"]
-
-
 def test_a_failure_names_the_entry(cli: Any) -> None:
     said = cli("compare", "rk4", "rk4:h=2", "--config", SCENE, "--set", "h=0.01", "--set", "N=20000")
     assert said.code == 1

@@ -187,26 +187,6 @@ def test_verdicts(law: str | None, characteristic: Any, repeated: bool, integral
     assert verdict_of(DegreeGrowth(law, characteristic=characteristic), repeated, integrals, 3)[0] == verdict
 
 
-def test_the_table_shows_what_was_found() -> None:
-    """On the map with the most different numbers."""
-    report = topcli.integrability("volterra", overrides=["top.b2=0.3"])
-    study, table = report.study, report.table
-    bits, bases = study["heights"]["bits"], study["hk_bases"]
-    assert table["found"]["degrees"] == ", ".join(map(str, study["degrees"]))
-    assert table["meaning"]["degrees"] == "2.414^n; recurrence x**3 - 3*x**2 + x + 1, confirmed by 2 terms"
-    assert (study["growth"]["characteristic"], study["growth"]["surplus"]) == ([1, -3, 1, 1], 2)
-    assert table["found"]["repeated"] == "the same"
-    assert study["repeated"] == study["degrees"][: len(study["repeated"])]
-    assert table["found"]["heights"] == f"{bits[-1]} bits after {len(bits) - 1} steps"
-    assert table["meaning"]["heights"] == f"about {study['heights']['growth']['factor']:.4g}^n"
-    assert table["found"]["HK bases"] == f"independent integrals: {study['integrals']}"
-    listed = [f"degree {row['degree']}: null space {row['null']} of {row['monomials']}" for row in bases]
-    assert table["meaning"]["HK bases"] == "; ".join(listed)
-    assert [row["monomials"] for row in bases] == [10, 20, 35]
-    assert table["found"]["density"] == f"degree {study['density']['degree']}"
-    assert (table["seconds"] > 0.0).all()
-
-
 def test_density_of_the_weierstrass_map_is_that_of_the_formula() -> None:
     """1 - 12 (h/2)^2 x (Petrera, Pfadler, Suris 2011)."""
     study = topcli.integrability("weierstrass", overrides=["h=0.2"]).study

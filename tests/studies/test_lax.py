@@ -29,12 +29,11 @@ from topcli.analysis.lax import (
     spectral_drift,
 )
 from topcli.analysis.reference import reference_states
-from topcli.contracts import EulerPoisson, Floats
+from topcli.contracts import EulerPoisson, Floats, NoOptions
 from topcli.engine.run import Run
 from topcli.errors import UsageError
-from topcli.schemes.any_top.midpoint import build_midpoint
-from topcli.schemes.kowalevski.backlund_parameters import frozen_constants, longest_step
-from topcli.schemes.layout import CompensatedOption
+from topcli.schemes.any_top.midpoint import build
+from topcli.schemes.kowalevski.backlund import constants_at, longest_step
 from topcli.schemes.registry import find_scheme
 from topcli.studies.lax_checks import lax_experiment, lax_study
 from topcli.tops.heavy import Heavy
@@ -200,7 +199,7 @@ def test_spectrum_along_the_flow(equations: EulerPoisson, form: LaxForm) -> None
 
 def midpoint_run(equations: EulerPoisson, y0, h: float, steps: int) -> np.ndarray:
     top = heavy(equations)
-    return Run(top, build_midpoint(top, CompensatedOption()), y0, h, steps).collect().states
+    return Run(top, build(top, NoOptions()), y0, h, steps).collect().states
 
 
 @pytest.mark.slow
@@ -236,7 +235,7 @@ def test_discrete_lax_pair(c0: float) -> None:
     top, pair = Kowalevski(c0=c0, A=3.0), kowalevski_form(Kowalevski(c0=c0, A=3.0).euler_poisson())
     complex_pairs = []
     for y0 in random_states(12, seed=81):
-        longest = longest_step(*frozen_constants(tuple(y0), top.constants())[:4])
+        longest = longest_step(constants_at(tuple(y0), top.constants()[0]))
         for fraction in (0.1, -0.5, 0.99):
             h = fraction * min(2.0, longest)
             states = runs_of("backlund", y0, h, top)

@@ -1,4 +1,4 @@
-"""The study ``lyapunov``: its answer in the terminal and in JSON, its picture, the measures of sweeps."""
+"""The study ``lyapunov``: its answer in the terminal and in JSON, the measures of sweeps."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from topcli.analysis.lyapunov import LEAST_STEPS, growth_of
 from topcli.config.load import load_experiment
 from topcli.errors import TopcliError
 from topcli.figures.chaos import loaded_lyapunov
-from topcli.figures.picture import draw
-from topcli.studies.lyapunov import LYAPUNOV, measure, with_error
-from topcli.studies.study import Result
+from topcli.studies.lyapunov import LYAPUNOV, measure
 
 REGULAR = ("kowalevski_generic_hk", ["N=20000"])
 CHAOTIC = ("heavy_chaotic", ["scheme=hk", "h=0.05", "N=40000"])
@@ -78,17 +76,6 @@ def test_an_orbit_that_broke_off_is_a_failure() -> None:
     failed = topcli.simulate("lagrange_hk", ["scheme=rk2", "h=1", "N=1000"]).ending.step
     assert step <= failed <= step + 20
     assert not loaded_lyapunov(result).panels
-
-
-@pytest.mark.parametrize("spectrum", [False, True])
-def test_picture(spectrum: bool, tmp_path: Path) -> None:
-    result = measure(*REGULAR, spectrum=spectrum)
-    loaded = loaded_lyapunov(Result(result.data, result.arrays))
-    figure = draw(loaded.panels, loaded.data(), loaded.layout)
-    (axes,) = figure.axes
-    assert len(axes.get_lines()) == (7 if spectrum else 2)
-    reference = loaded.data()["regular"]
-    assert reference[-1] == pytest.approx(result.data["regular_exponent"])
 
 
 def test_measures_of_a_sweep(tmp_path: Path) -> None:
@@ -165,8 +152,8 @@ ANSWERS = {
         r"undecided: .*, with falls by factors down to exp\(-\d\d\), as next to a separatrix",
     ),
     "unstable": (
-        "clebsch_hard",
-        [],
+        "clebsch_gentle",
+        ["initial.m=[1e-6,0,0]", "initial.p=[0,0,1]", "scheme=midpoint", "h=0.05"],
         r"unstable: .*exp\(1627.*, at a rate of 1\.627 ± 0\.013, but the orbit repeats itself",
     ),
     "saddle": (
@@ -217,17 +204,3 @@ def test_a_transient_is_left_out_and_noted() -> None:
 def test_times_that_cannot_be_discarded(discard: float, words: str) -> None:
     with pytest.raises(TopcliError, match=words):
         measure("kowalevski_generic_hk", ["N=4000"], discard=discard)
-
-
-@pytest.mark.parametrize(
-    ("exponent", "error", "text"),
-    [
-        (0.12345678, 0.0123, "0.123 ± 0.012"),
-        (-13.66666, 0.9, "-13.67 ± 0.90"),
-        (0.0, 2e-9, "0.0000000000 ± 0.0000000020"),
-        (123.4, 56.0, "123 ± 56"),
-        (None, None, "none"),
-    ],
-)
-def test_digits_follow_the_error(exponent: float | None, error: float | None, text: str) -> None:
-    assert with_error({"exponent": exponent, "error": error}) == text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from topcli.analysis.order import convergence, judge_order
 from topcli.analysis.reference import reference_states
 from topcli.engine.run import Run
 from topcli.errors import UsageError
-from topcli.schemes import registry
 from topcli.schemes.registry import find_scheme
 from topcli.studies.order import FALSE
 from topcli.studies.order_ladders import DEFAULT, ladders, order_study
@@ -42,7 +41,8 @@ def test_the_default_is_the_generic_motion_under_six_schemes() -> None:
 hk             kowalevski
 bs             lagrange/inertial
 HK bohlin-a    kowalevski
-hk bs          euler
+hk bs          lagrange/inertial
+hk bs-implicit  euler
 hk+kahan-li8   kowalevski
 """),
 )
@@ -235,11 +235,10 @@ PLACES = {
 
 
 @pytest.fixture
-def own(cli: Callable[..., Said]) -> Iterator[Callable[..., Said]]:
+def own(cli: Callable[..., Said]) -> Callable[..., Said]:
     """Call a command with the scheme file."""
     Path("own.py").write_text(FILE)
-    yield lambda *arguments: cli(*arguments, "--plugin", "own.py")
-    registry.unload_plugin_files()
+    return lambda *arguments: cli(*arguments, "--plugin", "own.py")
 
 
 def errors_of(said: Said) -> dict[str, str]:

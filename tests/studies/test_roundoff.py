@@ -1,4 +1,4 @@
-"""The growth of round-off: the fit on series whose law is known, the study, the command and the picture."""
+"""The growth of round-off: the fit on series whose law is known, the study and the command."""
 
 from __future__ import annotations
 
@@ -9,18 +9,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from matplotlib.colors import to_rgba
 
 from cases import table_of
 from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, growth, structure
 from topcli.config.models import Experiment
 from topcli.contracts import Ending, Floats, Invariant, Outcome, StepFunction, Stepper
 from topcli.errors import UsageError
-from topcli.figures.growth import growth_data, loaded_roundoff
-from topcli.figures.picture import draw
-from topcli.figures.style import styled
 from topcli.studies.roundoff_copies import Copies, Sampling, _rows, forms_of, roundoff_experiment, roundoff_study
-from topcli.studies.study import Result
 
 SIZE = 1e-16
 
@@ -167,34 +162,12 @@ def test_drifts_are_root_mean_squares_and_maxima_over_the_copies() -> None:
     assert row["bias"] is None
 
 
-def test_a_picture_of_several_invariants_has_a_colour_for_each_and_dashes_for_compensated_sums() -> None:
-    steps = [2.0, 4.0, 8.0]
-    rows = [
-        {"name": name, "symbol": name, "steps": steps, "rms": [size, size, size]}
-        for name, size in (("a", 1.0), ("b", 2.0))
-    ]
-    forms = [
-        {"form": form, "scheme": "hk", "outcome": "completed", "invariants": rows} for form in ("plain", "compensated")
-    ]
-    study = {"forms": forms}
-    loaded = loaded_roundoff(Result({**study, "h": 0.1, "config": {}, "steps": 8, "copies": 2}))
-    (axes,) = draw(loaded.panels, loaded.data(), loaded.layout).axes
-    own = [line for line in axes.lines if line.get_marker() in "os^D"]
-    assert [line.get_linestyle() for line in own] == ["-", "--", "-", "--"]
-    colours = [line.get_color() for line in own]
-    assert (colours[0] == colours[1], colours[2] == colours[3], colours[0] == colours[2]) == (True, True, False)
-    leaders = {text.get_text(): text.arrow_patch.get_edgecolor() for text in axes.texts}
-    joined = [leaders[f"{name}, {form}"] for name in "ab" for form in ("plain", "compensated")]
-    with styled():
-        assert joined == [to_rgba(colour) for colour in colours]
-
-
 def test_experiments_are_chosen() -> None:
     assert roundoff_experiment("hk+kahan-li8", "lagrange_hk").scheme.name == "hk+kahan-li8"
     assert roundoff_experiment("bs", None).top.form == "lagrange/inertial"
     assert roundoff_experiment("bs-implicit", None).top.kind == "euler"
     assert roundoff_experiment("hybrid", None).name == "kowalevski_hk"
-    resolved = roundoff_experiment("hybrid-xi", None, ["scheme.compensated=true"])
+    resolved = roundoff_experiment("midpoint", None, ["scheme.compensated=true"])
     assert [one.options.model_dump()["compensated"] for one in forms_of(resolved).values()] == [False, True]
 
 
@@ -215,18 +188,18 @@ def test_unsuitable_experiments_are_refused(scheme: str, steps: int, copies: int
 
 @pytest.mark.slow
 def test_command_reports_both_forms(cli, tmp_path: Path) -> None:
-    said = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--plot", "--out", "f")
+    said = cli("roundoff", "midpoint", "--steps", "1e5", "--copies", "2", "--plot", "--out", "f")
     assert said.code == 0
-    rows = [line.split()[:2] for line in said.out.splitlines()[-4:]]
-    assert rows == [[symbol, form] for symbol in ("γ²", "k²") for form in ("plain", "compensated")]
+    rows = [line.split()[:2] for line in said.out.splitlines()[-6:]]
+    assert rows == [[symbol, form] for symbol in ("γ²", "2l", "E") for form in ("plain", "compensated")]
     assert sorted(path.suffix for path in (tmp_path / "f").iterdir()) == [".parquet", ".pdf", ".png"]
-    drawn = pq.read_table(tmp_path / "f" / "roundoff_hybrid-xi_kowalevski_hk.parquet")
-    report = cli("roundoff", "hybrid-xi", "--steps", "1e5", "--copies", "2", "--json").json()
+    drawn = pq.read_table(tmp_path / "f" / "roundoff_midpoint_kowalevski_hk.parquet")
+    report = cli("roundoff", "midpoint", "--steps", "1e5", "--copies", "2", "--json").json()
     assert (report["command"], report["copies"], report["violations"]) == ("roundoff", 2, [])
-    assert report["forms"][1]["options"] == {"branch": "nearest", "compensated": True}
+    assert report["forms"][1]["options"] == {"compensated": True, "project": 0}
     for form in report["forms"]:
         for row in form["invariants"]:
-            assert row["verdict"] == "flat"
+            assert row["verdict"] == ("flat" if form["form"] == "compensated" else "random walk")
             assert drawn.column("steps").to_pylist() == row["steps"]
             assert drawn.column(f"{row['name']}:{form['form']}").to_pylist() == row["rms"]
 
@@ -276,21 +249,13 @@ def test_command_names_what_is_wrong(cli, arguments: str, code: int, message: st
     assert message in said.err
 
 
-def test_picture_leaves_out_what_never_changed() -> None:
-    experiment = roundoff_experiment("hk", "lagrange_hk")
-    study = roundoff_study(experiment, 20_000, 2)
-    plain, better = (form["nanoseconds_per_step"] for form in study["forms"])
-    assert [form["cost"] for form in study["forms"]] == [1.0, better / plain]
-    data, lines = growth_data(study)
-    assert {"steps", "m_axis:plain", "modified_energy:compensated"} <= set(data)
-    assert "m_axis:plain" not in [column for column, _ in lines]
-    assert len(lines) == 6
-
-
 @pytest.mark.slow
 def test_compensation_of_an_iteration_has_no_bias() -> None:
-    """With only the errors of the changes left, an iteration that stops early would show."""
+    """With only the errors of the changes left, an iteration that stops early would show.
+
+    The random walks of eight copies reach 3e-14; a bias of 1e-19 a step would be 1e-13.
+    """
     study = roundoff_study(roundoff_experiment("midpoint", "euler_gamma_hk"), 1_000_000, 2)
     better = study["forms"][1]["invariants"]
     assert {row["verdict"] for row in better} <= {"flat", "random walk"}
-    assert max(row["max_drift"] / row["scale"] for row in better) < 1e-14
+    assert max(row["max_drift"] / row["scale"] for row in better) < 4e-14

@@ -64,7 +64,8 @@ def bent(step: Callable[[Floats, float, Floats], Floats]) -> Callable[[Top, Any]
     """A ``build`` of the midpoint rule of the Euler top, or of gamma, followed by ``step``."""
 
     def build(top: Top, options: Any) -> Stepper:
-        inner = find_scheme("midpoint", top.form).build(top, None)
+        scheme = find_scheme("midpoint", top.form)
+        inner = scheme.build(top, scheme.options())
         assert isinstance(inner, Stepper)
         inner_step = inner.step
         return replace(inner, step=lambda s, h, p: step(inner_step(s, h, p), h, p))
@@ -163,8 +164,8 @@ def test_the_theory_of_the_swings() -> None:
 @pytest.mark.parametrize(
     ("case", "scheme", "form", "changes", "outcome", "step", "why"),
     table_of("""
-pole                bohlin-b  kowalevski  {}                                 held      None   ""
-pole                bohlin-b  kowalevski  {"options": {"chart": "single"}}   broke     59     blew up at step 59
+pole                bohlin-a  kowalevski  {}                                 held      None   ""
+pole                bohlin-b  kowalevski  {}                                 broke     59     blew up at step 59
 pole                hk        kowalevski  {"order": 3}                       degraded  None   ""
 branch-point        hk        kowalevski  {}                                 held      None   ""
 branch-point        hybrid    kowalevski  {}                                 degraded  None   ""
@@ -200,13 +201,6 @@ def test_checks_distinguish_what_holds_from_what_does_not(
     assert why in found.why
 
 
-def test_figures_of_findings() -> None:
-    assert finding("branch-point", "hybrid").figures["order"] < 1.65
-    assert finding("homoclinic-spacing", "hk").figures["time"] == pytest.approx(28.1722, abs=1e-3)
-    assert 1e30 < finding("singular-step", "hk").figures["largest"] < 1e60
-    assert finding("there-and-back", "hybrid").figures["missed"] == pytest.approx(0.232, rel=0.05)
-
-
 def test_timing_of_flips_is_judged() -> None:
     for offset in ("1e-3", "1e-12"):
         held = finding(f"racket-{offset}", "midpoint", "euler")
@@ -218,7 +212,7 @@ def test_timing_of_flips_is_judged() -> None:
     assert kicked.result is CaseOutcome.BROKE
     assert kicked.figures["time"] < 0.75 * kicked.figures["exact"]
     still = finding(
-        "racket-1e-3", "midpoint", "euler", conserves=(), build=bent(lambda s, h, p: (1e-3, 1.0, 0.0, s[3]))
+        "racket-1e-3", "midpoint", "euler", conserves=(), build=bent(lambda s, h, p: (1e-3, 1.0, 0.0, *s[3:]))
     )
     assert (still.result, "no flip" in still.why) == (CaseOutcome.BROKE, True)
 
@@ -234,26 +228,24 @@ def test_self_adjoint_schemes_return(scheme: Scheme) -> None:
 
 @pytest.mark.slow
 def test_claimed_invariants_do_not_drift() -> None:
-    for scheme in ("hybrid-sym", "dg4", "hk-symproj"):
-        held = finding("drift", scheme, N=200_000)
+    """A step that restores its integrals stays within 2 ulp; round-off of backlund and midpoint walks 107 and 134."""
+    integrals = ("gamma_sq", "two_l", "energy", "k_sq")
+    for scheme, traits, bound in (
+        ("hybrid-sym", {}, 5.0),
+        ("hk", {"options": {"project": 1}, "conserves": integrals}, 5.0),
+        ("backlund", {}, math.sqrt(200_000)),
+        ("midpoint", {}, math.sqrt(200_000)),
+    ):
+        held = finding("drift", scheme, N=200_000, **traits)
         assert held.result is CaseOutcome.HELD
-        assert max(value for key, value in held.figures.items() if key.endswith(":ulp")) < 5.0
+        assert max(value for key, value in held.figures.items() if key.endswith(":ulp")) < bound
 
     def biased(s: Floats, h: float, p: Floats) -> Floats:
         a = 1.0 + 2.0**-52
-        return (a * s[0], a * s[1], a * s[2], s[3])
+        return (a * s[0], a * s[1], a * s[2], *s[3:])
 
     slanted = finding("drift", "midpoint", "euler", N=100_000, build=bent(biased))
     assert slanted.result is not CaseOutcome.HELD
-
-
-def test_interpreted_schemes_take_some_four_hundred_longer_steps() -> None:
-    one = case_of("drift")
-    plain = Trial(one, one.experiment("dop853"), CaseCache())
-    compiled = Trial(one, one.experiment("rk4"), CaseCache())
-    assert plain.plain
-    assert plain.N * plain.h == pytest.approx(compiled.N * compiled.h, rel=0.01)
-    assert plain.N == 400 < compiled.N
 
 
 # limits

@@ -86,7 +86,7 @@ def compositions_of(scheme: Scheme) -> list[str]:
 def subjects(scheme: Scheme, tops: Sequence[Top], compositions: Sequence[str] = ()) -> list[Subject]:
     """The scheme with all choices of its options on these tops, and composed, on the first one."""
     alone = [Subject(scheme, top, options) for top in tops for options in choices(scheme, top)]
-    return alone + [Subject(compose(scheme, name), tops[0], scheme.options()) for name in compositions]
+    return alone + [Subject(compose(scheme, COMPOSITIONS[name]), tops[0], scheme.options()) for name in compositions]
 
 
 def errors_after(top: Top, method: Method, duration: float, counts: Sequence[int], y0: Any = None) -> list[float]:

@@ -65,7 +65,7 @@ class Block:
 def read_page(path: Path, text: str | None = None) -> Page:
     page = Page(path)
     text = path.read_text(encoding="utf-8") if text is None else text
-    for found in re.finditer(r"((?:^<!-- .*? -->\n)*)^```(\S*)[^\n]*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+    for found in re.finditer(r"((?:^<!-- [^\n]*? -->\n)*)^```(\S*)[^\n]*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         line = text[: found.start(2)].count("\n") + 1
         page.blocks.append(Block(page, line, found[1], found[2], found[3]))
     return page

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 from matplotlib.axes import Axes
-from matplotlib.colors import same_color, to_rgb
+from matplotlib.colors import same_color
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
@@ -21,14 +21,11 @@ from topcli.figures.picture import draw
 
 SHOWN = {
     "hk": "HK",
-    "hk-projected": "projected HK",
     "hk+kahan-li6": "HK + Kahan-Li 6",
     "hk+kahan-li8": "HK + Kahan-Li 8",
     "bohlin-a": "Bohlin A",
     "bohlin-b": "Bohlin B",
     "bohlin-c": "Bohlin C",
-    "dg4": "DG4",
-    "midpoint4": "midpoint 4",
     "rk2": "RK2",
     "rk4": "RK4",
     "taylor": "Taylor",
@@ -74,12 +71,6 @@ def data_of(line: Line2D) -> np.ndarray:
     return np.column_stack([np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)])
 
 
-def look(line: Line2D) -> tuple[Any, ...]:
-    """Features by which a reader identifies a line."""
-    filled = not same_color(line.get_markerfacecolor(), "white") if line.get_markerfacecolor() != "none" else False
-    return to_rgb(line.get_color()), line.get_linestyle(), line.get_marker(), filled
-
-
 def labelled(axes: Axes) -> dict[str, Line2D]:
     """The lines of the legend by their labels, without slopes; those of schemes by the names in configs."""
     lines = (line for line in axes.lines if line.get_label()[0] != "_")
@@ -100,15 +91,6 @@ def explained(figure: Figure) -> dict[str, Line2D]:
         for legend in legends
         for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True)
     }
-
-
-def in_sight(axes: Axes, line: Line2D) -> bool:
-    """True if no point of the line lies outside the axes' limits."""
-    points = data_of(line)
-    points = points[np.isfinite(points).all(axis=1)]
-    low, high = sorted(axes.get_xlim()), sorted(axes.get_ylim())
-    inside = [(points[:, i] >= limit[0]) & (points[:, i] <= limit[1]) for i, limit in enumerate((low, high))]
-    return bool(len(points) and np.all(inside))
 
 
 def eye_of(axes: Any) -> np.ndarray:

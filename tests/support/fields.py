@@ -8,6 +8,7 @@ from fractions import Fraction
 
 from topcli.contracts import Top
 from topcli.field.polynomial import Field, Polynomial
+from topcli.tops import TOPS
 
 
 def random_field(d: int, degree: int, seed: int, density: float = 0.5) -> Field:
@@ -35,4 +36,5 @@ def top_of(polynomials: Field) -> Top:
         components = tuple(f"y{i}" for i in range(len(polynomials)))
         field = staticmethod(lambda y, p: tuple(rate.value(y) for rate in polynomials))
 
+    TOPS.declared["random"] = Random
     return Random()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from topcli.arithmetic.vectors import cayley_increment
-from topcli.contracts import Floats, Stepper
+from topcli.contracts import Floats, NoOptions, Stepper
 from topcli.schemes.registry import find_scheme
 
 
@@ -45,6 +45,8 @@ SPLIT = replace(
     name="kick-turn",
     conserves=("gamma_sq",),
     build=lambda top, options: KICK_TURN,
+    options=NoOptions,
+    modified=None,
     doc="A turn between kicks.",
 )
 """The scheme with this step, which is not topcli's own."""

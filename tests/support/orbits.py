@@ -11,12 +11,25 @@ from topcli.analysis.lyapunov import Growth, checkpoints, growth_of
 from topcli.analysis.recurrence import Recurrence
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
+from topcli.tops import gentle_scene
 
 LORENZ = {"x": "10*(y - x)", "y": "28*x - y - x*z", "z": "x*y - 8/3*z"}
 ROESSLER = {"x": "-y - z", "y": "x + 0.2*y", "z": "0.2 + z*(x - 5.7)"}
 HENON_HEILES = {"x": "px", "y": "py", "px": "-x - 2*x*y", "py": "-y - x*x + y*y"}
 DUFFING = {"x": "v", "v": "x - x**3"}
 PENDULUM = {"q": "p", "p": "sin(q)"}
+HARD = {
+    "clebsch": "h=0.05 initial.m=[1e-6,0,0] initial.p=[0,0,1]",
+    "gaudin": "h=0.05 top.lambda1=2.5 top.lambda2=0.5 initial.a=[1e-6,0,1] initial.b=[0,0,-1]",
+    "kirchhoff": "h=0.05 top.a1=1 top.a3=1.6 top.b1=0.8 top.b3=2 initial.m=[1e-6,0,0.01] initial.p=[0,0,1]",
+    "kowalevski-gyrostat": "top.k=10 initial.omega=[0,0,0] initial.gamma=[1,0,1e-3] initial.normalize=true h=0.02",
+}
+"""Motions next to a separatrix."""
+
+
+def hard(form: str, *overrides: str) -> Experiment:
+    """A motion of a top next to a separatrix, by the midpoint rule."""
+    return load_experiment(gentle_scene(form), ["scheme=midpoint", *HARD[form].split(), *overrides])
 
 
 def of_field(field: Mapping[str, str], y: Sequence[float], scheme: str, h: float, N: int = 1000) -> Experiment:

@@ -6,11 +6,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from steppers import built
 from topcli.contracts import Outcome
 from topcli.engine.run import Run
 from topcli.runs.identity import method_fingerprint
-from topcli.schemes import registry
+from topcli.schemes import plugins
+from topcli.schemes.plugins import load_plugin_file
 from topcli.tops.kowalevski import Kowalevski
 
 FILE = """
@@ -35,14 +38,47 @@ class Found:
     code: str
 
 
+def tables() -> dict[str, Any]:
+    """Tables that plugins extend, by name, with all that is built in."""
+    from topcli.figures.catalogue import FIGURES
+    from topcli.schemes.own_tops import ORIGINS
+    from topcli.schemes.registry import SCHEMES, all_schemes
+    from topcli.studies.stress.cases import OWN
+    from topcli.sweeps.measures import MEASURES
+    from topcli.tops import TOPS
+
+    all_schemes()
+    return {
+        "schemes": SCHEMES,
+        "tops": TOPS.data,
+        "origins": ORIGINS,
+        "files": plugins.FILES,
+        "figures": FIGURES,
+        "cases": OWN,
+        "measures": MEASURES,
+    }
+
+
 @contextmanager
-def loaded_file(path: Path) -> Iterator[None]:
-    """Load what a file registers, and forget it at the end."""
-    registry.load_plugin_file(path)
+def unchanged_tables() -> Iterator[None]:
+    """At the end the tables are as they were."""
+    extended = tables()
+    before = {name: dict(table) for name, table in extended.items()}
     try:
         yield
     finally:
-        registry.unload_plugin_files()
+        plugins.REGISTERED.clear()
+        for name, table in extended.items():
+            table.clear()
+            table.update(before[name])
+
+
+@contextmanager
+def loaded_file(path: Path) -> Iterator[None]:
+    """Load what a file registers, and forget it at the end."""
+    with unchanged_tables():
+        load_plugin_file(path)
+        yield
 
 
 def write_scheme(folder: Path, body: str, options: str = "") -> Path:
@@ -54,14 +90,9 @@ def write_scheme(folder: Path, body: str, options: str = "") -> Path:
 
 def run_scheme(path: Path) -> Found:
     """Load the file and take two steps."""
-    registry.all_schemes()  # so that the built-in ones are among those that stay
-    before = registry.registry.snapshot()
-    try:
-        registry.load_plugin_file.__wrapped__(path)
+    with loaded_file(path):
         top = Kowalevski()
-        method = registry.find_scheme("mine", "kowalevski").build(top, None)
-    finally:
-        registry.registry.restore(before)
+        method = built("mine", top)
     run = Run(top, method, (1.0, 0.25, 0.5, 0.6, 0.48, 0.64), 0.1, 2)
     last = [float(chunk.states[-1, 0]) for chunk in run if len(chunk.n)][-1]
     assert run.ending is not None

@@ -58,5 +58,5 @@ def store_order(path: Path) -> Path:
 
 
 def store_stress(path: Path) -> Path:
-    path.write_text(json.dumps(stress_data(stress(["hk", "dg4"], ["delone", "pole"]))), encoding="utf-8")
+    path.write_text(json.dumps(stress_data(stress(["hk", "backlund"], ["delone", "pole"]))), encoding="utf-8")
     return path

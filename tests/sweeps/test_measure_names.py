@@ -15,10 +15,9 @@ from topcli.config.models import Experiment
 from topcli.contracts import Floats, Invariant, Scheme, Top
 from topcli.errors import UnknownNameError, UsageError
 from topcli.runs.references import SharedReferences, reference_of
-from topcli.schemes import registry as schemes
+from topcli.schemes.plugins import load_plugin_file
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps.batch import bytes_per_run
-from topcli.sweeps.batch_run import batch_size
 from topcli.sweeps.measures import (
     MEASURES,
     MeasureMisfitError,
@@ -27,6 +26,7 @@ from topcli.sweeps.measures import (
     names_of,
     resolve_measures,
 )
+from topcli.tops import TOPS
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -39,15 +39,6 @@ EULER_HK = find_scheme("hk", "euler")
 
 def names(found: Sequence[Any]) -> list[str]:
     return [one.name for one in found]
-
-
-def test_names_become_measures_in_their_order() -> None:
-    wanted = ["median_swing_spacing", "drift.energy", "max_deviation.k_sq", "max_error", "reversal_defect", "seconds"]
-    assert names(resolve_measures(wanted, Kowalevski(), HK)) == wanted
-    modified = ["drift.modified_m_sq", "max_deviation.modified_k12"]
-    assert names(resolve_measures(modified, Euler(A=3.0, B=2.0, C=1.0), EULER_HK)) == modified
-    with pytest.raises(UsageError, match="measure 'steps' is named twice"):
-        resolve_measures(["steps", "seconds", "steps"], Kowalevski(), HK)
 
 
 def broken_field(y: Floats, p: Floats) -> Floats:
@@ -71,7 +62,9 @@ class Broken(Top):
         return Heavy().invariants()
 
 
+@pytest.mark.usefixtures("own_registry")
 def test_what_does_not_fit_is_named_with_the_reason() -> None:
+    TOPS["broken"] = Broken
     top, scheme = Broken(), find_scheme("rk4", "heavy")
     for name in ("max_error", "final_error"):
         with pytest.raises(
@@ -134,7 +127,7 @@ def last(batch, name):
 
 
 def load(path: Path) -> None:
-    schemes.load_plugin_file.__wrapped__(path)
+    load_plugin_file(path)
 
 
 def test_measures_from_a_file(tmp_path: Path, own_registry: None) -> None:
@@ -243,17 +236,6 @@ def test_too_many_rows_for_the_memory_are_refused_with_a_way_out() -> None:
     )
     sparse = load_experiment("kowalevski_hk", ["N=1e9", "h=1e-3", "output.every=34"])
     assert bytes_per_run(sparse, measures) <= 1 << 31
-
-
-def test_the_size_of_a_batch_follows_from_its_memory() -> None:
-    experiment = load_experiment("kowalevski_hk", ["N=999", "h=1e-3"])
-    swings = resolve_measures(["swings"], experiment.top, experiment.scheme)
-    per_run = 1000 * 2 * 8 + 16 * 6 * 8  # the times, the column, and room for the probes
-    assert batch_size(experiment, swings, 10 * per_run) == 10
-    assert batch_size(experiment, swings, 10 * per_run - 1) == 9
-    assert batch_size(experiment, swings, 1) == 1
-    states = resolve_measures(["max_error"], experiment.top, experiment.scheme)
-    assert batch_size(experiment, states, 1 << 22) == (1 << 22) // (1000 * (1 + 7) * 8 + 16 * 6 * 8)
 
 
 def test_a_closed_form_serves_only_its_own_tops() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from itertools import product
 from typing import Any
@@ -22,7 +21,7 @@ from topcli.engine.tile import Piece
 from topcli.errors import RunError
 from topcli.runs.references import REFERENCES
 from topcli.sweeps.batch import BatchRecorder, evaluate
-from topcli.sweeps.measures import MEASURES, measure, resolve_measures
+from topcli.sweeps.measures import measure, resolve_measures
 from topcli.tops.euler import field
 
 A, C = 2.0, 1.0
@@ -195,19 +194,6 @@ def test_a_reversal_that_fails_is_infinite_and_never_missing() -> None:
     assert 1e-6 < found[1] < 1e-3
 
 
-def test_counters_steps_and_seconds() -> None:
-    experiment = load_experiment("kowalevski_bohlin_a", ["N=300"])
-    found = measured(experiment, ["steps", "seconds", "counter.ambiguous_roots"])
-    assert found["steps"].tolist() == [300.0]
-    assert found["counter.ambiguous_roots"].tolist() == [0.0]
-    assert found["seconds"][0] > 0.0
-    rest = load_experiment("kowalevski_bohlin_a", ["N=300", "initial.omega=[0,0,0]", "initial.gamma=[0,0,1]"])
-    assert measured(rest, ["counter.ambiguous_roots"])["counter.ambiguous_roots"].tolist() == [300.0]
-    assert MEASURES["seconds"].reproducible is False
-    assert MEASURES["steps"].reproducible
-    assert MEASURES["max_error"].reproducible
-
-
 def test_rows_that_were_not_reached_are_not_recorded(own_registry: None) -> None:
     experiment = symmetric("rk4", 0.1, 9)
     measure("test.all", summary="needs all", needs=["omega1", "m_sq", "states"])(lambda batch: np.zeros(len(batch)))
@@ -222,25 +208,6 @@ def test_rows_that_were_not_reached_are_not_recorded(own_registry: None) -> None
     np.testing.assert_allclose(batch.columns["m_sq"][0], (momentum[0] ** 2).sum(axis=1), rtol=1e-14)
     for recorded_rows in (batch.states[1, 4:], batch.columns["omega1"][1, 4:], batch.columns["m_sq"][1, 4:]):
         assert np.isnan(recorded_rows).all()
-
-
-def test_counters_of_the_runs_beside_a_failed_one() -> None:
-    experiment = load_experiment("kowalevski_bohlin_a", ["N=300"])
-    rest = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    states = [(1e200, 1e200, 0.0, 1.0, 0.0, 0.0), experiment.y0, rest]
-    found = measured(experiment, ["counter.ambiguous_roots"], states)
-    np.testing.assert_array_equal(found["counter.ambiguous_roots"], [math.nan, 0.0, 300.0])
-    assert found.faults == []
-
-
-@pytest.mark.parametrize("count", [3, 64])
-def test_the_seconds_of_runs_add_up_to_those_of_their_batch(count: int) -> None:
-    experiment = symmetric("rk4", 0.01, 20_000, output={"every": 100})
-    began = time.perf_counter()
-    seconds = measured(experiment, ["seconds"], np.tile(OMEGA, (count, 1)), count=count)["seconds"]
-    wall = time.perf_counter() - began
-    assert (seconds == seconds[0]).all()
-    assert 0.0 < seconds.sum() <= wall
 
 
 def test_options_and_parameters_have_their_own_code() -> None:
@@ -319,20 +286,6 @@ def test_a_batch_has_the_bits_of_its_single_runs(scene: str, overrides: list[str
         for (i, one), name in product(alone.items(), names):
             assert together[name][i : i + 1].tobytes() == one[name].tobytes(), (name, i)
             assert np.isfinite(one[name][0]) or name == "median_swing_spacing"
-
-
-def test_only_what_is_needed_is_recorded() -> None:
-    experiment = symmetric("rk4", 0.1, 50)
-
-    def batch(*names: str) -> Any:
-        return measured(experiment, names).batch
-
-    bare = batch("steps", "seconds")
-    assert (dict(bare.columns), bare.states.size, bare.probes.size, bare.deviations, bare.drifts) == ({}, 0, 0, {}, {})
-    assert list(batch("swings").columns) == ["omega2"]
-    assert list(batch("drift.m_sq").drifts) == ["m_sq"]
-    assert batch("drift.m_sq").deviations == {}
-    assert batch("reversal_defect").probes.shape == (1, 16, 3)
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import pickle
 from collections.abc import Iterable, Iterator
@@ -22,13 +21,13 @@ from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import load_sweep
 from topcli.config.text import parse_yaml
 from topcli.errors import RunError, UsageError
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.own_tops import top_class
+from topcli.schemes.registry import find_scheme
 from topcli.sweeps import row_results
 from topcli.sweeps.batch_run import BatchRun
 from topcli.sweeps.measures import resolve_measures
 from topcli.sweeps.row_results import KeptRuns, Pace, Results, Work, batches, results_of_rows
 from topcli.sweeps.run import SweepOptions, in_threads, planned, run_sweep
-from topcli.tops import top_class
 
 
 def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
@@ -274,15 +273,6 @@ def test_batches_hold_every_row_once_and_are_bounded() -> None:
 
 
 @pytest.mark.slow
-def test_larger_batches_hold_that_many_times_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = {**MANY, "grid": {"scheme": ["hk"]}, "random": {**MANY["random"], "count": 4000}}
-    rows = list(RowReader(load_sweep(data)).rows())
-    monkeypatch.setattr("topcli.sweeps.row_results.PER_WORKER", 1)
-    sizes = {scale: max(len(batch) for batch in batches(iter(rows), 1, scale)) for scale in (1, 3)}
-    assert sizes == {1: 1024, 3: 3072}
-
-
-@pytest.mark.slow
 def test_work_can_be_done_in_another_process_in_any_order(tmp_path: Path) -> None:
     def backend(made: Any, work: Work, stop: Any) -> Any:
         for batch in reversed(list(made)):
@@ -302,16 +292,6 @@ def test_a_folder_that_is_no_sweep_is_refused(tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "study") == ["notes.txt"]
 
 
-@pytest.mark.slow
-def test_columns_of_keys_have_the_type_of_their_values(tmp_path: Path) -> None:
-    grid = {"scheme": ["hk"], "N": [60, 70], "top.c0": [1, 0.5], "initial.gamma": [[0.6, 0.48, 0.64], [0, 0, 1]]}
-    base = {key: value for key, value in BASE.items() if key != "N"} | {"N": 60}
-    sweep(tmp_path, {**DATA, "base": base, "grid": {**grid, "output.every": [20]}})
-    found = pq.read_schema(tmp_path / "study" / "rows.parquet")
-    kinds = {"scheme": "string", "N": "int64", "top.c0": "double", "initial.gamma": "string", "output.every": "int64"}
-    assert {key: str(found.field(key).type) for key in kinds} == kinds
-
-
 def test_rows_name_the_processor_that_computed_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(row_results, "_cpu", lambda: "Abacus 9")
     sweep(tmp_path, with_grid(h=[0.01]))
@@ -326,12 +306,14 @@ def test_rows_name_the_processor_that_computed_them(tmp_path: Path, monkeypatch:
 READY = sorted((ROOT / "configs" / "sweeps").iterdir())
 
 
-SWINGS = "kowalevski_swings"
-
-
 def ready(name: str) -> Any:
     path = ROOT / "configs" / "sweeps" / f"{name}.yaml"
     return parse_yaml(path.read_text(encoding="utf-8"), str(path))[0]
+
+
+def scheme_name(scheme: str | dict[str, Any]) -> str:
+    """Name of a scheme, given alone or with options."""
+    return scheme["name"] if isinstance(scheme, dict) else scheme
 
 
 @pytest.mark.parametrize("name", [path.stem for path in READY])
@@ -343,18 +325,5 @@ def test_a_ready_sweep_is_short_and_its_measures_fit(name: str) -> None:
     assert found["name"] == name
     top = top_class(found["base"]["top"]).new()
     for scheme in found["grid"].get("scheme", [found["base"].get("scheme")]):
-        measures = resolve_measures(found["measure"], top, find_scheme(scheme, top.form))
+        measures = resolve_measures(found["measure"], top, find_scheme(scheme_name(scheme), top.form))
         assert [one.name for one in measures] == found["measure"]
-
-
-def test_the_sweeps_of_kowalevski_s_top_name_all_of_its_schemes() -> None:
-    known = {scheme.name for scheme in all_schemes() if scheme.top == "kowalevski" and scheme.origin == "topcli"}
-    assert set(ready("kowalevski_errors")["grid"]["scheme"]) == known
-    assert set(ready(SWINGS)["grid"]["scheme"]) == known - {"dop853"}
-
-
-def test_durations_are_whole_numbers_of_steps() -> None:
-    for name in ("kowalevski_errors", SWINGS):
-        found = ready(name)
-        for h in found["grid"]["h"]:
-            assert math.isclose(found["base"]["T"] / h, round(found["base"]["T"] / h), rel_tol=1e-12)

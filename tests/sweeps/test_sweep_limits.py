@@ -171,5 +171,8 @@ def test_hopeless_scales_are_outcomes_and_missing_values(tmp_path: Path) -> None
         if row["outcome"] == "completed" and row["scheme"] != "backlund":
             assert np.isnan(row["max_error"]) == bool(reason)
         assert not reason or reason.startswith("the reference would need at least ")
-    assert {row["scheme"] for row in found if "max_error" in row["message"]} == {"exact", "hk"}
+    assert {row["scheme"] for row in found if "max_error" in row["message"]} == {"hk"}
+    refused = [row["message"] for row in found if (row["scheme"], row["outcome"]) == ("exact", "failed")]
+    assert len(refused) == 13
+    assert all(text.startswith("kowalevski, scheme exact: ") for text in refused)
     assert {row["outcome"] for row in found if row["scheme"] == "taylor"} == {"completed", "no_convergence"}

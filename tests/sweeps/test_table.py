@@ -1,11 +1,8 @@
-"""Rows of a sweep as tables and figures read them: conditions, cells, how numbers are rounded, and the formats."""
+"""Rows of a sweep as tables and figures read them: conditions, cells, and how numbers are rounded."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import re
 import statistics
 from pathlib import Path
 from typing import Any
@@ -18,10 +15,9 @@ import pytest
 from cases import table_of
 from sweep_rows import write_rows
 from topcli.errors import RunError, UsageError
-from topcli.sweeps.rows import key_labels, read_rows
+from topcli.sweeps.rows import read_rows
 from topcli.sweeps.table import Cell, Summary, SweepTable, summary, sweep_table
-from topcli.sweeps.table_text import cell_text, csv_text, latex, lines, notes, title
-from topcli.table import significant
+from topcli.sweeps.table_text import cell_text, lines, notes, title
 
 H = [0.1, 0.01, 0.1, 0.01]
 
@@ -117,26 +113,6 @@ def test_damaged_and_foreign_files_are_reported(stored: Path) -> None:
         read_rows(stored)
 
 
-@pytest.mark.parametrize(
-    ("values", "labels"),
-    [
-        ([0.1, 0.025, 0.1], ["0.1", "0.025"]),
-        ([1024.0, 0.015625], ["1024", "0.015625"]),
-        ([0.031622776601683794, 1e-7], ["0.0316", "1e-7"]),
-        ([1.00001234, 1.00002345], ["1.00001", "1.00002"]),
-        ([1e20], ["1e20"]),
-        ([3.0, float("nan")], ["3", "–"]),
-    ],
-)
-def test_labels_are_short_and_different(values: list[float], labels: list[str]) -> None:
-    assert list(key_labels(np.array(values)).values()) == labels
-
-
-def test_labels_of_integers_and_words() -> None:
-    assert list(key_labels(np.array([1234567, 2])).values()) == ["1234567", "2"]
-    assert list(key_labels(np.array(["b", "a", None], dtype=object)).values()) == ["b", "a", "–"]
-
-
 NAN = math.nan
 
 
@@ -180,16 +156,6 @@ def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
             assert (mean.low, mean.high) == pytest.approx((mean.value - error, mean.value + error), rel=1e-13)
             assert largest == Summary(max(values))
     assert by_aggregate["max"].over == ("seed",)
-
-
-def test_without_a_column_key_measures_are_the_columns(tmp_path: Path) -> None:
-    rows = read_rows(made(tmp_path)).where(["seed=2"])
-    found = sweep_table(rows, ["h", "scheme"], None, ["seconds", "max_error"], None)
-    assert tuple(found.columns) == ("seconds", "max_error")
-    assert list(found.lines) == [(h, scheme) for scheme in SCHEMES for h in SIZES]
-    for (h, scheme), (seconds, error) in found.lines.items():
-        assert error.summary == Summary(value_of(scheme, h, 2))
-        assert seconds.summary == Summary(1.0 + value_of(scheme, h, 2))
 
 
 def test_several_values_in_a_cell_are_refused_by_the_keys_that_vary(tmp_path: Path) -> None:
@@ -251,34 +217,6 @@ def test_failed_rows_are_marked_and_counted(tmp_path: Path) -> None:
     ]
 
 
-def test_a_combination_without_rows_is_a_dash(tmp_path: Path) -> None:
-    folder = write_rows(tmp_path / "gap", {"a": ["x", "y", "y"], "b": [1, 1, 2]}, {"v": [1.5, NAN, 2.5]})
-    found = sweep_table(read_rows(folder), ["a"], "b", ["v"], None)
-    assert lines(found) == [["x", "1.5", "–"], ["y", "nan", "2.5"]]
-    assert "–: the sweep has no such row" in notes(found)
-    assert csv_text(found) == "a,b=1,b=2\nx,1.5,\ny,nan,2.5\n"
-
-
-@pytest.mark.parametrize(
-    ("value", "digits", "text"),
-    table_of("""
-28.1724      3  '28.2'
-0.0012345    3  '0.00123'
-0.00099949   3  '9.99e-04'
-0.00099951   3  '0.00100'
-99940.0      3  '99940'
-99999.0      3  '1.00e+05'
-100001.0     3  '1.00e+05'
--3.14159e-9  2  '-3.1e-09'
-1234.56      5  '1234.6'
-0.0          3  '0'
-1e999        3  inf
-"""),
-)
-def test_significant_digits(value: float, digits: int, text: str) -> None:
-    assert significant(value, digits) == text
-
-
 def cell(*numbers: float) -> Cell:
     return Cell(Summary(*numbers), 5, 5, {})
 
@@ -337,110 +275,3 @@ def test_infinite_values_count_as_the_largest(
     assert (found.value, (found.low, found.high)) == (median, quartiles)
     if min(numbers) > 0.0:
         assert summary(np.array(numbers), "mean").value == summary(np.array(numbers), "max").value == INF
-
-
-def test_csv_has_every_digit(tmp_path: Path) -> None:
-    outcome = ["completed"] * len(ROWS)
-    outcome[0], outcome[3] = "blew_up", "blew_up"
-    found = table(tmp_path, outcome=outcome, spoilt={0: NAN})
-    header, *rows = csv.reader(io.StringIO(csv_text(found)))
-    kinds = ("", ":low", ":high", ":count", ":rows", ":outcomes")
-    assert header == ["scheme", *(f"h={h!r}{kind}" for h in SIZES for kind in kinds)]
-    for scheme, row in zip(SCHEMES, rows, strict=True):
-        assert row[0] == scheme
-        for j, h in enumerate(SIZES):
-            spoilt = (scheme, h) == ("hk", 0.1)
-            values = [value_of(scheme, h, seed) for seed in SEEDS[spoilt:]]
-            low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
-            value, *spread, count, total, outcomes = row[1 + 6 * j : 7 + 6 * j]
-            assert [float(value), *map(float, spread)] == pytest.approx([middle, low, high], rel=1e-14)
-            assert (int(count), int(total)) == (4 - spoilt, 4)
-            assert outcomes == ("2 blew_up" if spoilt else "")
-    single = csv_text(table(tmp_path, None, ("seed=1",)))
-    for line in single.splitlines()[1:]:
-        scheme, *values = line.split(",")
-        assert [float(one) for one in values] == [value_of(scheme, h, 1) for h in SIZES]
-
-
-NASTY = {"scheme": ["a_b", "x&y%", "{~^\\}", "#$<|>"], "h": [0.1, 1e-7, 0.1, 0.1]}
-
-
-NASTY_VALUES = {"seconds": [1.0, 2e-8, NAN, -4e20], "err.max_x": [math.inf, 1.0, 2.0, 3.0]}
-
-
-NASTY_OUTCOMES = ["completed", "blew_up", "no_convergence", "completed"]
-
-
-def documents(folder: Path) -> list[str]:
-    """LaTeX of tables of every kind, with special characters in names."""
-    nasty = read_rows(write_rows(folder / "na_sty", NASTY, NASTY_VALUES, outcome=NASTY_OUTCOMES))
-    return [
-        latex(sweep_table(nasty, ["scheme"], "h", ["seconds"], None)),
-        latex(sweep_table(nasty, ["scheme", "h"], None, ["seconds", "err.max_x"], None)),
-        *(latex(table(folder, aggregate, spoilt={3: NAN})) for aggregate in ("median", "mean", "max")),
-    ]
-
-
-def test_latex_has_equal_rows_and_no_bare_specials(tmp_path: Path) -> None:
-    for text in documents(tmp_path):
-        comment, *body = text.splitlines()
-        assert comment == r"% needs \usepackage{booktabs}"
-        inside = "\n".join(body)
-        plain = re.sub(r"\\[&%$#_{}]", "", inside)
-        assert plain.count("{") == plain.count("}")
-        assert "%" not in plain
-        assert "#" not in plain
-        outside = re.sub(r"\$[^$]*\$", "", plain)
-        assert "$" not in outside
-        assert not set("_^~<>|") & set(outside)
-        assert not re.search(r"\}\^", plain.replace("{}^", ""))  # a second superscript of one base
-        (columns,) = re.findall(r"\\begin\{tabular\}\{([lr]+)\}", inside)
-        middle = plain.partition(r"\midrule")[2].partition(r"\bottomrule")[0].strip().splitlines()
-        assert all(line.count("&") == len(columns) - 1 and line.endswith(r"\\") for line in middle)
-        assert [inside.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
-
-
-def test_latex_states_units_notes_and_numbers(tmp_path: Path) -> None:
-    by_h, by_measure, median, mean, _ = documents(tmp_path)
-    assert r"\multicolumn{2}{c}{h}" in by_h
-    assert r"\cmidrule(lr){2-3}" in by_h
-    assert r"scheme & $0.1$ & $1 \times 10^{-7}$ \\" in by_h
-    assert r"\texttt{seconds} is in s." in by_h
-    assert r"\texttt{seconds} is in s; all other quantities are dimensionless." in by_measure
-    assert r"x\&y\% & $1 \times 10^{-7}$ & $2.00 \times 10^{-8}{}^{*}$ & $1{}^{*}$ \\" in by_measure
-    assert (
-        r"\{\textasciitilde{}\textasciicircum{}\textbackslash{}\} & $0.1$ & no\_convergence & $2{}^{*}$ \\"
-        in by_measure
-    )
-    assert r"\#\$\textless{}\textbar{}\textgreater{} & $0.1$ & $-4.00 \times 10^{20}$ & $3$ \\" in by_measure
-    assert r"$\infty$" in by_measure
-    assert r"of na\_sty" in by_measure
-    assert r"max\_error: largest distance of a recorded state from the reference solution." in median
-    assert r"err.max\_x:" not in by_measure  # a measure of a plugin is not explained
-    assert "All quantities are dimensionless." in median
-    assert "* 1 of 24 values could not be computed (nan) and is left out." in median
-    assert re.search(r"hk & \$0\.\d+\\;\[0\.\d+,\\, 0\.\d+\]\{\}\^\{\*\}\$ &", median)
-    assert re.search(r"& \$[\d.]+ \\times 10\^\{-\d+\} \\pm [\d.]+ \\times 10\^\{-\d+\}\$", mean)
-    assert r"median [quartiles] over seed" in median
-    assert r"mean $\pm$ standard error over seed" in mean
-
-
-def test_plain_data_say_what_the_table_is(tmp_path: Path) -> None:
-    spreads = {"median": "quartiles", "mean": "standard error", "max": None, None: None}
-    for aggregate, spread in spreads.items():
-        found = table(tmp_path, aggregate, ("seed=2",))
-        data = found.as_dict()
-        said = {key: data[key] for key in ("sweep", "rows", "columns", "values", "aggregate", "spread", "where")}
-        assert said == {
-            "sweep": "mine",
-            "rows": ["scheme"],
-            "columns": "h",
-            "values": ["max_error"],
-            "aggregate": aggregate,
-            "spread": spread,
-            "where": ["seed = 2"],
-        }
-        assert data["column_values"] == list(SIZES)
-        assert [line["row"] for line in data["table"]] == [[scheme] for scheme in SCHEMES]
-        assert data["left_out"] == 0
-    assert table(tmp_path, "max").as_dict()["over"] == ["seed"]

@@ -75,10 +75,26 @@ def so4(y: Sequence[Any], H: Sequence[Any], p: Sequence[Any]) -> list[Any]:
 
 
 def body(y: Sequence[Any], H: Sequence[Any], p: Sequence[Any]) -> list[Any]:
-    """The same for m = J omega + k e3 and gamma; the constants are J, the centre of gravity and k."""
-    m = [p[0] * y[0], p[1] * y[1], p[2] * y[2] + p[5]]
+    """The same for m = J omega + k e3 and gamma; the constants are J and k."""
+    m = [p[0] * y[0], p[1] * y[1], p[2] * y[2] + p[3]]
     rates = e3([*m, *y[3:]], [H[0] / p[0], H[1] / p[1], H[2] / p[2], *H[3:]], p)
     return [rates[0] / p[0], rates[1] / p[1], rates[2] / p[2], *rates[3:]]
+
+
+def moments_and_rotor(top: Top) -> list[Fraction]:
+    """J and k of the bodies, by the conditions of their names."""
+    p = {name: decimal(value) for name, value in top.model_dump().items()}
+    match top.kind:
+        case "lagrange-gyrostat":
+            return [p["A"], p["A"], p["C"], p["k"]]
+        case "kowalevski-gyrostat":
+            return [Fraction(2), Fraction(2), Fraction(1), p["k"]]
+        case "goryachev-chaplygin":
+            return [Fraction(4), Fraction(4), Fraction(1), Fraction(0)]
+        case "hess-appelrot":  # A (B - C) x0² = C (A - B) z0²
+            A, C, x, z = p["A"], p["C"], p["x0"] ** 2, p["z0"] ** 2
+            return [A, A * C * (x + z) / (A * x + C * z), C, Fraction(0)]
+    return []
 
 
 Bracket = Callable[[Sequence[Any], Sequence[Any], Sequence[Any]], list[Any]]
@@ -103,7 +119,7 @@ def test_the_field_is_that_of_the_energy(form: str) -> None:
     y = variables(len(top.components))
     p = constants(top)
     energy = top.integrals[top.energy](y, p)
-    expected = BRACKETS[form](y, [energy.derivative(i) for i in range(len(y))], p)
+    expected = BRACKETS[form](y, [energy.derivative(i) for i in range(len(y))], moments_and_rotor(top) or p)
     assert list(field_of(top)) == expected
 
 

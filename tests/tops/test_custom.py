@@ -39,10 +39,11 @@ from topcli.errors import ConfigError, TopcliError
 from topcli.field.polynomial import field_of
 from topcli.figures.picture import component_symbol
 from topcli.runs.precise import precise_run
+from topcli.schemes.own_tops import top_names
 from topcli.schemes.registry import all_schemes, names_for, schemes_of
 from topcli.sweeps.row_results import Work
-from topcli.tops import TOPS, top_names
-from topcli.tops.custom import EXAMPLE, Custom
+from topcli.tops import TOPS
+from topcli.tops.declared import EXAMPLE, Custom
 
 schema_of_configs = cache(config_schema)
 OMEGA = "angular_velocity: [w1, w2, w3]\n"
@@ -258,12 +259,12 @@ def test_an_invariant_may_hold_on_a_level(tmp_path) -> None:
         ("[w1, w2, w3]", "[w1, w2, A]", "4: top.parameters.A: 'A' names a component already"),
         ("[w1, w2, w3]", "[w1, w2, w2]", "3: top.components[2]: 'w2' names a component already"),
         ("[w1, w2, w3]", "[w1, w2, t]", "3: top.components[2]: 't' is taken; choose another name for the component"),
-        ("[w1, w2, w3]", "[]", "3: top.components: must be a list, not an empty one"),
+        ("[w1, w2, w3]", "[]", "1: top: needs components, or body for a rigid body"),
         ("[w1, w2, w3]", "w1", "3: top.components: must be a list, not the text 'w1'"),
         ("A: 3.0", "A: 3.0, copy: 1", "4: top.parameters.copy: 'copy' is taken"),
         ("A: 3.0", "A: 3.0, model_k: 1", "4: top.parameters.model_k: 'model_k' is taken"),
         ("A: 3.0", "A: three", "4: top.parameters.A: must be a number, not the text 'three'"),
-        ("A: 3.0", "A: 0", "5: top.field: divides by zero with A = 0"),
+        ("A: 3.0", "A: 0", "1: top: the field divides by zero with A = 0"),
         ("energy: (A", "w1: (A", "10: top.invariants.w1: 'w1' names a component already"),
         ("invariants:", "invariant:", "9: top.invariant: unknown key; did you mean 'invariants'?"),
         ("kind: custom", "kind: costum", "2: top.kind: unknown top 'costum'; did you mean 'custom'?"),
@@ -272,7 +273,11 @@ def test_an_invariant_may_hold_on_a_level(tmp_path) -> None:
         ("(A - B)*w1*w2/C", "true", "8: top.field.w3: must be a formula such as 2*w1, not true"),
         ("(A - B)*w1*w2/C", "", "8: top.field.w3: must be a formula such as 2*w1, not an empty value"),
         ("(A*w1)**2", "{value: w1, on: {zz: 0}} # ", "11: top.invariants.momentum: 'momentum' holds on 'zz'"),
-        ("(A*w1)**2", "{value: w1, om: {zz: 0}} # ", "11: top.invariants.momentum.om: unknown key; known: on, value"),
+        (
+            "(A*w1)**2",
+            "{value: w1, om: {zz: 0}} # ",
+            "11: top.invariants.momentum.om: unknown key; known: if, on, value",
+        ),
         ("(A*w1)**2", "{on: {zz: 0}} # ", "11: top.invariants.momentum.value: missing; give the formula"),
         ("(A*w1)**2", "{value: w9} # ", "11: top.invariants.momentum.value: column 1: unknown name 'w9'"),
         ("scheme: hk", "scheme: {name: hk, compensatd: true}", "13: scheme.compensatd: unknown key"),
@@ -309,7 +314,7 @@ def test_what_is_refused_names_its_line(tmp_path, old: str, new: str, message: s
 
 
 def test_the_name_alone_is_no_custom_top() -> None:
-    with pytest.raises(ConfigError, match=r"top.components: missing"):
+    with pytest.raises(ConfigError, match=r"top: needs components, or body for a rigid body"):
         load(config(top="custom"))
     with pytest.raises(TopcliError, match="`topcli init --top custom` writes one"):
         list(load_scenes("custom"))

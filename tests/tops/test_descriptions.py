@@ -11,10 +11,11 @@ import pytest
 from conftest import random_states
 from declared import BODIES
 from topcli.analysis.reference import reference_states
-from topcli.contracts import EulerPoisson, Top, checked_equations, checked_rotation
+from topcli.contracts import EulerPoisson, Top
 from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
+from topcli.tops.bodies import checked_equations, checked_rotation
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.heavy import field as heavy_field

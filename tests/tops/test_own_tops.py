@@ -11,8 +11,9 @@ import topcli
 from scheme_files import loaded_file
 from topcli.contracts import Stepper
 from topcli.errors import UsageError
-from topcli.schemes.plugins import top_origin
-from topcli.schemes.registry import SchemeMisfitError, find_scheme, load_plugin_file, names_for, unload_plugin_files
+from topcli.schemes.own_tops import top_origin
+from topcli.schemes.plugins import load_plugin_file
+from topcli.schemes.registry import SchemeMisfitError, find_scheme, names_for
 from topcli.tops import TOPS
 
 ROTOR = """import topcli
@@ -49,7 +50,6 @@ def loaded(folder: Path, text: str) -> None:
     """Load a file with this text."""
     path = folder / "rotor.py"
     path.write_text(text)
-    load_plugin_file.cache_clear()
     load_plugin_file(path)
 
 
@@ -134,6 +134,5 @@ def test_a_scheme_that_needs_a_polynomial_names_the_line_that_is_none(tmp_path: 
         with pytest.raises(SchemeMisfitError) as raised:
             find_scheme("hk", "rotor")
         assert {"rk2", "rk4", "dop853"} <= set(names_for("rotor"))
-    unload_plugin_files()
     assert words in str(raised.value)
     assert line is None or f"({path}:{line})" in str(raised.value)

@@ -15,7 +15,6 @@ from topcli.analysis import order, trajectory
 from topcli.analysis.columns import column_names, columns
 from topcli.analysis.swings import first_swing_spacing, minima_times
 from topcli.errors import UsageError
-from topcli.schemes.layout import ambiguous_root, small_determinant
 from topcli.tops.kowalevski import Kowalevski
 
 BELOW_AND_ABOVE = pytest.mark.parametrize("factor", [0.98, 1.02])
@@ -90,25 +89,3 @@ def test_a_swing_reaches_below_half_of_the_range(factor: float) -> None:
     expected = [0.5, 2.5] if factor < 1.0 else [0.5, 1.5, 2.5]
     np.testing.assert_allclose(minima_times(t, values), expected, atol=1e-13)  # typically exact
     assert first_swing_spacing(t, values) == pytest.approx(2.0 if factor < 1.0 else 1.0, abs=1e-13)
-
-
-@BELOW_AND_ABOVE
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_solve_is_near_singular_below_two_to_the_minus_ten_of_its_terms(sign: float, factor: float) -> None:
-    event = small_determinant(lambda state, h, p: (sign * factor * 2.0**-10 * 48.0, 48.0))
-    assert event((0.0,), (0.0,), 0.1, ()) == (factor < 1.0)
-
-
-@BELOW_AND_ABOVE
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_roots_are_ambiguous_below_a_ratio_of_distances_of_1_3(sign: float, factor: float) -> None:
-    """The distances of both roots from the prediction, computed here: 8 r.q = r.r + q.q is a ratio of sqrt(5/3)."""
-    root = np.array([0.6, 0.8])
-    ratio = math.sqrt(5.0 / 3.0) * factor
-    # q = x r + y s with s normal to r: |q + r| / |q - r| = ratio at |q| = 1
-    x = (ratio**2 - 1.0) / (ratio**2 + 1.0)
-    q = sign * (x * root + math.sqrt(1.0 - x * x) * np.array([-0.8, 0.6]))
-    near, far = sorted((np.linalg.norm(q - root), np.linalg.norm(q + root)))
-    assert far / near == pytest.approx(ratio)
-    event = ambiguous_root(lambda state, h, p: (float(q[0]), float(q[1])))
-    assert event((), tuple(root), 0.1, ()) == (ratio < math.sqrt(5.0 / 3.0))

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from topcli.arithmetic.sized import Sized
 from topcli.engine.native import native
 from topcli.engine.precise_numbers import StrayDoubleError, arithmetic_of
-from topcli.field.expression import FUNCTIONS, HIGHEST, LONGEST, ExpressionError, function_of, parse, value_of
+from topcli.field.expression import FUNCTIONS, HIGHEST, ExpressionError, function_of, parse, value_of
 from topcli.field.polynomial import NotPolynomialError, Polynomial, polynomial_field
 
 Y, P = ("w1", "w2"), ("A", "k")
@@ -39,7 +39,7 @@ formulas = st.recursive(
         st.tuples(inner, st.sampled_from([" + ", "-", " *", "/"]), inner).map("({0[0]}{0[1]}{0[2]})".format)
         | st.tuples(inner, st.sampled_from(["+", " - ", "*", " / "]), operands).map("{0[0]}{0[1]}{0[2]}".format)
         | inner.map("-{}".format)
-        | st.tuples(inner, st.sampled_from(["2", "3", "-1", "0", "(1+1)"])).map("({0[0]})**{0[1]}".format)
+        | st.tuples(inner, st.sampled_from(["2", "3", "-1", "0", "(4/2)"])).map("({0[0]})**{0[1]}".format)
         | st.tuples(st.sampled_from(["sin", "exp", "tanh", "abs", "acos"]), inner).map("{0[0]}({0[1]})".format)
         | st.tuples(inner, operands).map("atan2({0[0]}, 1.0 + ({0[1]})**2)".format)  # no sign of a zero decides
     ),
@@ -50,7 +50,7 @@ formulas = st.recursive(
 def power(x: float, n: int) -> float:
     """Product of those of x, x², x⁴ ... whose exponents add up to |n|, or its inverse: the powers of a formula."""
     product, square = 1.0, x
-    for digit in reversed(f"{abs(n):b}"):
+    for digit in reversed(f"{abs(int(n)):b}"):
         product = product * square if digit == "1" else product
         square *= square
     return 1.0 / product if n < 0 else product
@@ -74,15 +74,6 @@ def eval_with(text: str, scope):
         return None
 
 
-def parsed(text: str):
-    """The formula of a text; None for one that divides by zero. Formulas of a high degree are left out."""
-    try:
-        return parse(text, (*Y, *P))
-    except ExpressionError as error:
-        assume("has degree" not in str(error))
-        return None
-
-
 def bits(x: float) -> bytes:
     return struct.pack("<d", x)
 
@@ -96,9 +87,7 @@ def test_a_formula_has_the_value_that_python_gives_it(text: str, y) -> None:
     scope |= {"abs": abs, "pi": math.pi, "power": power}
     products = ast.unparse(Products().visit(ast.parse(text, mode="eval")))
     expected = eval_with(products, scope | dict(zip((*Y, *P), (*y, *p), strict=True)))
-    formula = parsed(text)
-    assume(formula is not None)  # a divisor that is zero is seen exactly
-    function = function_of("f", [formula], Y, P)
+    function = function_of("f", [parse(text, (*Y, *P))], Y, P)
     if expected is None:
         with pytest.raises((ArithmeticError, ValueError)):
             function(y, p)
@@ -115,10 +104,7 @@ def test_a_formula_is_exact_in_fractions(text: str) -> None:
     y, p = (Fraction(3, 7), Fraction(-2, 9)), (Fraction(13, 10), Fraction(-7, 10))
     exact = re.sub(r"(?<![\w.])(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", r"F('\g<0>')", text)
     expected = eval_with(exact, {"F": Fraction, "abs": abs} | dict(zip((*Y, *P), (*y, *p), strict=True)))
-    formula = parsed(text)
-    if formula is None:
-        assert expected is None, text
-        return
+    formula = parse(text, (*Y, *P))
     column = [np.array([x], dtype=object) for x in y]
     if expected is not None:
         found = value_of(formula, Y, P)(column, p)
@@ -132,47 +118,42 @@ def test_a_formula_is_exact_in_fractions(text: str) -> None:
         ("kk*w1", "column 1: unknown name 'kk'; did you mean 'k'?"),
         ("w1 + omega", "column 6: unknown name 'omega'; known: w1, w2, A, k; functions: sin"),
         ("w1 +\n  zz*w2", "line 2, column 3: unknown name 'zz'"),
-        ("2 w1", "column 3: cannot be read from 'w1' on; a product is written 2*x"),
-        ("w1 +", "column 5: the formula ends too early"),
-        ("A*(w1 + w2", "column 3: '(' is never closed"),
-        ("w1)", "column 3: cannot be read from ')' on"),
-        ("w1) + (w2", "column 3: cannot be read from ')"),
-        ("w1^2", "column 3: unexpected '^'; a power is written x**2"),
-        ("w1 # more", "column 4: unexpected '#'"),
-        ("w[1]", "column 2: unexpected '['; use parentheses ( )"),
-        ("ω1", "column 1: unexpected 'ω'"),
+        ("2 w1", "column 3: cannot be read from here on; a product is written 2*x"),
+        ("w1 +", "column 1: cannot be read from here on"),
+        ("A*(w1 + w2", "column 3: cannot be read from here on"),
+        ("w1)", "column 3: cannot be read from here on"),
+        ("w1) + (w2", "column 3: cannot be read from here on"),
+        ("w1^2", "column 1: a quotient is written x/y, a power x**2"),
+        ("w[1]", "column 1: only numbers, names"),
+        ("ω1", "column 1: unknown name 'ω1'"),
+        ("0,5*w1", "column 1: unexpected ','; a decimal has a point"),
         ("sin + w1", "column 1: sin is a function; write sin(x)"),
         ("sine(w1)", "column 1: unknown function 'sine'; did you mean 'sin'"),
         ("w1 + k(w2)", "column 6: k is not a function; a product is written k*(...)"),
         ("(w1 + w2)(A)", "column 1: a product is written (...)*(...)"),
-        ("exp()", "column 1: exp takes one argument"),
-        ("atan2(w1)", "column 1: atan2 takes two arguments, y and x"),
+        ("exp()", "column 1: exp is a function; write exp(x)"),
+        ("atan2(w1)", "column 1: atan2 is a function; write atan2(y, x)"),
         ("w2 + atan2", "column 6: atan2 is a function; write atan2(y, x)"),
-        ("asin(w1, w2)", "column 8: unexpected ','; a decimal has a point"),
+        ("asin(w1, w2)", "column 1: asin is a function; write asin(x)"),
         ("w1**pi", "column 5: an exponent is a number, whole or half"),
-        ("w1//2", "column 1: '//' is not allowed; a quotient is written x/y"),
+        ("w1//2", "column 1: a quotient is written x/y, a power x**2"),
         ("w1**A", "column 5: an exponent is a number, whole or half, of size 24 at most"),
         ("w1**0.3", "column 5: an exponent is a number, whole or half"),
         ("w1**25", "column 5: an exponent is a number"),
-        ("(w1**5)**5", "column 1: has degree 25 in its names; at most 24 is allowed"),
-        ("w1/0", "column 4: divides by zero"),
-        ("w1/(0.3 - 3/10)", "column 5: divides by zero"),
-        ("0**-1", "column 4: divides by zero"),
-        ("1e400", "column 1: '1e400' is not a decimal number that a double holds"),
-        ("1e-99999999", "column 1: '1e-99999999' is not a decimal number that a double holds"),
-        ("0x1f", "column 1: '0x1f' is not a decimal number that a double holds"),
-        ("w1 + 0.12345678901234567890", "column 6: '0.12345678901234567890' has more digits than a double holds"),
+        ("1e400", "column 1: '1e400' is no decimal number that a double holds"),
+        ("w1**0x2", "column 5: '0x2' is no decimal number that a double holds"),
+        ("1_0*w1", "column 1: '1_0' is no decimal number that a double holds"),
+        ("1e-99999999", "column 1: '1e-99999999' is no decimal number that a double holds"),
+        ("w1 + 9007199254740993", "column 6: '9007199254740993' is no decimal number that a double holds"),
+        ("w1 + 0.12345678901234567890", "column 6: '0.12345678901234567890' is no decimal number that a double holds"),
         ("w1.real", "column 1: only numbers, names, + - * / **, parentheses and sin"),
         ("__import__", "column 1: unknown name '__import__'"),
         ("w1 if A else k", "column 1: only numbers, names"),
-        ("lambda w1", "column 1: cannot be read from 'lambda w1' on"),
+        ("lambda w1", "cannot be read from here on"),
         ("True", "column 1: only numbers, names"),
         ("1j", "column 1: only numbers, names"),
         ("abs(x for x in w1)", "column 4: only numbers, names"),
-        ("w1" + "+w1" * (LONGEST // 3 + 1), f"a formula has at most {LONGEST}"),
-        ("w1" + "+w1" * 101, "more than 100 nested operations"),
-        ("-" * 150 + "w1", "column 102: more than 100 nested operations"),
-        ("(" * 900 + "w1" + ")" * 900, "cannot be read"),
+        ("w1" + "+w1" * 20_000, "column 1: has too many nested operations"),
     ],
 )
 def test_what_is_no_formula_is_refused(text: str, message: str) -> None:

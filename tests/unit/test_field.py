@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from fields import random_field, random_state, top_of
-from steppers import physical
+from steppers import built, physical
 from topcli.analysis.reference import reference_states
-from topcli.field.implicit import KahanStep, NewtonStep, Pattern, generated
+from topcli.field.implicit import KahanStep, NewtonStep, generated
 from topcli.field.integrals import broken_integral, polynomial_value, rate_of_change
 from topcli.field.polynomial import (
     Field,
@@ -22,10 +22,8 @@ from topcli.field.polynomial import (
     polynomial_field,
 )
 from topcli.field.straight_line import function_of
-from topcli.schemes.any_top.kahan import build_quadratic
-from topcli.schemes.any_top.midpoint import build_midpoint
-from topcli.schemes.layout import CompensatedOption
 from topcli.tops import TOPS
+from topcli.tops.heavy import Heavy
 
 EPS = 2.0**-52
 
@@ -43,7 +41,7 @@ def function(step: KahanStep, constants: Iterable[Fraction]):
 
 def step_of(field: Field, kind: type[KahanStep] = KahanStep):
     made = generated(kind, field)
-    return function(made.code, made.constants)
+    return function(made, made.constants)
 
 
 def kahans_residual(field: Field, y: tuple[float, ...], new: tuple[float, ...], h: float) -> float:
@@ -106,18 +104,15 @@ def test_kahans_step_has_order_two(d: int) -> None:
     assert math.log2(error(8) / error(16)) == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize("d", [3, 6])
-def test_fields_of_a_pattern_share_their_step(d: int) -> None:
-    """Its constants are products of coefficients; those of each field are the ones of its own step."""
-    field, ones = random_field(d, 2, 5, 0.3), (Fraction(1),) * d
-    pattern = Pattern.of(field, ones)
-    assert [set(rate.terms) for rate in pattern.field] == [set(rate.terms) for rate in field]
-    assert Pattern.of(pattern.field, ones).field == pattern.field
-    made = generated(KahanStep, field)
-    own = KahanStep(field)
-    assert {float(c) for c in made.constants} >= {float(c) for c in own.graph.constants}
-    scaled = tuple(Polynomial({m: c * Fraction(10, 9) if c % 1 else c for m, c in r.terms.items()}) for r in field)
-    assert generated(KahanStep, scaled).code is made.code or Pattern.of(scaled, ones).field != pattern.field
+def test_tops_with_other_coefficients_share_their_step() -> None:
+    """The function reads them from its constants; the control is a coefficient that needs none."""
+
+    def step(*moments: str):
+        made = generated(KahanStep, field_of(Heavy(**dict(zip("ABC", map(float, moments), strict=True)))))
+        return function_of(made.graph, "step", made.outputs)
+
+    assert step("2.1", "1.5", "1.1") is step("2.3", "1.7", "1.3")
+    assert step("2.1", "1.5", "1.1") is not step("2.5", "1.5", "1.0")
 
 
 def midpoint(field: Field, y: tuple[float, ...], h: float) -> list[float]:
@@ -145,13 +140,12 @@ def midpoint_residual(field: Field, y: tuple[float, ...], new: tuple[float, ...]
 @pytest.mark.parametrize("d", [1, 2, 3, 5])
 def test_hk_and_midpoint_solve_their_equations_on_fields_of_every_sparsity(d: int, compensated: bool) -> None:
     """From constant, linear and decoupled fields to dense ones; at worst 1.3 units of round-off in 1,000 fields."""
-    options = CompensatedOption(compensated=compensated)
     for density in (0.0, 0.1, 0.2, 0.4, 0.8):
         for degree in (0, 1, 2):
             field, y = random_field(d, degree, 100 * d + degree, density), random_state(d, d)
             h = length(field, y)
-            for build, residual in ((build_quadratic, kahans_residual), (build_midpoint, midpoint_residual)):
-                made = build(top_of(field), options)
+            for name, residual in (("hk", kahans_residual), ("midpoint", midpoint_residual)):
+                made = built(name, top_of(field), compensated=compensated)
                 p = tuple(map(float, made.constants))
                 new = physical(made)(y, h, p)
                 assert residual(field, y, new, h) < 20.0

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cases import table_of
 from topcli.studies.bench.result import (
     DECADES,
     MAX_GAP,
@@ -18,7 +17,6 @@ from topcli.studies.bench.result import (
     front,
     pareto_front,
     ranking,
-    setting,
 )
 
 # the front
@@ -129,34 +127,3 @@ def test_the_next_best_is_another_program_and_ties_are_named() -> None:
     assert "level with the next, rk4" in row["words"]
     assert [entry["name"] for entry in ranking([*two, other], 1e-3)] == ["heyoka", "heyoka high-accuracy", "rk4"]
     assert {entry["name"] for entry in front([*two, other])} == {"heyoka"}
-
-
-def test_a_set_up_is_named_from_a_millisecond_on_and_settings_are_no_other_program() -> None:
-    points = [Point(1e-13, 1e-7, 2.5)]
-    slower = competitor("backlund:nodes=plain", "topcli", [Point(1e-13, 2e-7, 1.0)])
-    last = competitor("taylor", "topcli", [Point(1e-13, 4e-7, 1e-9)], "tol")
-    for setup, words in (
-        (1.1e-3, "h=2.5, after a set-up of 1.1 ms for each initial state: 4 times"),
-        (9e-4, "h=2.5: 4 times"),
-    ):
-        nodes = competitor("backlund:nodes=exact", "topcli", points, setup=setup)
-        row = decade_rows([nodes, slower, last])[0]
-        assert row["next"]["name"] == "taylor"
-        assert (
-            row["words"]
-            == f"for an error of 1e-3 take backlund:nodes=exact with {words} faster than the next, taylor (tol=1e-9)"
-        )
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    table_of("""
-0.0418   h=0.042
-2.5      h=2.5
-1e-9     h=1e-9
-3.2e-10  h=3.2e-10
-1.5e-5   h=1.5e-5
-"""),
-)
-def test_settings_are_formatted(value: float, expected: str) -> None:
-    assert setting("h", value) == expected

@@ -52,10 +52,6 @@ STATES: dict[str, dict[str, list[float]]] = {
 }
 
 
-COSTLY = ("dg4", "midpoint4")
-"""Schemes whose tangent maps take a minute to compile."""
-
-
 def with_tangent_maps() -> list[tuple[str, str]]:
     """A top and a scheme of each family that has tangent maps."""
     found: dict[str, tuple[str, str]] = {}
@@ -63,7 +59,7 @@ def with_tangent_maps() -> list[tuple[str, str]]:
         top = TOPS[form].new()
         for scheme in schemes_of(form):
             family = scheme.name.partition("-")[0]
-            if family not in found and scheme.name not in COSTLY and not obstacle(scheme.build(top, scheme.options())):
+            if family not in found and not obstacle(scheme.build(top, scheme.options())):
                 found[family] = (form, scheme.name)
     return list(found.values())
 

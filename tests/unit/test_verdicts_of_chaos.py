@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orbits import DUFFING, HENON_HEILES, LORENZ, PENDULUM, curves, growth_along, of_field
+from orbits import DUFFING, HENON_HEILES, LORENZ, PENDULUM, curves, growth_along, hard, of_field
 from topcli.analysis.lyapunov import CHAOTIC, DEEP, FALLS, LATE, LEAST_STEPS, REGULAR, Verdict, shares_of_chaos
 from topcli.analysis.recurrence import Recurrence
 from topcli.config.load import load_experiment
@@ -119,9 +119,9 @@ SEPARATRICES: dict[str, tuple[Any, Any]] = {
         of_field(PENDULUM, (1.0, 0.0), "rk4", 0.05),
         [[math.pi, 2.0 + s * 10.0**-k] for k in (2, 6, 10, 14) for s in (1, -1)],
     ),
-    "a gyrostat": (packaged("kowalevski_gyrostat_hard"), None),
-    "Kirchhoff's body": (packaged("kirchhoff_hard"), None),
-    "Gaudin's top": (packaged("gaudin_hard"), None),
+    "a gyrostat": (hard("kowalevski-gyrostat", "N=1000"), None),
+    "Kirchhoff's body": (hard("kirchhoff", "N=1000"), None),
+    "Gaudin's top": (hard("gaudin", "N=1000"), None),
     "a sleeping top": (packaged("lagrange_sleeping"), None),
 }
 
@@ -153,10 +153,10 @@ def test_chaotic_motion_is_chaotic_at_all_lengths() -> None:
 @pytest.mark.slow
 def test_an_unstable_periodic_orbit_is_not_chaotic() -> None:
     """Neumann's problem within a plane, whose exponent 1.63 belongs to the direction across it."""
-    counts = counted(packaged("clebsch_hard"), None, LENGTHS)
+    counts = counted(hard("clebsch", "N=1000"), None, LENGTHS)
     assert set(counts) <= {"unstable", "undecided"}
     assert counts["undecided"] < 20  # those with less than six periods
-    growth = growth_along(packaged("clebsch_hard"), N=20_000)
+    growth = growth_along(hard("clebsch", "N=1000"), N=20_000)
     assert growth.exponents[0] == pytest.approx(1.628, abs=growth.errors[0])
 
 
@@ -185,7 +185,7 @@ def test_exponential_escapes_are_not_chaotic(name: str) -> None:
         (of_field(DUFFING, (0.0, 0.0), "rk4", 0.05), (0.0, 0.0), 1.0),
         (of_field(LORENZ, (0.0, 0.0, 0.0), "rk4", 0.01), (0.0, 0.0, 0.0), 11.8277),
         (of_field(LORENZ, (0.0, 0.0, 0.0), "rk4", 0.01), (0.0, 0.0, 30.0), 11.8277),
-        (packaged("clebsch_hard"), (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), None),
+        (hard("clebsch", "N=1000"), (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), None),
     ],
 )
 def test_equilibria_are_named(experiment: Any, y: Any, rate: float | None) -> None:

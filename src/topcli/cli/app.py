@@ -33,7 +33,7 @@ _IN_WORDS = (
 def _load_plugins(paths: list[Path] | None) -> None:
     """Register what the files given by ``--plugin`` define."""
     for path in paths or ():
-        from topcli.schemes.registry import load_plugin_file
+        from topcli.schemes.plugins import load_plugin_file
 
         load_plugin_file(path)
 

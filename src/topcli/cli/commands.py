@@ -57,7 +57,7 @@ GONE = {
         (f"{study} --style" for study in ("analyse", "compare", "lyapunov", "order", "roundoff")),
         "draw the report in Python on axes of your own style: report.plot(ax)",
     ),
-    "discover": "topcli integrability finds the integrals of a map; for an orbit, see docs/integrability.md",
+    "discover": "topcli integrability finds the integrals of a map",
     "doctor": "use topcli --version",
     "run --format": "use --set output.format=csv",
     "run --name": "use --set name=NAME",

@@ -68,9 +68,9 @@ def show(
 ) -> None:
     """Show a config, a scheme, a top, or a row of a sweep."""
     from topcli.config.load import load
+    from topcli.schemes.own_tops import forms, top_names
     from topcli.studies.scheme_page import generated_source, scheme_data, scheme_forms, schemes_text
     from topcli.studies.top_page import top_data, top_text
-    from topcli.tops import forms, top_names
 
     if motion:
         return show_motion(config, row, sets or [], as_json)

@@ -84,7 +84,8 @@ def _fields(thing: object, *names: str) -> dict[str, Any]:
 
 def _forms(top: str | None) -> Iterable[str]:
     """Forms of a top, or of all. Raises UnknownNameError."""
-    from topcli.tops import TOPS, forms
+    from topcli.schemes.own_tops import forms
+    from topcli.tops import TOPS
 
     return [form.form for form in forms(top)] if top else TOPS
 
@@ -104,7 +105,7 @@ def tops(as_json: Json = False) -> Listing:
     The parameters are keys of a config. The argument p of a step function in Python has other numbers: the constants
     of the equations of motion.
     """
-    from topcli.schemes.plugins import top_origin
+    from topcli.schemes.own_tops import top_origin
     from topcli.tops import TOPS
 
     print_plugin_failures()  # tops of installed packages are listed too

@@ -33,7 +33,7 @@ def complete_scheme(incomplete: str) -> list[str]:
 
 def complete_top(incomplete: str) -> list[str]:
     """Names of tops that begin with ``incomplete``."""
-    from topcli.tops import top_names
+    from topcli.schemes.own_tops import top_names
 
     return [name for name in sorted(top_names()) if name.startswith(incomplete.lower())]
 

@@ -105,7 +105,9 @@ def _wrapped(line: str, stream: TextIO, indent: str = "") -> list[str]:
 
 def print_warnings(experiment: Experiment | EnsembleExperiment) -> None:
     """Print warnings about unusual parameters of the experiment's top and about its initial states."""
-    for line in (*experiment.top.warnings(), *experiment.state_warnings()):
+    from topcli.tops.bodies import moment_warnings  # imports numpy
+
+    for line in (*moment_warnings(experiment.top), *experiment.state_warnings()):
         print_message(f"warning: {experiment.name}: {line}")
     if line := _slow_precision(experiment.resolved()):
         print_message(f"warning: {experiment.name}: {line}")

@@ -94,7 +94,6 @@ def _print_result(result: RunResult, own: Collection[str], request: _Request) ->
         BRIEF,
         ENSEMBLE_BRIEF,
         QUANTITIES,
-        accuracy_note,
         modified_line,
         open_lines,
         precision_note,
@@ -104,7 +103,7 @@ def _print_result(result: RunResult, own: Collection[str], request: _Request) ->
     report, warning, notes, title = result.report, "", [], result.report["name"] if request.labelled else ""
     if report.get("kind") != "ensemble":
         warning = warning_of(report)
-        notes = [precision_note(report), accuracy_note(report) if request.verbose else ""]
+        notes = [precision_note(report)]
     if result.set_aside:
         print_message(result.set_aside_message)
     status = result.status

@@ -157,14 +157,14 @@ def command(study: Study) -> Callable[..., None]:
 
 def report_faults(study: Study, result: Result, quiet: bool) -> None:
     """Print notes and faults, also plugins that failed, and exit with the code of the faults."""
-    from topcli.schemes.plugins import known_failures
+    from topcli.schemes.plugins import FAILURES
 
     for line in () if quiet else study.notes(result.data):
         print_message(line)
     code, lines = study.faults(result.data)
     for line in lines:
         print_message(f"error: {line}")
-    for failure in known_failures():
+    for failure in FAILURES:
         if not any(str(failure) in line for line in lines):
             print_message(str(failure))
     if code:
@@ -197,7 +197,7 @@ def _saved(study: Study, result: Result, path: Path, force: bool) -> list[Path]:
     tables, form = tables_of(study, result.data), ENDINGS[path.suffix]
     if form == "csv":
         filled = tables.filled
-        names = [path, *(path.with_stem(f"{path.stem}_{table.name.replace(' ', '_')}") for table in filled[1:])]
+        names = [path, *(path.with_stem(f"{path.stem}_{re.sub('[ /]', '_', table.name)}") for table in filled[1:])]
         texts = [table.text(result.data, form) for table in filled]
     else:
         names, texts = [path], [tables.text(form)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import chain
@@ -15,12 +14,27 @@ from topcli.analysis.columns import ATTITUDES
 from topcli.analysis.quantities import usable_names
 from topcli.config.document import STRICT, KeyPath, Problems, WrittenFloat, describe, validate
 from topcli.config.models import Output, PoincareSection
-from topcli.contracts import Invariant, Top, checked_rotation
+from topcli.contracts import Invariant, Top
 from topcli.errors import nearest, quoted
 from topcli.field.expression import parse
-from topcli.field.integrals import broken_integral, conserves_exactly
-from topcli.tops import CUSTOM, TOPS
-from topcli.tops.custom import EXAMPLE, VECTORS, custom_class, name_fault
+from topcli.field.integrals import broken_hk_integral, broken_integral, conserves_exactly
+from topcli.tops import CUSTOM, TOPS, BodyTop
+from topcli.tops.bodies import checked_rotation
+from topcli.tops.declared import BODY_SYMBOLS, EXAMPLE, VECTORS, Declared, custom_class, name_fault
+
+
+class Body(BaseModel):
+    """A rigid body with a fixed point, whose equations of motion are those of Euler and Poisson."""
+
+    model_config = STRICT
+
+    moments: list[Any] = Field(description="three formulas of the parameters: the moments of inertia")
+    gravity: list[Any] = Field(
+        description="three formulas of the parameters: the weight times the coordinates of the centre of gravity"
+    )
+    rotor: list[Any] | None = Field(
+        default=None, description="three formulas of the parameters: the angular momentum of the rotors in the body"
+    )
 
 
 class CustomSection(BaseModel):
@@ -28,13 +42,28 @@ class CustomSection(BaseModel):
 
     model_config = STRICT
 
-    components: list[str] = Field(min_length=1, description="names of the components of the state, in order")
+    components: list[str] = Field(default=[], description="names of the components of the state, in order")
+    vectors: dict[str, list[str]] = Field(
+        default={}, description="neighbouring components that initial and pictures take as a vector, by its name"
+    )
     parameters: dict[str, float] = Field(default={}, description="names of the parameters, with their values")
-    field: dict[str, Any] = Field(description="for each component of the state, a formula of its time derivative")
+    body: Body | None = Field(
+        default=None,
+        description="a rigid body, instead of components and field; its state is omega1 to omega3, the angular "
+        "velocity, and gamma1 to gamma3, the vertical",
+    )
+    field: dict[str, Any] = Field(
+        default={}, description="for each component of the state, a formula of its time derivative"
+    )
     invariants: dict[str, Any] = Field(
         default={},
         description="formulas of conserved quantities by name; {value: F, on: {NAME: X}} if F is conserved only "
-        "where the invariant NAME is X",
+        "where the invariant NAME is X, {value: F, if: G} if F exists only where the formula G of the parameters is 0",
+    )
+    hk: dict[str, Any] = Field(
+        default={},
+        description="formulas, which may contain h, of quantities that the scheme hk conserves, by name; "
+        "{value: F, if: G} as for invariants",
     )
     angular_velocity: list[Any] | None = Field(
         default=None,
@@ -47,12 +76,20 @@ class CustomSection(BaseModel):
     )
 
 
-class Relation(BaseModel):
-    """Invariant that is conserved on a level of other invariants."""
+class Conditional(BaseModel):
+    """Quantity that the scheme hk conserves for some parameters."""
 
     model_config = STRICT
 
     value: Any = Field(description="the formula")
+    condition: Any = Field(
+        default=None, alias="if", description="a formula of the parameters that is 0 where the value is conserved"
+    )
+
+
+class Relation(Conditional):
+    """Invariant for some parameters, or on a level of other invariants."""
+
     on: dict[str, float] = Field(default={}, description="values of other invariants for which this one is conserved")
 
 
@@ -72,25 +109,29 @@ def read_custom(raw: dict[str, Any], problems: Problems) -> tuple[type[Top] | No
     )
     if section is None:
         return None, None
-    named = _check_names(section, problems)
+    _check_names(section, problems)
     if len(problems.messages) > before:
         return None, None
-    for key in VECTORS:
-        if len(getattr(section, key) or range(3)) != 3:
-            problems.add(("top", key), f"must be a list of three formulas, not of {len(getattr(section, key))}")
-            return None, None
-    parts: list[tuple[str, dict[Any, Any]]] = [("field", section.field), ("invariants", section.invariants)]
-    parts += [(key, dict(enumerate(getattr(section, key) or ()))) for key in VECTORS]
-    formulas = {
-        (key, name): _formula(value, ("top", key, name), named, problems)
-        for key, part in parts
-        for name, value in part.items()
-    }
+    components, parameters = components_of(section), (*section.parameters,)
+    places: list[tuple[tuple[str, ...], dict[Any, Any], Sequence[str]]] = [
+        (("field",), section.field, (*components, *parameters)),
+        (("invariants",), section.invariants, (*components, *parameters)),
+        (("hk",), section.hk, (*components, *parameters, "h")),
+    ]
+    threes = [((key,), getattr(section, key), (*components, *parameters)) for key in VECTORS]
+    threes += [(("body", key), value, parameters) for key, value in section.body or ()]
+    for path, value, names in threes:
+        if value is not None and len(value) != 3:
+            problems.add(("top", *path), f"must be a list of three formulas, not of {len(value)}")
+        elif value is not None:
+            places.append((path, dict(enumerate(value)), names))
+    declared = section.model_dump(by_alias=True, exclude_none=True)
+    for path, part, names in places:
+        place = declared[path[0]] if len(path) == 1 else declared[path[0]][path[1]]
+        for name, value in part.items():
+            place[name] = _formula(value, ("top", *path, name), names, problems, parameters)
     if len(problems.messages) > before:
         return None, None
-    declared = section.model_dump()
-    for (key, name), value in formulas.items():
-        declared[key][name] = value
     cls = custom_class(declared)
     TOPS.declared[cls.form] = cls
     top = validate(cls, cls.parameters_in({**declared, **raw, "parameters": section.parameters}), ("top",), problems)
@@ -115,40 +156,65 @@ def example_class() -> type[Top]:
     return cls
 
 
-def _check_names(section: CustomSection, problems: Problems) -> tuple[str, ...]:
-    """Add the names that cannot be used, and components without a rate; return those that formulas may use."""
+def components_of(section: CustomSection) -> tuple[str, ...]:
+    """Names of the components of the state."""
+    return BodyTop.components if section.body else tuple(section.components)
+
+
+def _check_names(section: CustomSection, problems: Problems) -> None:
+    """Add what is missing or given twice, the names that cannot be used, and vectors of unknown components."""
     before = len(problems.messages)
-    earlier: dict[str, str] = {}
-    groups = (("component", "components"), ("parameter", "parameters"), ("invariant", "invariants"))
+    for key in ("components", "field", "vectors", *VECTORS):
+        if section.body and getattr(section, key):
+            problems.add(("top", key), "is given by body; leave it out")
+        elif not section.body and key in ("components", "field") and not getattr(section, key):
+            problems.add(("top",), f"needs {key}, or body for a rigid body with a fixed point")
+    components = components_of(section)
+    earlier = dict.fromkeys((*components, *BODY_SYMBOLS), "quantity of the body") if section.body else {}
+    groups = (
+        ("component", "components"),
+        ("parameter", "parameters"),
+        ("invariant", "invariants"),
+        ("invariant", "hk"),
+    )
     for what, key in groups:
-        for index, name in enumerate(getattr(section, key)):
+        for index, name in enumerate(getattr(section, key) or ()):
             if fault := name_fault(name, what, earlier):
                 problems.add(("top", key, index if what == "component" else name), fault)
             earlier.setdefault(name, what)
     if len(problems.messages) > before:
-        return ()
-    for name in section.components:
-        if name not in section.field:
+        return
+    for name in components:
+        if section.field and name not in section.field:
             problems.add(("top", "field"), f"gives no rate of change of {name!r}")
     for name in section.field:
-        if name not in section.components:
-            problems.add(("top", "field", name), f"is not a component; {nearest(name, section.components)}")
-    return (*section.components, *section.parameters)
+        if name not in components:
+            problems.add(("top", "field", name), f"is not a component; {nearest(name, components)}")
+    for vector, part in section.vectors.items():
+        if fault := name_fault(vector, "vector", dict.fromkeys(components, "component")):
+            problems.add(("top", "vectors", vector), fault)
+        start = components.index(part[0]) if part and part[0] in components else 0
+        if not part or tuple(part) != components[start : start + len(part)]:
+            problems.add(("top", "vectors", vector), f"must be neighbours in components, {', '.join(components)}")
+    if section.vectors and sorted(chain.from_iterable(section.vectors.values())) != sorted(components):
+        problems.add(("top", "vectors"), "must contain each component once")
 
 
-def _formula(value: Any, path: KeyPath, names: Sequence[str], problems: Problems) -> Any:
-    """A formula as text, and one that holds on a level as a section; mistakes are added."""
-    if isinstance(value, dict):
-        if path[1] != "invariants":
-            problems.add(path, f"must be a formula such as 2*{names[0]}, not {describe(value)}")
+def _formula(
+    value: Any, path: KeyPath, names: Sequence[str], problems: Problems, parameters: Sequence[str] = ()
+) -> Any:
+    """A formula as text, and one with a condition as a section; mistakes are added."""
+    if isinstance(value, dict) and path[1] in ("invariants", "hk"):
+        given = validate(Relation if path[1] == "invariants" else Conditional, value, path, problems)
+        if given is None:
             return None
-        relation = validate(Relation, value, path, problems)
-        if relation is None:
-            return None
-        return {"value": _formula(relation.value, (*path, "value"), names, problems), "on": relation.on}
+        parts: dict[str, Any] = {"value": _formula(given.value, (*path, "value"), names, problems)}
+        if given.condition is not None:
+            parts["if"] = _formula(given.condition, (*path, "if"), parameters, problems)
+        return parts | ({"on": given.on} if isinstance(given, Relation) and given.on else {})
     text = formula_text(value)
     if text is None:
-        problems.add(path, f"must be a formula such as 2*{names[0]}, not {describe(value)}")
+        problems.add(path, f"must be a formula such as 2*{next(iter(names), 1)}, not {describe(value)}")
         return None
     with problems.at(*path):
         parse(text, names)
@@ -164,24 +230,19 @@ def formula_text(value: Any) -> str | None:
     return value.strip() if isinstance(value, str) else repr(value)
 
 
-def check_numbers(top: Top, problems: Problems) -> None:
-    """Add a division by zero in the field, and an invariant that it does not conserve, with these parameters."""
+def check_numbers(top: Declared, problems: Problems) -> None:
+    """Add an integral that the field, or the HK map, does not conserve with these parameters."""
     checked = _checked.setdefault(top.form, set())
     if top in checked:
         return
-    state = tuple(map(math.cos, range(1, len(top.components) + 1)))  # in general position
-    try:
-        top.field(state, top.constants())
-    except ZeroDivisionError:
-        zeros = ", ".join(f"{name} = 0" for name, value in top if value == 0.0)
-        problems.add(("top", "field"), f"divides by zero{f' with {zeros}' if zeros else ''}")
-        return
-    except (ArithmeticError, ValueError):  # at this state, but not at every other
-        pass
     many = len(checked) >= CHECKED_TOPS
-    if not (many and _conserves_with_all_parameters(type(top))) and (fault := broken_integral(top)):
+    known = many and _conserves_with_all_parameters(type(top))
+    if not known and (fault := broken_integral(top)):
         name = next(name for name in top.integrals if fault.startswith(repr(name)))
         problems.add(("top", "invariants", name), fault)
+        return
+    if not known and (fault := broken_hk_integral(top)):
+        problems.add(("top", "hk", next(name for name in top.hk if fault.startswith(repr(name)))), fault)
         return
     if top.vertical:
         with problems.at("top", "vertical"):
@@ -191,11 +252,14 @@ def check_numbers(top: Top, problems: Problems) -> None:
 
 
 @cache
-def _conserves_with_all_parameters(cls: type[Top]) -> bool:
-    """True if the field conserves all integrals exactly for random parameters of both signs, and so for all others."""
+def _conserves_with_all_parameters(cls: type[Declared]) -> bool:
+    """True if field and HK map conserve the integrals exactly for random parameters, and so for all others."""
+    if cls.conditions:
+        return False
     random, names = np.random.default_rng(0), list(cls.model_fields)
     sets = random.normal(size=(RANDOM_TOPS, len(names))).tolist()
-    return all(conserves_exactly(cls(**dict(zip(names, values, strict=True)))) for values in sets)
+    tops = [cls(**dict(zip(names, values, strict=True))) for values in sets]
+    return all(conserves_exactly(top) and not broken_hk_integral(top) for top in tops)
 
 
 def read_quantities(

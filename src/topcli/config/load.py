@@ -22,10 +22,12 @@ from topcli.config.models import Config, Experiment, changed_name, name_fault
 from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
 from topcli.config.written import read_written, with_written_numbers
-from topcli.contracts import Top, checked_rotation
+from topcli.contracts import Top
 from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError, quoted
-from topcli.tops import CUSTOM, TOPS, forms
+from topcli.schemes.own_tops import forms
+from topcli.tops import CUSTOM, TOPS
+from topcli.tops.bodies import checked_rotation
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
@@ -210,12 +212,11 @@ def _require_short_step(experiment: Experiment, document: Document) -> None:
     )
     if abs(h) <= longest:
         return
-    auto = ", or set scheme.substeps: auto" if "substeps" in scheme.options.model_fields else ""
     text = f"no step is possible under {scheme.name} from this state"
     if longest > 0.0:
         digit = 10.0 ** (math.floor(math.log10(longest)) - 3)
         most = math.floor(longest / digit) * digit  # rounded down, so that it is admissible
-        text = f"|h| must be at most {most:.4g} under {scheme.name} from this state, not {abs(h):g}{auto}"
+        text = f"|h| must be at most {most:.4g} under {scheme.name} from this state, not {abs(h):g}"
     raise StepTooLongError(document.message(("h",), text))
 
 

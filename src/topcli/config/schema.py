@@ -15,7 +15,7 @@ from pydantic_core import to_jsonable_python
 from topcli.analysis.columns import ATTITUDES, spellings
 from topcli.config.draws import draw_examples, drawable
 from topcli.config.ensemble import section_model
-from topcli.config.formulas import CustomSection, Relation, example_class
+from topcli.config.formulas import Body, Conditional, CustomSection, Relation, example_class
 from topcli.config.models import Config, Output
 from topcli.config.sections import initial_model
 from topcli.config.text import flow
@@ -23,10 +23,11 @@ from topcli.contracts import Scheme, Top
 from topcli.errors import UsageError
 from topcli.field.expression import NAME
 from topcli.schemes.compose import COMPOSITIONS, obstacle
+from topcli.schemes.own_tops import forms, top_class, top_names
 from topcli.schemes.plugins import without_users_errors
 from topcli.schemes.registry import find_scheme, names_for, schemes_of
-from topcli.tops import CUSTOM, TOPS, forms, top_class, top_names
-from topcli.tops.custom import VECTORS
+from topcli.tops import CUSTOM, TOPS
+from topcli.tops.declared import VECTORS
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -101,17 +102,20 @@ def _for_custom() -> Schema:
     """Schema of the sections for a top that the config declares."""
     kind: Schema = {"const": CUSTOM, "description": "a top that this section declares"}
     top = _schema(CustomSection)
-    relation = _schema(Relation)
-    relation["properties"]["value"] |= _FORMULA
-    properties = {"kind": kind, **top["properties"]}
+    properties = {"kind": kind, **top["properties"], "body": _schema(Body)}
     properties["components"]["items"] |= {"pattern": f"^{NAME.pattern}$"}
     properties["field"] |= {"type": "object", "additionalProperties": _FORMULA}
-    properties["invariants"] |= {"type": "object", "additionalProperties": {"anyOf": [_FORMULA, relation]}}
-    for key in VECTORS:
-        properties[key]["anyOf"][0] |= {"items": _FORMULA, "minItems": 3, "maxItems": 3}
+    for key, model in (("invariants", Relation), ("hk", Conditional)):
+        relation = _schema(model)
+        relation["properties"]["value"] |= _FORMULA
+        relation["properties"]["if"] |= _FORMULA
+        properties[key] |= {"type": "object", "additionalProperties": {"anyOf": [_FORMULA, relation]}}
+    for part in (*(properties[key]["anyOf"][0] for key in VECTORS), *properties["body"]["properties"].values()):
+        part |= {"type": "array", "items": _FORMULA, "minItems": 3, "maxItems": 3}
     section = {
         "type": "object",
-        "required": ["kind", *top["required"]],
+        "required": ["kind"],
+        "oneOf": [{"required": ["components", "field"]}, {"required": ["body"]}],
         "properties": properties,
         "additionalProperties": {"type": "number", "description": "the value of a parameter, instead of the one above"},
     }
@@ -121,7 +125,9 @@ def _for_custom() -> Schema:
         "then": {
             "properties": {
                 "top": section,
-                "initial": {"anyOf": [{"type": "object", "additionalProperties": {"type": "number"}}, _FROM_RUN]},
+                "initial": {
+                    "anyOf": [{"type": "object", "additionalProperties": {"type": ["number", "array"]}}, _FROM_RUN]
+                },
                 "ensemble": {"anyOf": [{"$ref": f"#/$defs/{_ENSEMBLE}"}, {"type": "null"}]},
                 "scheme": {"anyOf": [_scheme(scheme) for scheme in schemes]},
             }

@@ -17,8 +17,9 @@ from topcli.config.models import UNIT_LIMIT, UNIT_TOLERANCE, Output
 from topcli.contracts import Invariant, Scheme, Top
 from topcli.errors import nearest, quoted
 from topcli.schemes.compose import COMPOSITIONS
-from topcli.schemes.registry import composed, find_scheme, names_for
-from topcli.tops import CUSTOM, top_class, top_names
+from topcli.schemes.own_tops import top_class, top_names
+from topcli.schemes.registry import find_scheme, names_for
+from topcli.tops import CUSTOM
 
 AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
 """Texts for a component that completes a unit vector, with the component's sign."""
@@ -49,7 +50,9 @@ def top_with(cls: type[Top], parameters: Mapping[str, Any], problems: Problems) 
     top = validate(cls, parameters, ("top",), problems, beside=("kind",))
     if top is not None and cls.kind == CUSTOM:
         from topcli.config.formulas import check_numbers
+        from topcli.tops.declared import Declared
 
+        assert isinstance(top, Declared)
         check_numbers(top, problems)
     return top if len(problems.messages) == before else None
 
@@ -68,7 +71,7 @@ def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme
         with problems.at("scheme", "compose"):
             if not isinstance(compose := given["compose"], str):
                 raise ValueError(f"must be a name ({', '.join(COMPOSITIONS)}), not {describe(compose)}")
-            scheme = composed(simple, compose)
+            scheme = find_scheme(f"{simple.name}+{compose}", cls.form)
     if scheme is None:
         return None
     options = validate(scheme.options, given, ("scheme",), problems, beside=("name", "compose"))

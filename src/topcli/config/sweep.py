@@ -25,8 +25,9 @@ from topcli.config.sections import read_top
 from topcli.config.text import to_yaml
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError, quoted
+from topcli.schemes.own_tops import forms
 from topcli.schemes.registry import find_scheme
-from topcli.tops import CUSTOM, TOPS, forms
+from topcli.tops import CUSTOM, TOPS
 
 PLAIN = ("scheme", "h", "N", "T", "top", "output.every")
 BASE = ("top", "initial", "scheme", "h", "N", "T", "output")

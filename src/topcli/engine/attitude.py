@@ -44,10 +44,11 @@ from topcli.arithmetic.quaternions import (
     unit_turn,
     upright,
 )
-from topcli.contracts import Array, Floats, Method, Scheme, StopAsked, Top, checked_rotation
+from topcli.contracts import Array, Floats, Method, Scheme, StopAsked, Top
 from topcli.engine.fingerprint import fingerprint
 from topcli.engine.loop import Loop, loop_of
-from topcli.schemes.any_top.rk2_rk4_dop853 import vector_operations
+from topcli.schemes.any_top.runge_kutta import vector_operations
+from topcli.tops.bodies import checked_rotation
 
 if TYPE_CHECKING:
     from topcli.engine.native import Native

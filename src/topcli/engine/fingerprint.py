@@ -36,7 +36,8 @@ from pydantic import BaseModel
 from topcli.contracts import Method, Scheme, Stepper, Top, stop_asked
 from topcli.engine.source import is_installed, is_versioned, names_in, place_of, plain_function, references, used_names
 from topcli.errors import SchemeCodeError
-from topcli.schemes.plugins import is_built_in, named_module, registry
+from topcli.schemes.plugins import PLUGIN_FILE, is_built_in
+from topcli.schemes.registry import SCHEMES
 from topcli.tops import TOPS
 
 _PLAIN = frozenset((int, float, complex, bool, str, bytes, type(None), type(...), type(NotImplemented)))
@@ -131,7 +132,7 @@ class _Walk:
             raise _IndescribableError(f"{_kind(value)}, an address in this process")
         elif value is stop_asked:
             self.put("stop_asked")  # ends a run, and changes no number
-        elif value is registry or value is TOPS:
+        elif value is SCHEMES or value is TOPS:
             self.put(type(value).__name__)  # schemes and tops that code finds by name count where they are used
         elif not self.met(value):
             self._object(value)
@@ -266,7 +267,8 @@ class _Walk:
         self.open_modules.remove(id(module))
 
     def _class(self, kind: type) -> None:
-        self.put(f"class {named_module(kind)}.{kind.__qualname__}")
+        module = PLUGIN_FILE if kind.__module__.startswith(PLUGIN_FILE) else kind.__module__  # wherever the file lies
+        self.put(f"class {module}.{kind.__qualname__}")
         if self.by_name(kind.__module__):
             return
         self._items("bases", kind.__bases__)
@@ -411,7 +413,7 @@ def own_code(top: type[Top], scheme: Scheme) -> str:
     return walk.digest.hexdigest()
 
 
-ASIDE = ("source", "tangent")
+ASIDE = ("source", "tangent", "change")
 """Attributes of a Stepper that a run does not use."""
 
 

@@ -35,26 +35,9 @@ PI = "pi"
 """Name of the number, unless a formula is given this name."""
 DIGITS = 170
 """Decimal digits of a function of exact numbers: more than any precision of a run."""
-LONGEST = 2000
-"""Characters of a formula."""
-DEEPEST = 100
-"""Nested operations; a sum of n terms has n - 1."""
 HIGHEST = 24
-"""Degree of a formula in its names, and its largest exponent."""
+"""Largest exponent."""
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_ALLOWED = re.compile(r"[A-Za-z0-9_+\-*/(). \t\n]*")
-_HINTS = {
-    "^": "; a power is written x**2",
-    "[": "; use parentheses ( )",
-    "{": "; use parentheses ( )",
-    ",": "; a decimal has a point",
-}
-_OPERATORS: dict[type, Callable[[Fraction, Fraction], Fraction]] = {
-    ast.Add: lambda a, b: a + b,
-    ast.Sub: lambda a, b: a - b,
-    ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b,
-}
 
 
 class ExpressionError(ValueError):
@@ -83,149 +66,103 @@ def parse(text: str, names: Iterable[str]) -> Expression:
 
 @lru_cache(maxsize=1024)  # a sweep reads the same section for each of its parameters
 def _parsed(text: str, names: tuple[str, ...]) -> Expression:
-    reader = _Reader(text, names)
-    tree, _ = reader.checked(reader.tree(), 0)
-    return Expression(text, tree, frozenset(reader.used))
+    flat, shift = re.sub(r"\s", " ", text).strip(), len(text) - len(text.lstrip())
+    if not flat:
+        raise ExpressionError("is empty; expected a formula")
+    used: set[str] = set()
+    try:
+        tree = _checked(ast.parse(flat, mode="eval").body, flat, names, used)
+    except _FaultError as error:
+        at, reason = error.args
+    except SyntaxError as error:
+        at, reason = (error.offset or 1) - 1, "cannot be read from here on; a product is written 2*x, a power x**2"
+    except (RecursionError, MemoryError):
+        at, reason = 0, "has too many nested operations"
+    else:
+        return Expression(text, tree, frozenset(used))
+    at += shift
+    several = f"line {text.count(chr(10), 0, at) + 1}, " if "\n" in text.strip() else ""
+    raise ExpressionError(f"{several}column {at - text.rfind(chr(10), 0, at)}: {reason}")
 
 
-class _Reader:
-    """Reader of one formula."""
+class _FaultError(Exception):
+    """Position in a text, and what is wrong there."""
 
-    def __init__(self, text: str, names: tuple[str, ...]) -> None:
-        self.text, self.names = text, names
-        self.flat = re.sub(r"\s", " ", text)
-        self.shift = len(text) - len(self.flat.lstrip())
-        self.used: set[str] = set()
 
-    def fault(self, at: int, reason: str) -> ExpressionError:
-        """Error at a position of the text."""
-        line, column = self.text.count("\n", 0, at), at - self.text.rfind("\n", 0, at)
-        several = f"line {line + 1}, " if "\n" in self.text.strip() else ""
-        return ExpressionError(f"{several}column {column}: {reason}")
+def _checked(node: ast.expr, text: str, names: tuple[str, ...], used: set[str]) -> ast.expr:
+    """Node of a formula; half powers become powers of roots. The names that occur are added to ``used``."""
 
-    def tree(self) -> ast.expr:
-        """Tree of the text, not checked."""
-        text = self.text
-        if len(text) > LONGEST:
-            raise ExpressionError(f"has {len(text)} characters; a formula has at most {LONGEST}")
-        if not text.strip():
-            raise ExpressionError("is empty; expected a formula")
-        allowed = _ALLOWED.match(text.replace(",", " ") if "atan2" in text else text)
-        assert allowed is not None
-        if (at := allowed.end()) < len(text):
-            raise self.fault(at, f"unexpected {text[at]!r}{_HINTS.get(text[at], '')}")
-        try:
-            return ast.parse(self.flat.strip(), mode="eval").body
-        except SyntaxError as error:
-            end, at = len(text.rstrip()), self.shift + max((error.offset or 1) - 1, 0)
-            if error.msg.startswith("'(' was never closed"):
-                raise self.fault(at, "'(' is never closed") from None
-            if at >= end or text[end - 1] in "+-*/":
-                raise self.fault(end, "the formula ends too early") from None
-            reason = f"cannot be read from {quoted(text[at : at + 16])} on; a product is written 2*x"
-            raise self.fault(at, reason) from None
-        except (RecursionError, MemoryError):
-            raise ExpressionError(f"has more than {DEEPEST} nested operations") from None
+    def inner(part: ast.expr) -> ast.expr:
+        return _checked(part, text, names, used)
 
-    def place(self, node: ast.AST) -> int:
-        """Position of a node in the text, which is ASCII."""
-        return self.shift + getattr(node, "col_offset", 0)
+    match node:
+        case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
+            written = text[node.col_offset : node.end_col_offset]
+            if not _is_double(written):
+                reason = f"{quoted(written)} is no decimal number that a double holds; make it a parameter"
+                raise _FaultError(node.col_offset, reason)
+            return node
+        case ast.Name(id=name) if name in names:
+            used.add(name)
+            return node
+        case ast.Name(id=name) if name == PI:
+            return ast.Attribute(ast.Name("math"), PI)
+        case ast.UnaryOp(op=ast.UAdd() | ast.USub() as op, operand=operand):
+            return ast.UnaryOp(op, inner(operand))
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div() as op, right=right):
+            return ast.BinOp(inner(left), op, inner(right))
+        case ast.BinOp(left=left, op=ast.Pow(), right=right):
+            base, exponent = inner(left), _constant(inner(right))
+            if exponent is None or exponent.denominator > 2 or abs(exponent) > HIGHEST:
+                reason = f"an exponent is a number, whole or half, of size {HIGHEST} at most"
+                raise _FaultError(right.col_offset, reason)
+            base = ast.Call(_function("sqrt"), [base], []) if exponent.denominator == 2 else base
+            return ast.BinOp(base, ast.Pow(), ast.Constant(exponent.numerator))
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if ARITY.get(name) == len(arguments):
+            return ast.Call(_function(name), [inner(argument) for argument in arguments], [])
+    raise _FaultError(node.col_offset, _reason(node, names))
 
-    def checked(self, node: ast.expr, depth: int) -> tuple[ast.expr, Fraction | int]:
-        """Node with its numbers as they are written, and its value, a fraction, or its degree if it has names."""
-        if depth > DEEPEST:
-            raise self.fault(self.place(node), f"more than {DEEPEST} nested operations")
-        match node:
-            case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
-                return node, self.number(node)
-            case ast.Name(id=name) if name == PI and PI not in self.names:
-                return ast.Attribute(ast.Name("math"), PI), 0
-            case ast.Name(id=name):
-                return node, self.degree(node, self.name(node, name))
-            case ast.UnaryOp(op=ast.UAdd() | ast.USub() as op, operand=operand):
-                operand, value = self.checked(operand, depth + 1)
-                negative = isinstance(op, ast.USub) and isinstance(value, Fraction)
-                return ast.UnaryOp(op, operand), -value if negative else value
-            case ast.BinOp(left=left, op=ast.Pow(), right=right):
-                return self.power(node, left, right, depth)
-            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div() as op, right=right):
-                left, a = self.checked(left, depth + 1)
-                right, b = self.checked(right, depth + 1)
-                made = ast.BinOp(left, op, right)
-                if isinstance(op, ast.Div) and isinstance(b, Fraction) and not b:
-                    raise self.fault(self.place(node.right), "divides by zero")
-                if isinstance(a, Fraction) and isinstance(b, Fraction):
-                    return made, _OPERATORS[type(op)](a, b)
-                a, b = (0 if isinstance(x, Fraction) else x for x in (a, b))
-                return made, self.degree(node, a + b if isinstance(op, ast.Mult | ast.Div) else max(a, b))
-            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if ARITY.get(name) == len(arguments):
-                pairs = [self.checked(argument, depth + 1) for argument in arguments]
-                call = ast.Call(_function(name), [argument for argument, _ in pairs], [])
-                return call, max(0 if isinstance(value, Fraction) else value for _, value in pairs)
-        raise self.fault(self.place(node), self.reason(node))
 
-    def number(self, node: ast.Constant) -> Fraction:
-        """Value of a number, exactly as it is written."""
-        at, end = self.place(node), self.shift + (node.end_col_offset or 0)
-        written = self.text[at:end]
-        value = float(written) if re.fullmatch(r"[0-9.]+([eE][+-]?[0-9]+)?", written) else math.inf
-        underflows = not value and re.match(r"[0.]*[1-9]", written)
-        if not math.isfinite(value) or underflows:
-            raise self.fault(at, f"{quoted(written)} is not a decimal number that a double holds")
-        exact = Fraction(written) if value else Fraction(0)
-        if exact != Fraction(repr(value)):
-            raise self.fault(at, f"{quoted(written)} has more digits than a double holds; make it a parameter")
-        return exact
+def _is_double(written: str) -> bool:
+    """Whether a number is a decimal one whose double has the same digits."""
+    if not re.fullmatch(r"[0-9.]+([eE][+-]?[0-9]+)?", written) or not math.isfinite(value := float(written)):
+        return False
+    return Fraction(repr(value)) == Fraction(written) if value else not re.match(r"[0.]*[1-9]", written)
 
-    def name(self, node: ast.Name, name: str) -> int:
-        """Degree of a name, which is one. Raises ExpressionError for an unknown one."""
-        if name in self.names:
-            self.used.add(name)
-            return 1
-        if name in FUNCTIONS:
-            arguments = "y, x" if ARITY[name] == 2 else "x"
-            raise self.fault(self.place(node), f"{name} is a function; write {name}({arguments})")
-        hint = nearest(name, (*self.names, *FUNCTIONS))
-        if hint.startswith("known"):
-            hint = f"known: {', '.join(self.names)}; functions: {', '.join(FUNCTIONS)}"
-        raise self.fault(self.place(node), f"unknown name {quoted(name)}; {hint}")
 
-    def degree(self, node: ast.AST, degree: int) -> int:
-        """The degree of a node, if it is not too high."""
-        if degree > HIGHEST:
-            raise self.fault(self.place(node), f"has degree {degree} in its names; at most {HIGHEST} is allowed")
-        return degree
+def _constant(node: ast.expr) -> Fraction | None:
+    """Value of a number, of its negative or of a quotient of numbers; None of anything else."""
+    match node:
+        case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
+            return Fraction(str(value))
+        case ast.UnaryOp(op=ast.USub(), operand=operand) if (value := _constant(operand)) is not None:
+            return -value
+        case ast.BinOp(left=left, op=ast.Div(), right=right) if bottom := _constant(right):
+            return None if (top := _constant(left)) is None else top / bottom
+    return None
 
-    def power(self, node: ast.BinOp, left: ast.expr, right: ast.expr, depth: int) -> tuple[ast.expr, Fraction | int]:
-        """Check a power: its exponent is a number; a half-integer exponent becomes a power of the square root."""
-        base, value = self.checked(left, depth + 1)
-        _, exponent = self.checked(right, depth + 1)
-        at = self.place(right)
-        if not isinstance(exponent, Fraction) or exponent.denominator > 2 or abs(exponent) > HIGHEST:
-            raise self.fault(at, f"an exponent is a number, whole or half, of size {HIGHEST} at most")
-        if value == 0 and isinstance(value, Fraction) and exponent < 0:
-            raise self.fault(at, "divides by zero")
-        half = exponent.denominator == 2
-        base = ast.Call(_function("sqrt"), [base], []) if half else base
-        made = base if exponent == Fraction(1, 2) else ast.BinOp(base, ast.Pow(), ast.Constant(exponent.numerator))
-        if isinstance(value, Fraction):
-            return made, 0 if half else value**exponent.numerator
-        return made, self.degree(node, math.ceil(value * abs(exponent)))
 
-    def reason(self, node: ast.expr) -> str:
-        """Message about a node that is not a part of a formula."""
-        match node:
-            case ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
-                return f"{name} takes {'two arguments, y and x' if ARITY[name] == 2 else 'one argument'}"
-            case ast.Call(func=ast.Name(id=name)) if name in self.names:
-                return f"{name} is not a function; a product is written {name}*(...)"
-            case ast.Call(func=ast.Name(id=name)):
-                return f"unknown function {quoted(name)}; {nearest(name, FUNCTIONS)}"
-            case ast.Call():
-                return "a product is written (...)*(...)"
-            case ast.BinOp(op=ast.FloorDiv()):
-                return "'//' is not allowed; a quotient is written x/y"
-        return f"only numbers, names, + - * / **, parentheses and {', '.join(FUNCTIONS)} are allowed"
+def _reason(node: ast.expr, names: tuple[str, ...]) -> str:
+    """Why a node is no part of a formula."""
+    match node:
+        case ast.Name(id=name) | ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
+            return f"{name} is a function; write {name}({'y, x' if ARITY[name] == 2 else 'x'})"
+        case ast.Call(func=ast.Name(id=name)) if name in names:
+            return f"{name} is not a function; a product is written {name}*(...)"
+        case ast.Call(func=ast.Name(id=name)):
+            return f"unknown function {quoted(name)}; {nearest(name, FUNCTIONS)}"
+        case ast.Call():
+            return "a product is written (...)*(...)"
+        case ast.Name(id=name):
+            hint = nearest(name, (*names, *FUNCTIONS))
+            if hint.startswith("known"):
+                hint = f"known: {', '.join(names)}; functions: {', '.join(FUNCTIONS)}"
+            return f"unknown name {quoted(name)}; {hint}"
+        case ast.BinOp(op=ast.FloorDiv() | ast.BitXor()):
+            return "a quotient is written x/y, a power x**2"
+        case ast.Tuple():
+            return "unexpected ','; a decimal has a point"
+    return f"only numbers, names, + - * / **, parentheses and {', '.join(FUNCTIONS)} are allowed"
 
 
 def _function(name: str) -> ast.expr:
@@ -344,11 +281,11 @@ def value_of(
     )
 
     def value(y: Sequence[Any], p: Sequence[Any]) -> Any:
-        objects = [x for x in (*y, *p) if isinstance(x, np.ndarray) and x.dtype.hasobject]
-        if not objects:
+        columns = [x for x in (*y, *p) if isinstance(x, np.ndarray) and x.dtype.hasobject]
+        exact = [x for x in (*y, *p) if isinstance(x, Fraction)] + [x.flat[0] for x in columns if x.size]
+        if not (columns or exact):
             return of_columns(y, p)[0]
-        rational = not any(x.size and _functions(x.flat[0]) is not math for x in objects)
-        return (of_fractions if rational else of_objects)(y, p)[0]
+        return (of_fractions if all(_functions(x) is math for x in exact) else of_objects)(y, p)[0]
 
     return value
 

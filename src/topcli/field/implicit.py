@@ -29,14 +29,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from itertools import islice
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
-from topcli.field.polynomial import Field, Polynomial, strongly_connected, variational
+from topcli.field.polynomial import Field, strongly_connected, variational
 from topcli.field.straight_line import ONE, Graph, Sum, Term, is_power_of_two, minus
 
 HALF = Fraction(1, 2)
@@ -59,14 +58,14 @@ class Solution:
 class KahanStep:
     """Kahan's step of a quadratic field; nodes ``outputs`` of the ``graph`` of operations are the new state.
 
-    The step reads its constants from ``p[first]`` on. ``factors`` are the results of ``factors_of``.
+    The step reads its constants from ``p[first]`` on.
     """
 
     factor = 2
     """The output is the input plus this multiple of the solution."""
 
-    def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
-        self.field, self.graph, self.factors = field, Graph(first), factors
+    def __init__(self, field: Field, first: int = 0) -> None:
+        self.field, self.graph = field, Graph(first)
         graph, every = self.graph, range(len(field))
         self.half: dict[int, Sum] = {}
         """Half of the change of the components that are solved."""
@@ -90,10 +89,15 @@ class KahanStep:
                 self._finish(self._solved(block))
         self.outputs = [self._plus(self.start[i], self.change[i]) for i in sorted(self.change)]
 
-    @staticmethod
-    def factors_of(field: Field) -> tuple[Fraction, ...]:
-        """Factors that the code takes out of the components of a field."""
-        return (Fraction(1),) * len(field)
+    @property
+    def constants(self) -> tuple[Fraction, ...]:
+        """Constants that the step reads."""
+        return tuple(self.graph.constants)
+
+    def source(self, name: str) -> str:
+        """Source of the step, with the values of its constants."""
+        values = (f"# p[{self.graph.first + i}] = {c}\n" for i, c in enumerate(self.constants))
+        return "".join(values) + self.graph.source(name, self.outputs)
 
     def _in_turn(self, blocks: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
         """The blocks to solve, in this order."""
@@ -274,9 +278,10 @@ class KahanStep:
         """Nodes of the changes of the components."""
         return [self.graph.node_of(self.change[i]) for i in sorted(self.change)]
 
-    def divisors(self) -> list[int]:
-        """Nodes of all determinants, each followed by the sum of the magnitudes of its terms."""
-        return [node for determinant in self._determinants for node in (determinant, self.graph.size(determinant))]
+    @property
+    def determinants(self) -> list[int]:
+        """Nodes of all determinants."""
+        return self._determinants
 
 
 class KahanTangent(KahanStep):
@@ -286,9 +291,9 @@ class KahanTangent(KahanStep):
     eliminated once; y gets the bits of ``KahanStep``.
     """
 
-    def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
+    def __init__(self, field: Field, first: int = 0) -> None:
         self._d = len(field)
-        super().__init__(variational(field), first, factors)
+        super().__init__(variational(field), first)
 
     def _in_turn(self, blocks: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
         return sorted(blocks, key=lambda block: block[0] // self._d)
@@ -321,24 +326,10 @@ class NewtonStep(KahanStep):
 
     factor = 1
 
-    def __init__(self, field: Field, first: int = 0, factors: Sequence[Fraction] = ()) -> None:
+    def __init__(self, field: Field, first: int = 0) -> None:
         self._sizes: dict[int, int] = {}
-        super().__init__(field, first, factors)
+        super().__init__(field, first)
         self.outputs += [self._sizes[i] for i in range(len(field))]
-
-    @staticmethod
-    def factors_of(field: Field) -> tuple[Fraction, ...]:
-        """For each component, one over the common denominator of its coefficients, times a power of two.
-
-        With this factor, the largest coefficient is between one and two. Tops with equal sizes can then share a step.
-        """
-
-        def factor(coefficients: Iterable[Fraction]) -> Fraction:
-            common = math.lcm(*(c.denominator for c in coefficients))
-            largest = max((int(abs(c) * common) for c in coefficients), default=1)
-            return Fraction(1 << (largest.bit_length() - 1), common)
-
-        return tuple(factor(rate.terms.values()) for rate in field)
 
     def _inputs(self) -> tuple[list[int], list[int]]:
         graph, d = self.graph, len(self.field)
@@ -346,8 +337,12 @@ class NewtonStep(KahanStep):
         return half, [graph.node("+", graph.input(f"s[{i}]"), half[i]) for i in range(d)]
 
     def _side(self, i: int) -> Sum:
+        """Right-hand side d f_i - u_i, where f_i is a sum with coefficients below two, divided by one number."""
         terms: Sum = ((Fraction(-1), (self.start[i],)),)
-        graph, divisor = self.graph, 1 / self.factors[i]
+        graph, coefficients = self.graph, self.field[i].terms.values()
+        common = math.lcm(*(c.denominator for c in coefficients))
+        largest = max((int(abs(c) * common) for c in coefficients), default=1)
+        divisor = Fraction(common, 1 << (largest.bit_length() - 1))
         rate = tuple((c * divisor, tuple(self.y[k] for k in m)) for m, c in sorted(self.field[i].terms.items()))
         if rate:
             ((sign, (node,)),) = graph.value(rate)
@@ -365,95 +360,14 @@ class NewtonStep(KahanStep):
         return terms
 
 
-@dataclass(frozen=True)
-class Pattern:
-    """Field with typical coefficients, and its ``factors``; all fields of this pattern share one generated step.
-
-    Powers of two are kept. Any other size is a power of two near the actual one times a prime of its own, so that each
-    constant of the step tells by its factors which product of coefficients it is. ``ratios`` maps each prime to the
-    actual size over the typical one.
-    """
-
-    field: Field
-    factors: tuple[Fraction, ...]
-    ratios: Mapping[int, Fraction]
-
-    @classmethod
-    def of(cls, field: Field, factors: Sequence[Fraction]) -> Pattern:
-        """Pattern of a field with ``factors`` taken out of its components, which get a prime of their own."""
-        rows = list(zip(field, factors, strict=True))
-        known = {*factors, *(abs(c) / factor for rate, factor in rows for c in rate.terms.values())}
-        sizes = sorted(c for c in known if not is_power_of_two(c))
-        octaves = [c.numerator.bit_length() - c.denominator.bit_length() for c in sizes]
-        typical, ratios = {}, {}
-        for octave, group in itertools.groupby(zip(octaves, sizes, strict=True), key=lambda pair: pair[0]):
-            members = [c for _, c in group]
-            primes = sorted(islice(_primes(), len(typical), len(typical) + len(members)), key=_mantissa)
-            for c, prime in zip(members, primes, strict=True):
-                typical[c] = _mantissa(prime) * Fraction(2) ** octave
-                ratios[prime] = c / typical[c]
-
-        def size(c: Fraction) -> Fraction:
-            return typical.get(abs(c), abs(c)) * (1 if c > 0 else -1)
-
-        def rates(rate: Polynomial, factor: Fraction) -> Polynomial:
-            return Polynomial({m: size(factor) * size(c / factor) for m, c in sorted(rate.terms.items())})
-
-        return cls(tuple(rates(*row) for row in rows), tuple(map(size, factors)), ratios)
-
-    def actual(self, constant: Fraction) -> Fraction:
-        """Return the constant of the actual step that replaces a constant of the typical step."""
-        found, (above, below) = constant, constant.as_integer_ratio()
-        for prime, ratio in self.ratios.items():
-            found *= ratio ** (_multiplicity(prime, above) - _multiplicity(prime, below))
-        return found
-
-
-FIRST_PRIME = 11
-"""Smaller primes occur as factors of derivatives."""
-
-
-def _primes() -> Iterator[int]:
-    return (n for n in itertools.count(FIRST_PRIME, 2) if all(n % k for k in range(3, math.isqrt(n) + 1, 2)))
-
-
-def _mantissa(n: int) -> Fraction:
-    """``n`` over a power of two, between 1 and 2."""
-    return Fraction(n, 1 << (n.bit_length() - 1))
-
-
-def _multiplicity(prime: int, n: int) -> int:
-    """How often a prime divides ``n``."""
-    count = 0
-    while n % prime == 0:
-        n, count = n // prime, count + 1
-    return count
-
-
 Kind = TypeVar("Kind", bound=KahanStep)
 
 
-@dataclass(frozen=True)
-class Generated(Generic[Kind]):
-    """Generated ``code``, which fields of a pattern share, and the ``constants`` of one of them."""
-
-    code: Kind
-    constants: tuple[Fraction, ...]
-
-    def source(self, name: str) -> str:
-        """Source of the code, with the values of its constants."""
-        graph = self.code.graph
-        values = (f"# p[{graph.first + i}] = {c}\n" for i, c in enumerate(self.constants))
-        return "".join(values) + graph.source(name, self.code.outputs)
-
-
 @lru_cache(maxsize=256)
-def _typical(kind: type[KahanStep], field: Field, first: int, factors: tuple[Fraction, ...]) -> Any:
-    return kind(field, first, factors)
+def _generated(kind: type[KahanStep], field: Field, first: int) -> Any:
+    return kind(field, first)
 
 
-def generated(kind: type[Kind], field: Field, first: int = 0) -> Generated[Kind]:
+def generated(kind: type[Kind], field: Field, first: int = 0) -> Kind:
     """Code of a ``kind`` for a field; its constants begin at ``p[first]``."""
-    pattern = Pattern.of(field, kind.factors_of(field))
-    code = _typical(kind, pattern.field, first, pattern.factors)
-    return Generated(code, tuple(map(pattern.actual, code.graph.constants)))
+    return _generated(kind, field, first)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from itertools import chain, combinations, combinations_with_replacement
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from topcli.contracts import Array, Invariant, Top
-from topcli.field.polynomial import Field, Monomial, NotPolynomialError, Polynomial, field_of
+from topcli.field.polynomial import Field, Monomial, NotPolynomialError, Polynomial, decimal, field_of
 
 ROUNDING = 1e-12
 """Size of a coefficient, relative to the terms of which it is the sum, that rounded parameters may leave."""
@@ -147,6 +147,54 @@ def broken_integral(top: Top) -> str:
             monomial, c = max(rates.items(), key=lambda item: abs(item[1]))
             term = "*".join([f"{c:.4g}", *(top.components[i] for i in monomial)])
             return f"{invariant.name!r} is not an integral of the field: its rate of change contains {term}"
+    return ""
+
+
+def hk_image(field: Field, y: Sequence[Fraction], h: Fraction) -> list[Fraction] | None:
+    """State after a step of the HK map, exactly; None if the step has no solution.
+
+    The change d solves (I - h/2 f'(y)) d = h f(y), where the field f has degree two at most.
+    """
+    n = len(field)
+    rows = [
+        [(i == j) - h / 2 * field[i].derivative(j).value(y) for j in range(n)] + [h * field[i].value(y)]
+        for i in range(n)
+    ]
+    for i in range(n):
+        pivot = next((row for row in rows[i:] if row[i]), None)
+        if pivot is None:
+            return None
+        rows.remove(pivot)
+        rows = [[a - row[i] / pivot[i] * b for a, b in zip(row, pivot, strict=True)] for row in rows]
+        rows.insert(i, [a / pivot[i] for a in pivot])
+    return [a + row[n] for a, row in zip(y, rows, strict=True)]
+
+
+def broken_hk_integral(top: Top) -> str:
+    """Name of a declared integral of the HK map that a step changes, and by how much; empty if there is none.
+
+    One step from each of several states is computed in rational numbers.
+    """
+    h = Fraction(1, 5)
+    integrals: Mapping[str, Callable[[Any, Any], Any]] = top.integrals_of("hk", cast(Any, h))
+    if not integrals:
+        return ""
+    try:
+        field = field_of(top)
+    except NotPolynomialError as error:
+        return f"{min(integrals)!r} needs a field of degree two, for which the HK map is defined; this one {error}"
+    if max(rate.degree for rate in field) > 2:
+        return f"{min(integrals)!r} needs a field of degree two, for which the HK map is defined"
+    p = tuple(map(decimal, top.constants()))
+    for k in range(1, 5):
+        before = [Fraction(2 * ((3 * i + 2) * k % 11) - 11, 14) for i in range(len(field))]
+        after = hk_image(field, before, h)
+        for name, integral in integrals.items() if after else ():
+            with suppress(ZeroDivisionError):
+                a, b = (integral(tuple(np.array([x], dtype=object) for x in y), p)[0] for y in (before, after or ()))
+                if abs(a - b) > ROUNDING * (abs(a) + abs(b)):
+                    at = f"h = {h} from ({', '.join(map(str, before))})"
+                    return f"{name!r} is not an integral of the HK map: a step of {at} changes it by {float(b - a):.3g}"
     return ""
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 from topcli.arithmetic.fused import fma
@@ -224,11 +225,17 @@ class Graph:
             names[node] = f"v{node}"
             lines.append(f"    v{node} = {text}\n")
         returned = ", ".join(names[node] for node in outputs)
-        return f"def {name}(s, h, p):\n{''.join(lines)}    return ({returned},)\n"
+        value = f"({returned},)" if returned else "()"
+        return f"def {name}(s, h, p):\n{''.join(lines)}    return {value}\n"
 
 
 def function_of(graph: Graph, name: str, outputs: Sequence[int]) -> Callable[..., Any]:
-    """The function ``name(s, h, p)`` that returns the ``outputs``."""
+    """The function ``name(s, h, p)`` that returns the ``outputs``; graphs with the same source share it."""
+    return _function(graph.source(name, outputs), name)
+
+
+@lru_cache(maxsize=1024)  # tops that share a function share its machine code
+def _function(source: str, name: str) -> Callable[..., Any]:
     scope: dict[str, Any] = {"fma": fma, "__name__": __name__}
-    exec(compile(graph.source(name, outputs), f"<generated {name}>", "exec"), scope)
+    exec(compile(source, f"<generated {name}>", "exec"), scope)
     return scope[name]

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from topcli.analysis.columns import invariant_values, quaternions_of
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Outcome, Top, checked_equations
+from topcli.contracts import Array, Outcome, Top
 from topcli.errors import ConfigError, UsageError
 from topcli.figures.picture import halo
 from topcli.figures.space import arrow, curve, lit, parallel, quads, set_view, sphere, split
 from topcli.store.manifest import StoredRun
 from topcli.store.series import read_series
 from topcli.store.verify import intact_run
+from topcli.tops.bodies import checked_equations
 
 LONGITUDES, LATITUDES = 56, 28
 PALE, BLUE, MARK = (0.93, 0.90, 0.83), (0.20, 0.47, 0.69), (0.87, 0.42, 0.10)

@@ -13,7 +13,7 @@ from topcli.figures.figure import Figure, Loaded, Request, deferred
 from topcli.figures.picture import Grid, Line, Panel, component_symbol
 from topcli.figures.scenes import scene_figure
 from topcli.figures.space import Polhodes, Sphere
-from topcli.schemes.plugins import failed_plugin, known_failures, origin_of, plugin_failures, plugin_table
+from topcli.schemes.plugins import origin_of, plugin_failures
 
 Load = Callable[[Request], Loaded]
 
@@ -167,26 +167,6 @@ FIGURES: dict[str, Figure] = {
 }
 
 
-plugin_table(FIGURES)
-
-GONE = {
-    "catalogue": "topcli report for the run of a scene",
-    "compare": "topcli compare hk bohlin-a bohlin-b bohlin-c hybrid --plot",
-    "error-and-cost": "topcli order backlund backlund+suzuki4 --plot",
-    "errors": "topcli plot sweep kowalevski_errors --x h --y max_error --by scheme",
-    "heavy-drift": "topcli plot sweep heavy_drift --x scheme --y drift.energy --aggregate median",
-    "integrable": "topcli plot long-energy",
-    "nutation": "topcli plot traces",
-    "order": "topcli order --plot",
-    "roundoff": "topcli roundoff SCHEME --plot",
-    "sphere": "topcli plot traces",
-    "stress": "topcli stress --plot",
-    "swings": "topcli plot sweep kowalevski_swings --x h --y first_swing_spacing --by scheme",
-    "torus": "topcli plot torus-points",
-}
-"""What to use instead of figures of earlier versions."""
-
-
 def figure(name: str, *, title: str, scene: str = "") -> Callable[[Load], Load]:
     """Register the decorated function as a figure of ``topcli plot``.
 
@@ -227,14 +207,9 @@ def find_figure(name: str) -> Figure:
     Raises UnknownNameError with the nearest names, and SchemeCodeError for one whose plugin has failed.
     """
     wanted = name.lower()
-    if wanted not in FIGURES:
-        failure = failed_plugin(wanted)
-        if failure and wanted not in FIGURES:
-            raise SchemeCodeError(f"figure {wanted!r}: {failure}")
-        plugin_failures()
-    try:
+    failures = [] if wanted in FIGURES else plugin_failures()
+    if wanted in FIGURES:
         return FIGURES[wanted]
-    except KeyError:
-        failures = map(str, known_failures()[:2])
-        hint = f"use {GONE[wanted]}" if wanted in GONE else nearest(name, FIGURES)
-        raise UnknownNameError(f"unknown figure {quoted(name)}; {hint}", *failures) from None
+    if failed := next((failure for failure in failures if failure.name.lower() == wanted), None):
+        raise SchemeCodeError(f"figure {wanted!r}: {failed}")
+    raise UnknownNameError(f"unknown figure {quoted(name)}; {nearest(name, FIGURES)}", *map(str, failures[:2]))

@@ -25,7 +25,7 @@ from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import DASHED, Drawable, Grid, Line, Panel, caption, component_symbol, halo
 from topcli.figures.space import Polhodes, Sphere
 from topcli.figures.style import Styles
-from topcli.schemes.kowalevski.closed_form.curve import integrals
+from topcli.schemes.kowalevski.curve import Integrals
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
@@ -169,7 +169,7 @@ def load_bifurcation(request: Request) -> Loaded:
         two_l = window.two_l
         if window.scene:
             experiment = load_experiment(window.scene)
-            of = integrals(experiment.y0, experiment.top.constants()[0])
+            of = Integrals.of(experiment.y0, experiment.top.constants()[0])
             two_l = 2.0 * float(of.L)
             data |= curve_columns(number, {"scene": np.array([[3.0 * float(of.l1)], [float(of.k_sq)]])})
         curves = critical_curves(two_l, window.energies, window.k_sq)
@@ -248,7 +248,7 @@ class PlaceDiagram(Diagram):
 
 def _diagram(top: Kowalevski, motion: Motion, name: str) -> Drawn:
     """Place in the plane of E and k², in units in which c |gamma| = 1."""
-    of = integrals(motion.state, top.constants()[0])
+    of = Integrals.of(motion.state, top.constants()[0])
     unit = math.sqrt(float(of.G))
     E, k_sq, two_l = 3.0 * float(of.l1) / unit, float(of.k_sq) / unit**2, 2.0 * float(of.L) / unit**1.5
     if max(abs(E), k_sq, abs(two_l)) > LARGEST:

@@ -18,12 +18,13 @@ from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
 from topcli.analysis.swings import first_swing_spacing, minima_times, spacing_law
 from topcli.analysis.trajectory import Trajectory
-from topcli.contracts import Array, Top, checked_equations
+from topcli.contracts import Array, Top
 from topcli.paper.claim import Measurement
 from topcli.paper.exact_checks import Formula
 from topcli.paper.scenes import LedgerScene, invariant_named
 from topcli.runs.simulate import simulate_ensemble
 from topcli.tops import TOPS
+from topcli.tops.bodies import checked_equations
 
 # orders in h
 

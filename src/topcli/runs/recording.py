@@ -19,7 +19,6 @@ from topcli.runs.decision import RunOptions
 from topcli.runs.identity import Identity, Prepared
 from topcli.runs.recorder import Checkpoints, Recorder, run_of
 from topcli.runs.report import (
-    accuracy_data,
     heading,
     left_motion,
     precision_data,
@@ -29,7 +28,8 @@ from topcli.runs.report import (
     section_data,
     section_note,
 )
-from topcli.schemes.plugins import sources_of, top_origin
+from topcli.schemes.own_tops import top_origin
+from topcli.schemes.plugins import sources_of
 from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from topcli.store.files import io_failure, json_text
 from topcli.store.folder import RunWriter
@@ -178,7 +178,6 @@ class SingleRecording(Recording):
             "left_motion": left_motion(ending),
             "counters": dict(ending.counters),
             "seconds": seconds_of(run),
-            **accuracy_data(self.ready.method, experiment, ending.step),
             **((precise and precision_data(experiment.precision, precise.arithmetic.library, recorder.growth)) or {}),
         }
         report = report_data(summary, recorder.tally.report(), recorder.quantities.rows())

@@ -23,7 +23,7 @@ from topcli.analysis.tally import (
     TERMS,
     InvariantRow,
 )
-from topcli.contracts import Ending, Method, Outcome, Sampler
+from topcli.contracts import Ending, Outcome
 from topcli.engine.run import NO_FAILURE, Endings
 from topcli.errors import counted
 from topcli.table import Column, Table, number, plus_minus, rounded_up, ten_digits, two_digits
@@ -254,7 +254,7 @@ def section_note(experiment: Experiment, crossings: NDArray[np.int64] | None) ->
     return note + (f"; {never} of {len(crossings)} trajectories never crossed it" if never else "")
 
 
-ORDINARY = ("iterations", "evaluations", "expansions", "corrections", "chart_switches")
+ORDINARY = ("iterations", "evaluations", "expansions")
 """Counters of a scheme's normal work; all others count events that are reported as warnings."""
 
 
@@ -337,14 +337,9 @@ def report_markdown(report: dict[str, Any]) -> str:
         "",
         *_quantities_markdown(report.get("quantities") or []),
         seconds_note(report["seconds"]),
-        *(["", f"{note[0].upper()}{note[1:]}."] if (note := accuracy_note(report)) else []),
         "",
     ]
     return "\n".join(lines)
-
-
-SAMPLED_STEPS = 200
-"""Largest number of times at which the sensitivity of a motion is evaluated."""
 
 
 class Timed(Protocol):
@@ -371,31 +366,6 @@ def seconds_of(run: Timed) -> dict[str, Any]:
 def seconds_note(seconds: Mapping[str, Any]) -> str:
     """Times of a run in a sentence."""
     return f"Compiling or loading the code took {seconds['compile']:.3g} s, and the run {seconds['run']:.3g} s."
-
-
-def accuracy_data(method: Method, experiment: Experiment, steps: int) -> dict[str, Any]:
-    """Entry of ``report.json`` on the accuracy of a closed form over ``steps`` steps; none for other methods."""
-    if not isinstance(method, Sampler) or method.accuracy is None:
-        return {}
-    n = np.unique(np.linspace(0, max(steps, 1), SAMPLED_STEPS).astype(np.int64))
-    accuracy = method.accuracy(np.array(experiment.y0), experiment.h, n, experiment.top.constants())
-    return {"accuracy": accuracy._asdict()}
-
-
-def accuracy_note(report: Mapping[str, Any]) -> str:
-    """Accuracy of a closed form, in one line; empty for other methods."""
-    accuracy = report.get("accuracy")
-    if not accuracy:
-        return ""
-    change = accuracy["sensitivity"]
-    then = (
-        "the sensitivity to the initial state is unknown, because the closed form does not cover a state one ulp away"
-        if change is None
-        else f"one ulp in the initial state, which is taken as exact, changes the states by up to {change:.0e}"
-    )
-    off = accuracy["round_off"]
-    size = "unknown" if off is None else f"at most about {off:.0e}"
-    return f"round-off {size} ({accuracy['reason']}); {then}"
 
 
 SHOWN_TRAJECTORIES = 20

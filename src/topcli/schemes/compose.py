@@ -146,36 +146,32 @@ def composed_step(step: StepFunction, weights: tuple[float, ...], width: int) ->
     return _stages(width)(step, len(weights), np.array(weights))
 
 
-def compose(base: Scheme, name: str) -> Scheme:
-    """Compose ``base`` by the composition called ``name``; the result is called ``<base>+<name>``.
+def compose(base: Scheme, composition: Composition) -> Scheme:
+    """Compose ``base``; the result is called ``<base>+<name>``.
 
     The exact invariants of the base scheme are those of the result; its modified integrals depend on the step size and
-    are lost. The options are those of the base scheme. Raises UnknownNameError for an unknown composition, and
-    UsageError if the base scheme cannot be composed.
+    are lost. The options are those of the base scheme. Raises UsageError if the base scheme cannot be composed.
     """
-    return _composed(base, find_composition(name))
-
-
-@cache  # so that schemes composed twice are equal
-def _composed(base: Scheme, composition: Composition) -> Scheme:
-    reason = obstacle(base)
-    if reason:
+    if reason := obstacle(base):
         raise UsageError(f"scheme {base.name!r} cannot be composed: it {reason}")
+    alone, order_with, weights = base.longest_step, base.order_with, composition.weights
 
     def build(top: Any, options: Any) -> Method:
-        method = _composable(base.build(top, options))
+        method = base.build(top, options)
         reason = _method_obstacle(method, top)
         if reason or not isinstance(method, Stepper):
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
-        weights = composition.weights
-        step = composed_step(method.step, weights, method.width)
         tangent = method.tangent and partial(_composed_tangent, method.tangent, weights)
-        return replace(method, step=step, stages=(method.step, weights), tangent=tangent)
-
-    alone, largest = base.longest_step, max(map(abs, composition.weights))
+        return replace(
+            method,
+            step=composed_step(method.step, weights, method.width),
+            stages=(method.step, weights),
+            change=None,
+            tangent=tangent,
+        )
 
     def longest_step(top: Any, y0: Floats, options: Any) -> float:
-        return alone(top, y0, options) / largest if alone else math.inf
+        return alone(top, y0, options) / max(map(abs, weights)) if alone else math.inf
 
     stages = f"{composition.stages} steps of {base.name} with different step sizes: {composition.title}"
     return replace(
@@ -183,7 +179,7 @@ def _composed(base: Scheme, composition: Composition) -> Scheme:
         name=f"{base.name}+{composition.name}",
         title=f"{base.title}, composed to order {composition.order}",
         order=composition.order,
-        order_with=base.order_with and (lambda options: max(composition.order, base.order_for(options) or 0)),
+        order_with=order_with and (lambda options: max(composition.order, order_with(options) or 0)),
         citation=f"{composition.citation}; {base.citation}",
         build=build,
         modified=None,
@@ -212,28 +208,17 @@ def obstacle(base: Scheme) -> str:
     """
     if not base.self_adjoint:
         return "is not self-adjoint, which the order of a composition requires"
-    if base.top in TOPS:
-        try:
-            options = base.options()
-        except ValidationError:  # options without defaults: tested when the scheme is built
-            options = None
-        if options is not None:
-            top = TOPS[base.top].new()
-            try:
-                method = base.build(top, options)
-            except UsageError as error:
-                return f"cannot be built: {error}"
-            reason = _method_obstacle(_composable(method), top)
-            if reason:
-                return reason
     if base.order != BASE_ORDER:
         return f"has order {base.order}, but compositions need order {BASE_ORDER}"
-    return ""
-
-
-def _composable(method: Method) -> Method:
-    """The form of ``method`` whose stages may have different lengths, if it has one; otherwise itself."""
-    return method.composable or method if isinstance(method, Stepper) else method
+    try:
+        options = base.options()
+    except ValidationError:  # options without defaults: tested when the scheme is built
+        return ""
+    top = TOPS[base.top].new()
+    try:
+        return _method_obstacle(base.build(top, options), top)
+    except UsageError as error:
+        return f"cannot be built: {error}"
 
 
 def _method_obstacle(method: Method, top: Top) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 FAMILIES: tuple[dict[str, str], ...] = (
-    {"hk": "HK", "hk-projected": "projected HK", "hk-symproj": "sym. projected HK", "hk-exact": "HK in closed form"},
+    {"hk": "HK", "hk-exact": "HK in closed form", "hk:project=1": "HK, projected"},
     {"bohlin-a": "Bohlin A", "bohlin-b": "Bohlin B", "bohlin-c": "Bohlin C", "bs": "BS", "bs-implicit": "implicit BS"},
-    {"dg4": "DG4", "midpoint": "midpoint", "midpoint4": "midpoint 4"},
+    {"midpoint": "midpoint"},
     {"rk2": "RK2", "rk4": "RK4", "taylor": "Taylor", "dop853": "DOP853"},
-    {"hybrid": "hybrid", "hybrid-sym": "sym. hybrid", "hybrid-xi": "hybrid ξ"},
+    {"hybrid": "hybrid", "hybrid-sym": "sym. hybrid"},
     {"splitting": "splitting", "dmv": "DMV"},
     {
         "exact": "exact",

@@ -1,22 +1,25 @@
-"""Tops from plugins and users' files: the decorator that registers a top and checks its declaration."""
+"""Tops from plugins and users' files: the decorator that registers a top and checks it, and look-up by name."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
 
-from topcli.contracts import Floats, Top, checked_rotation
-from topcli.errors import UsageError, nearest
-from topcli.schemes.plugins import import_built_in, line_of, origin_of, registry
+from topcli.contracts import Floats, Top
+from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.schemes.plugins import is_built_in, line_of, origin_of, plugin_failures
 from topcli.tops import CUSTOM, TOPS
+from topcli.tops.bodies import checked_rotation
 
 KIND = re.compile(r"[a-z][a-z0-9_-]*")
 TAKEN = ("n", "t")
 """Columns of every series."""
+ORIGINS: dict[str, str] = {}
+"""Package or file of each form of a top that a plugin registered."""
 STATES = 4
 """States at which a field is tried; the components of the first one are positive."""
 
@@ -67,7 +70,6 @@ def top(declared: type[Top]) -> type[Top]:
     """
     caller = sys._getframe(1)
     where = f"{caller.f_code.co_filename}:{caller.f_lineno}"
-    import_built_in()
     _require_names(declared, where)
     _require_parameters(declared, where)
     _require_field(declared)
@@ -75,9 +77,7 @@ def top(declared: type[Top]) -> type[Top]:
     if declared.angular_velocity or declared.vertical:
         checked_rotation(declared.new(), "its vertical")
     form = declared.form
-    TOPS[form] = declared
-    registry.top_origins[form] = origin_of(declared)
-    registry.complete(form)
+    TOPS[form], ORIGINS[form] = declared, origin_of(declared)
     return declared
 
 
@@ -98,7 +98,7 @@ def _require_names(declared: type[Top], where: str) -> None:
     if form != kind and not form.startswith((f"{kind}+", f"{kind}/")):
         raise UsageError(f"{where}: form {form!r} is neither {kind!r} nor begins with '{kind}+' or '{kind}/'")
     if form in TOPS:
-        known = registry.top_origins.get(form, "topcli")
+        known = ORIGINS.get(form, "topcli")
         raise UsageError(f"{where}: top {form!r} is already registered by {known}; choose another kind")
     components = declared.components
     if isinstance(components, str) or not components or not all(isinstance(one, str) for one in components):
@@ -173,3 +173,49 @@ def _require_integrals(declared: type[Top], where: str) -> None:
     if fault := broken_integral(made):
         integral = next((one for name, one in declared.integrals.items() if fault.startswith(repr(name))), None)
         raise UsageError(f"{line_of(integral) if integral else where}: top {declared.form!r}: {fault}")
+
+
+def top_origin(top: type[Top]) -> str:
+    """``topcli``, or the package or file of a top."""
+    return "topcli" if is_built_in(top) else ORIGINS.get(top.form, top.__module__)
+
+
+def top_names() -> list[str]:
+    """Names of the tops for users: each kind, and each form that differs from its kind; ``custom`` comes last."""
+    plugin_failures()
+    return [*dict.fromkeys(name for form in TOPS for name in (TOPS.kind(form), form)), CUSTOM]
+
+
+def forms(name: str) -> list[type[Top]]:
+    """Forms of the top called ``name``, matched without case: all of a kind with the default first, or a single one.
+
+    Raises UnknownNameError, with the nearest names, for an unknown kind.
+    """
+    key = name.lower()
+    if key == CUSTOM:
+        raise UsageError("a custom top is declared in a config; `topcli init --top custom` writes one to start from")
+    failures = []
+    if not (key in TOPS or any(TOPS.kind(form) == key for form in TOPS)):
+        failures = plugin_failures()
+        if failed := next((failure for failure in failures if failure.name.lower() == key), None):
+            raise SchemeCodeError(f"top {name!r}: {failed}")
+    classes = [TOPS[form] for form in TOPS if TOPS.kind(form) == key] or ([TOPS[key]] if key in TOPS else [])
+    if not classes:
+        raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}", *map(str, failures[:2]))
+    return classes
+
+
+def other_forms(top: Top | type[Top]) -> list[type[Top]]:
+    """Forms of the kind of ``top`` other than its own."""
+    return [form for form in TOPS.values() if form.kind == top.kind and form.form != top.form]
+
+
+def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
+    """Return the class of the top called ``name`` that has the ``vectors`` in its initial state.
+
+    If a top has several forms (choices of state variables), the names of the ``vectors``, such as omega and gamma,
+    decide which form is meant. If no form has these vectors, the default form is returned. Raises UnknownNameError,
+    with the nearest names, if there is no such top.
+    """
+    classes = forms(name)
+    return next((top for top in classes if set(top.vectors) == set(vectors)), classes[0])

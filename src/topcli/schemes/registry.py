@@ -1,45 +1,84 @@
-"""Registry of schemes: the decorator that registers them, and functions that find them, also in plugins."""
+"""Schemes: the decorator that registers them, look-up by name and top, and the wrappers of their steps.
+
+A scheme is registered once by name, for the forms of tops that it names or for every top that meets its requirements;
+bound to one form, its traits that depend on the top are evaluated. Around the step that a scheme builds come, in this
+order, compensated sums, a symmetric composition and a projection onto the integrals. They are keys of the section
+``scheme`` of a config; no scheme knows of them.
+"""
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import inspect
-import os
-import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache, partial, wraps
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, wraps
 from importlib import import_module
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from topcli.contracts import Block, Floats, Integrability, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.compose import compose, find_composition, obstacle
-from topcli.schemes.plugins import (
-    PLUGIN_FILE,
-    FromSource,
-    PluginFailure,
-    PluginFile,
-    built_in_modules,
-    failed_plugin,
-    import_plugin,
-    is_built_in,
-    known_failures,
-    modules_beside,
-    one_at_a_time,
-    origin_of,
-    plugin_failures,
-    registry,
-    users_error,
-)
-from topcli.tops import CATALOGUE, TOPS
+from topcli.schemes.compose import Composition, compose, find_composition, obstacle
+from topcli.schemes.plugins import line_of, origin_of, plugin_failures, users_error
+from topcli.schemes.projection import projected
+from topcli.schemes.steppers import compensated
+from topcli.tops import BUILT_IN, TOPS
 
 Build = Callable[[Any, Any], Method]
+B = TypeVar("B", bound=Build)
+
+MODULES: dict[str, tuple[str, ...]] = {
+    **{name: (f"any_top.{name}",) for name in ("hk", "midpoint", "taylor", "splitting", "dmv")},
+    **dict.fromkeys(("rk2", "rk4", "dop853"), ("any_top.runge_kutta",)),
+    **dict.fromkeys(("bohlin-a", "bohlin-b", "bohlin-c"), ("kowalevski.bohlin",)),
+    **dict.fromkeys(("hybrid", "hybrid-sym"), ("kowalevski.hybrid",)),
+    "backlund": ("kowalevski.backlund",),
+    "bs": ("euler.bs", "lagrange.bs"),
+    "bs-implicit": ("euler.bs",),
+    "exact": ("euler.exact", "lagrange.exact", "kowalevski.exact"),
+    "hk-exact": ("euler.hk_exact",),
+}
+"""Modules in which the schemes of topcli are registered, by name."""
+SUCCESSORS = {
+    "hk-projected": "hk with project: 1",
+    "hk-symproj": "hk with project: 1",
+    "dg4": "backlund, or hk with project: 1",
+    "midpoint4": "backlund, or midpoint with project: 1",
+    "hybrid-xi": "hybrid",
+}
+"""Schemes that topcli had once, and what to use instead."""
+WRAPPERS = ("compensated", "compose", "project")
+"""Keys of the section ``scheme`` that apply to the steps of any scheme."""
+
+
+@dataclass(frozen=True, eq=False)
+class Declaration:
+    """A registered scheme, not yet bound to a top; ``traits`` are fields of ``Scheme`` or functions of the top."""
+
+    name: str
+    forms: tuple[str, ...] | None
+    requires: Callable[[Top], object] | None
+    changes: bool
+    traits: Mapping[str, Any]
+
+    def misfit(self, cls: type[Top]) -> str:
+        """Reason why the scheme does not integrate a form of a top; empty if it does."""
+        if self.forms is not None:
+            return "" if cls.form in self.forms else f"it fits {', '.join(self.forms)}"
+        try:
+            if self.requires:
+                self.requires(cls.new())
+        except UsageError as error:
+            return str(error)
+        return ""
+
+
+SCHEMES: dict[str, list[Declaration]] = {}
+"""Registered schemes by name."""
 
 
 def scheme(
@@ -61,8 +100,9 @@ def scheme(
     order_with: Callable[[Any], int | None] | None = None,
     formula: str = "",
     integrable: Integrability | Callable[[Top], Integrability | None] | None = None,
-    later: Callable[[Top], object] | None = None,
-) -> Callable[[Build], Build]:
+    requires: Callable[[Top], object] | None = None,
+    changes: bool = False,
+) -> Callable[[B], B]:
     """Register the decorated function ``build(top, options)`` as a scheme.
 
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
@@ -73,7 +113,7 @@ def scheme(
     ----------
     name : str
         Name of the scheme in configs. It is case-insensitive and contains no ``+``. Schemes of different tops may have
-        the same name.
+        the same name; one for single tops replaces one for every top.
     top : str, iterable of str, or None
         Name (``Top.form``) of the top that the scheme integrates, or names of several; None for every top.
     title : str
@@ -115,10 +155,10 @@ def scheme(
     integrable : Integrability or callable, optional
         Lax pair and Poisson bracket if the step is an integrable map, or a function ``integrable(top)`` that returns
         them, or None if the step is not integrable.
-    later : callable, optional
-        ``later(top)`` returns True if the scheme also integrates ``top``. Otherwise it returns False or raises
-        UsageError with the reason. It is called with tops of the catalogue, and with tops that are registered later,
-        for example from a user's file. With ``top=None`` and without ``later``, the scheme integrates all these tops.
+    requires : callable, optional
+        With ``top=None``: ``requires(top)`` raises UsageError with the reason if the scheme does not integrate ``top``.
+    changes : bool, optional
+        True if the ``Stepper`` has a ``change``; the scheme then has the option ``compensated``.
 
     Returns
     -------
@@ -128,8 +168,8 @@ def scheme(
     Raises
     ------
     ValueError
-        If ``build`` has no docstring, if the name contains ``+``, if the options have a field ``compose``, if the top
-        is unknown, or if the name is already registered for the top.
+        If ``build`` has no docstring, if the name contains ``+``, if the options have a field ``compose``,
+        ``compensated`` or ``project``, if the top is unknown, or if the name is already registered for the top.
 
     Examples
     --------
@@ -147,110 +187,55 @@ def scheme(
     >>> build(None, None).step((1.0, 2.0, 3.0), 0.5, (3.0, 2.0, 1.0, 1.0, -2.0, 1.0))
     (4.0, -1.0, 4.0)
     """
-    every = [form for form in TOPS if form not in CATALOGUE]
-    forms = every if top is None else (top,) if isinstance(top, str) else tuple(top)
+    forms = None if top is None else (top,) if isinstance(top, str) else tuple(top)
 
-    def register(build: Build) -> Build:
-        origin = origin_of(build)
-        declared = partial(
-            Scheme,
-            name=name.lower(),
-            title=title,
-            order=order,
-            explicit=explicit,
-            self_adjoint=self_adjoint,
-            citation=citation,
-            equations=equations,
-            build=build if origin == "topcli" else _checked(build, name.lower()),
-            options=options,
-            adaptive=adaptive,
-            longest_step=longest_step,
-            doc=_description(name, title, build, options),
-            origin=origin,
-            order_with=order_with,
-            formula=formula,
-        )
-
-        def register_for(form: str, modified: Any = modified) -> None:
-            _require_free(name, form, origin)
-            kept = tuple(conserves(TOPS[form].new()) if callable(conserves) else conserves)
-            if origin != "topcli":
-                _require_invariants(name, form, kept)
-            registry.schemes[name.lower(), form] = declared(
-                top=form,
-                conserves=kept,
-                limits=dict(limits(TOPS[form].new()) if callable(limits) else limits),
-                integrable=integrable(TOPS[form].new()) if callable(integrable) else integrable,
-                modified=modified,
-            )
-
-        def register_later(form: str) -> None:
-            top = TOPS[form].new()
-            if later is None or later(top):
-                declared = top.integrals_of(name.lower(), 1.0)
-                register_for(form, modified or (_declared_by_top(name.lower()) if declared else None))
-
-        for form in forms:
-            register_for(form)
-        if top is None or later:
-            registry.for_every_top[name.lower()] = register_later
-            if origin != "topcli":  # those of the built-in schemes are registered when they are needed
-                for form in CATALOGUE:
-                    registry.complete(form, name.lower())
+    def register(build: B) -> B:
+        key, origin = name.lower(), origin_of(build)
+        _require_declaration(key, forms, options, build)
+        traits = {
+            "title": title,
+            "order": order,
+            "explicit": explicit,
+            "self_adjoint": self_adjoint,
+            "conserves": conserves,
+            "citation": citation,
+            "equations": equations,
+            "build": build if origin == "topcli" else _checked(build, key),
+            "options": options,
+            "modified": modified,
+            "adaptive": adaptive,
+            "limits": limits,
+            "longest_step": longest_step,
+            "doc": inspect.cleandoc(build.__doc__ or title),
+            "origin": origin,
+            "order_with": order_with,
+            "formula": formula,
+            "integrable": integrable,
+        }
+        SCHEMES.setdefault(key, []).append(Declaration(key, forms, requires, changes, traits))
         return build
 
     return register
 
 
-def _declared_by_top(name: str) -> Callable[[Top, float, Any], tuple[Invariant, ...]]:
-    """Integrals of the scheme ``name`` that each top declares (``Top.integrals_of``)."""
-    return lambda top, h, options: top.modified_invariants(name, h)
-
-
-def _description(name: str, title: str, build: Build, options: type[BaseModel]) -> str:
-    """Description of a scheme: the docstring of ``build``. Raises ValueError for a declaration that cannot be used."""
-    doc = build.__doc__ or (title if sys.flags.optimize >= 2 else "")  # python -OO removes docstrings
-    if not doc:
+def _require_declaration(name: str, forms: tuple[str, ...] | None, options: type[BaseModel], build: Build) -> None:
+    """Raise ValueError for a declaration that cannot be used."""
+    if not build.__doc__ and sys.flags.optimize < 2:  # python -OO removes docstrings
         raise ValueError(f"scheme {name!r} has no docstring")
-    if "+" in name or "compose" in options.model_fields:
-        raise ValueError(f"scheme {name!r}: '+' in a name and an option 'compose' are reserved for compositions")
-    return inspect.cleandoc(doc)
-
-
-def _require_free(name: str, form: str, origin: str) -> None:
-    """Raise ValueError if there is no such top, or if it has a scheme of this name.
-
-    A scheme of topcli for a top from outside may be replaced by one from outside.
-    """
-    known = registry.schemes.get((name.lower(), form))
-    if known and (origin == "topcli" or known.origin != "topcli" or is_built_in(TOPS[form])):
-        raise ValueError(f"scheme {name!r} for top {form!r} is already registered by {known.origin}")
-    if form not in TOPS:
-        raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
-
-
-def _require_invariants(name: str, form: str, conserved: Iterable[str]) -> None:
-    """Raise ValueError for a conserved quantity that is not an invariant of the top."""
-    known = [invariant.name for invariant in TOPS[form].new().invariants()]
-    for one in conserved:
-        if one not in known:
-            raise ValueError(f"scheme {name!r} conserves {one!r}, no invariant of top {form!r}; {nearest(one, known)}")
-
-
-def _declared() -> list[str]:
-    """Forms of the tops that are declared by formulas, in topcli or in a config; schemes find them when needed."""
-    return [*CATALOGUE, *TOPS.declared]
-
-
-def _likely_first(name: str, top: str) -> list[str]:
-    """Return the built-in modules, starting with those named after the scheme, then those in the package of its top."""
-    words, family = set(name.split("-")), re.split(r"[+/]", top)[0]
-
-    def rank(module: str) -> tuple[bool, bool, bool]:
-        folder, stem = module.split(".")[-2:]
-        return words.isdisjoint(stem.split("_")), folder != family, folder != "any_top"
-
-    return sorted(built_in_modules(), key=rank)
+    reserved = ["'+' in a name"] * ("+" in name)
+    reserved += [f"an option {key!r}" for key in WRAPPERS if key in options.model_fields]
+    if reserved:
+        raise ValueError(f"scheme {name!r}: {reserved[0]} is reserved for what topcli does with the steps of a scheme")
+    for form in forms or ():
+        if form not in TOPS:
+            raise ValueError(f"scheme {name!r}: unknown top {form!r}; {nearest(form, TOPS)}")
+    if name in MODULES:
+        _load(name)
+    for other in SCHEMES.get(name, ()):
+        taken = set(BUILT_IN) if other.forms is None else set(other.forms)
+        if (forms is None and other.forms is None) or set(forms or ()) & taken:  # an own top may have its own scheme
+            shown = f"for top {forms[0]!r} " if forms else ""
+            raise ValueError(f"scheme {name!r} {shown}is already registered by {other.traits['origin']}")
 
 
 def _checked(build: Build, name: str) -> Build:
@@ -263,9 +248,8 @@ def _checked(build: Build, name: str) -> Build:
         except Exception as error:
             raise (users_error(error) or error) from error
         if not isinstance(method, Stepper | Sampler | Block):
-            code = inspect.unwrap(build).__code__
             raise SchemeCodeError(
-                f"{code.co_filename}:{code.co_firstlineno}: scheme {name!r} is built as {type(method).__name__}; "
+                f"{line_of(build)}: scheme {name!r} is built as {type(method).__name__}; "
                 "return a Stepper, a Sampler or a Block"
             )
         return method
@@ -273,75 +257,109 @@ def _checked(build: Build, name: str) -> Build:
     return checked
 
 
+class Compensated(BaseModel):
+    """Option of schemes whose steps are state + change."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    compensated: bool = Field(default=False, description="compensated summation: round-off is multiplied by about h")
+
+
+class Projected(BaseModel):
+    """Option of schemes with steps of their own."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    project: int = Field(
+        default=0,
+        ge=0,
+        description="number of steps from one projection onto the initial values of all integrals to the next; 0 means "
+        "no projection",
+    )
+
+
 @cache
-def load_plugin_file(path: Path) -> None:
-    """Import the schemes of a Python file (``--plugin``), which may import modules that lie beside it.
-
-    Raises UsageError if the file cannot be read or imported, or registers nothing.
-    """
-    plugin_failures()
-    if not os.path.isfile(path):  # False also for what cannot be a path
-        raise UsageError(f"plugin {path}: no such file")
-    name = PLUGIN_FILE + hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
-    spec = importlib.util.spec_from_file_location(name, path, loader=FromSource(name, str(path)))
-    if spec is None or spec.loader is None:
-        raise UsageError(f"plugin {path}: not a Python file (expected a name ending in .py)")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    loader = spec.loader
-    if registry.before_files is None:
-        registry.before_files = registry.snapshot()
-    folder = path.resolve().parent
-    with modules_beside(folder) as imported:
-        found = import_plugin(str(path), str(path), lambda: loader.exec_module(module))
-    if isinstance(found, PluginFailure):
-        placed = found.reason.startswith(str(path))
-        raise UsageError(found.reason if placed else f"plugin {path}: {found.reason}")
-    if not found:
-        raise UsageError(
-            f"plugin {path}: registers nothing; decorate a class with @topcli.top, or a function with "
-            "@topcli.scheme(...) or @topcli.measure(...)"
-        )
-    files = [file for file in imported.values() if file]
-    content = {
-        path.name: path.read_bytes(),
-        **{file.relative_to(folder).as_posix(): file.read_bytes() for file in files},
-    }
-    registry.files.append(PluginFile(str(path), str(folder), content, frozenset((name, *imported))))
+def _bound(declaration: Declaration, cls: type[Top], composition: Composition | None = None) -> Scheme:
+    """The scheme for one form of a top, composed or not, with the wrappers of its steps."""
+    top, traits = cls.generic(), dict(declaration.traits)
+    for key in ("conserves", "limits", "integrable"):
+        if callable(traits[key]):
+            traits[key] = traits[key](top)
+    traits["conserves"], traits["limits"] = tuple(traits["conserves"]), dict(traits["limits"])
+    if traits["origin"] != "topcli":
+        names = [invariant.name for invariant in top.invariants()]
+        for conserved in traits["conserves"]:
+            if conserved not in names:
+                what = f"scheme {declaration.name!r} conserves {conserved!r}, no invariant of top {cls.form!r}"
+                raise UsageError(f"{line_of(traits['build'])}: {what}; {nearest(conserved, names)}")
+    with suppress(ValidationError):  # options without defaults
+        declared = getattr(cls, "hk", None)  # integrals of the map, some of them for special parameters
+        if traits["modified"] and not declared and not traits["modified"](top, 0.1, traits["options"]()):
+            traits["modified"] = None
+    scheme = Scheme(name=declaration.name, top=cls.form, **traits)
+    has_steps = scheme.order is not None and not scheme.adaptive
+    if declaration.changes:
+        scheme = compensable(scheme)
+    if composition:
+        scheme = compose(scheme, composition)
+    return projectable(scheme) if has_steps else scheme
 
 
-def loaded_plugin_files() -> tuple[PluginFile, ...]:
-    """Plugin files that have been loaded, in that order."""
-    return tuple(registry.files)
+def _with_option(scheme: Scheme, option: type[BaseModel]) -> type[BaseModel]:
+    """Options of a scheme and a further one."""
+    return create_model(scheme.options.__name__, __base__=(option, scheme.options))
 
 
-def unload_plugin_files() -> None:
-    """Forget what plugin files have registered."""
-    if registry.before_files is not None:
-        registry.restore(registry.before_files)
-        registry.before_files = None
-    registry.files.clear()
-    load_plugin_file.cache_clear()
+def compensable(scheme: Scheme) -> Scheme:
+    """``scheme``, whose steps have a ``change``, with the option of compensated sums."""
+
+    def build(top: Any, options: Any) -> Method:
+        method = scheme.build(top, options)
+        if not options.compensated:
+            return method
+        assert isinstance(method, Stepper)
+        return compensated(method, len(top.components))
+
+    return replace(scheme, build=build, options=_with_option(scheme, Compensated))
 
 
-@one_at_a_time
-def all_schemes() -> tuple[Scheme, ...]:
-    """Return all registered schemes, sorted by top and name, except those for tops that are defined in configs."""
-    plugin_failures()
-    for form in CATALOGUE:
-        registry.complete(form)
-    schemes = registry.schemes
-    for key in sorted(schemes, key=lambda key: (key[1], key[0])):
-        schemes[key] = schemes.pop(key)  # digests of code that uses the table must not depend on the order of imports
-    return tuple(scheme for scheme in schemes.values() if scheme.top not in TOPS.declared)
+def projectable(scheme: Scheme) -> Scheme:
+    """``scheme`` with the option of a projection onto the integrals, which ends its modified integrals."""
+
+    def build(top: Any, options: Any) -> Method:
+        method = scheme.build(top, options)
+        if not options.project:
+            return method
+        if not isinstance(method, Stepper):
+            raise UsageError(f"scheme {scheme.name!r} cannot be projected: it has its own time loop")
+        return projected(method, top, options.project)
+
+    def modified(top: Any, h: float, options: Any) -> tuple[Invariant, ...]:
+        assert scheme.modified is not None
+        return () if options.project else scheme.modified(top, h, options)
+
+    options = _with_option(scheme, Projected)
+    return replace(scheme, build=build, options=options, modified=modified if scheme.modified else None)
 
 
-def schemes_of(form: str) -> tuple[Scheme, ...]:
-    """Return the schemes of one form of a top, also of one that a config declares, sorted by name."""
-    return tuple(registry.schemes[name, form] for name in names_for(form))
+# look-up
 
 
-@one_at_a_time
+def _load(name: str | None = None) -> None:
+    """Import the built-in modules that register a scheme; without a name all of them, and the plugins."""
+    for modules in [MODULES[name]] if name in MODULES else MODULES.values():
+        for module in modules:
+            import_module(f"topcli.schemes.{module}")
+    if name not in MODULES:
+        plugin_failures()
+
+
+def _candidates(name: str, cls: type[Top]) -> list[Declaration]:
+    """Registered schemes of a name that integrate a form, one for single tops before one for every top."""
+    fitting = [declaration for declaration in SCHEMES.get(name, ()) if not declaration.misfit(cls)]
+    return sorted(fitting, key=lambda declaration: declaration.forms is None)
+
+
 def find_scheme(name: str, top: str) -> Scheme:
     """Return the scheme called ``name`` for one form of a top.
 
@@ -363,87 +381,70 @@ def find_scheme(name: str, top: str) -> Scheme:
     UnknownNameError
         If there is no such scheme. The message suggests the nearest names.
     SchemeMisfitError
-        If the scheme exists but does not fit the top. The message names the tops that it fits.
+        If the scheme exists but does not fit the top. The message says why.
     UsageError
         If the scheme ``base`` cannot be composed.
     """
-    base, plus, composition = name.rpartition("+")
-    if plus:
-        return composed(find_scheme(base, top), composition)
-    key = (name.lower(), top)
-    # names are unique: once a module has registered this one, the others need not be imported
-    for module in _likely_first(*key):
-        import_module(module)
-        if top in _declared():
-            registry.complete(top, key[0])
-        if key in registry.schemes:
-            return registry.schemes[key]
-    failure = failed_plugin(name.lower())
-    if key in registry.schemes:
-        return registry.schemes[key]
-    if failure:
-        return _stand_in(name.lower(), top, failure)
-    plugin_failures()
-    if key in registry.schemes:
-        return registry.schemes[key]
-    fits = sorted(scheme.top for scheme in all_schemes() if scheme.name == name.lower())
-    if fits:
-        reason = _misfit(name.lower(), top) or f"it fits {', '.join(fits)}"
-        raise SchemeMisfitError(
-            f"scheme {quoted(name)} does not fit top {TOPS.called(top)!r}; {reason}; "
-            f"schemes for {TOPS.called(top)}: {', '.join(names_for(top)) or 'none'}"
-        )
-    raise UnknownNameError(
-        f"unknown scheme {quoted(name)}; {nearest(name, names_for(top))}", *map(str, known_failures()[:2])
-    )
-
-
-def _stand_in(name: str, form: str, failure: PluginFailure) -> Scheme:
-    """Scheme called ``name`` whose plugin has failed: it cannot be built, and the reason is that of the plugin."""
-
-    def build(top: Top, options: NoOptions) -> Method:
-        raise SchemeCodeError(f"scheme {name!r}: {failure}")
-
-    words = "scheme of a plugin that failed"  # with an order, so that no study leaves it out
-    return Scheme(name, form, words, 1, False, False, (), "", "", build, doc=words, origin=failure.origin)
-
-
-def _misfit(name: str, form: str) -> str:
-    """Reason why a scheme for every top does not integrate a declared one; empty for other schemes and tops."""
-    if name not in registry.for_every_top or form not in TOPS:
-        return ""
-    if is_built_in(TOPS[form]) and form not in _declared():
-        return ""
-    try:
-        registry.for_every_top[name](form)
-    except UsageError as error:
-        return str(error)
-    return ""
-
-
-def composed(base: Scheme, name: str) -> Scheme:
-    """Compose ``base`` by the composition ``name``; the error message lists the schemes that can be composed."""
-    find_composition(name)
-    if reason := obstacle(base):
+    base, plus, composition = name.lower().partition("+")
+    if top not in TOPS:
+        raise UnknownNameError(f"unknown top {quoted(top)}")
+    cls = TOPS[top]
+    _load(base)
+    if base in MODULES and not _candidates(base, cls):
+        _load()
+    candidates = _candidates(base, cls)
+    if not candidates:
+        raise _not_found(base, cls)
+    plain = _bound(candidates[0], cls)
+    if not plus:
+        return plain
+    symmetric = find_composition(composition)
+    if reason := obstacle(plain):
         raise UsageError(
-            f"scheme {base.name!r} cannot be composed: it {reason}; "
-            f"schemes for {TOPS.called(base.top)} that can be: {', '.join(composable_names(base.top)) or 'none'}"
+            f"scheme {base!r} cannot be composed: it {reason}; schemes for {TOPS.called(top)} that can be: "
+            f"{', '.join(composable_names(top)) or 'none'}"
         )
-    return compose(base, name)
+    return _bound(candidates[0], cls, symmetric)
+
+
+def _not_found(name: str, cls: type[Top]) -> UsageError:
+    """Error for a scheme that does not exist, or not for this top."""
+    known = names_for(cls.form)
+    if name in SUCCESSORS:
+        return UnknownNameError(f"there is no scheme {name!r} any more; use {SUCCESSORS[name]}")
+    reasons = dict.fromkeys(declaration.misfit(cls) for declaration in SCHEMES.get(name, ()))
+    if reasons:
+        return SchemeMisfitError(
+            f"scheme {quoted(name)} does not fit top {TOPS.called(cls.form)!r}; {'; '.join(reasons)}; "
+            f"schemes for {TOPS.called(cls.form)}: {', '.join(known) or 'none'}"
+        )
+    failures = plugin_failures()
+    failed = next((failure for failure in failures if failure.name.lower() == name), None)
+    if failed:
+        return SchemeCodeError(f"scheme {name!r}: {failed}")
+    return UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, known)}", *map(str, failures[:2]))
+
+
+def names_for(top: str) -> list[str]:
+    """Return the names of the schemes for the form ``top`` of a top."""
+    _load()
+    return sorted(name for name in SCHEMES if _candidates(name, TOPS[top]))
+
+
+def schemes_of(form: str) -> tuple[Scheme, ...]:
+    """Return the schemes of one form of a top, also of one that a config declares, sorted by name."""
+    cls = TOPS[form]
+    return tuple(_bound(_candidates(name, cls)[0], cls) for name in names_for(form))
+
+
+def all_schemes() -> tuple[Scheme, ...]:
+    """Return the schemes of all tops, sorted by top and name, except tops that are defined in configs."""
+    return tuple(scheme for form in sorted(TOPS) for scheme in schemes_of(form))
 
 
 def composable_names(form: str) -> list[str]:
     """Return the names of the schemes for the given form of a top that can be composed."""
     return [scheme.name for scheme in schemes_of(form) if not obstacle(scheme)]
-
-
-@one_at_a_time
-def names_for(top: str) -> list[str]:
-    """Return the names of the schemes for the form ``top`` of a top."""
-    plugin_failures()
-    if top in _declared():
-        registry.complete(top)
-    return sorted(name for name, kind in registry.schemes if kind == top)
 
 
 class SchemeMisfitError(UsageError):

@@ -220,7 +220,7 @@ def run(
     >>> folder = tempfile.mkdtemp()
     >>> report = topcli.run("kowalevski_hybrid", folder, h=0.01, N=1000)
     >>> report
-    <RunReport of kowalevski_hybrid-02a68c: completed 1000 steps (t = 10)>
+    <RunReport of kowalevski_hybrid-84d1c2: completed 1000 steps (t = 10)>
     >>> report.table.loc["k_sq", "verdict"]
     'exact'
     >>> report["gamma1"].shape

@@ -100,11 +100,14 @@ def intact_run(folder: Path) -> StoredRun:
     if run is None:
         if is_part(folder) or parts_of(folder.parent, folder.name):
             raise UsageError(f"{folder}: the run is unfinished; topcli run --resume continues it")
+        hint = ""
         if not os.path.isdir(folder) and not folder.suffix and len(folder.parts) == 1:
-            hint = "give the folder of a run, such as results/NAME"
-        else:
-            hint = nearest(folder.name, [one.folder.name for one in all_runs(folder.parent)])
-        raise UsageError(f"{folder}: no run is stored here (manifest.json is missing); {hint}")
+            hint = "; give the folder of a run, such as results/NAME"
+        elif inside := next(iter(all_runs(folder)), None):
+            hint = f"; give one of the runs in it, such as {inside.folder}"
+        elif names := [one.folder.name for one in all_runs(folder.parent)]:
+            hint = f"; {nearest(folder.name, names)}"
+        raise UsageError(f"{folder}: no run is stored here (manifest.json is missing){hint}")
     for name, reason in run.damage().items():
         raise RunError(f"{folder / name}: damaged: {reason}; run again with --force")
     return run

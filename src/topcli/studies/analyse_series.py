@@ -18,10 +18,10 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, counted, nearest, quoted
 from topcli.runs.report import report_data
+from topcli.schemes.own_tops import other_forms
 from topcli.store.files import sha256_of
 from topcli.store.foreign import ForeignSeries
 from topcli.studies.study import Result
-from topcli.tops import other_forms
 
 UNIT = 1e-3
 """Deviation of the length of a unit vector from 1 that the first row may have; beyond it the units are wrong."""

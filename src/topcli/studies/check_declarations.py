@@ -29,15 +29,16 @@ from topcli.errors import SchemeCodeError, UsageError, quoted
 from topcli.field import integrals as field_integrals
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.runs.report import finite
-from topcli.schemes.plugins import top_origin, users_error
-from topcli.schemes.registry import all_schemes, find_scheme, load_plugin_file
+from topcli.schemes.own_tops import forms, top_origin
+from topcli.schemes.plugins import load_plugin_file, users_error
+from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.bench.contest import Problem
 from topcli.studies.entries import scheme_with
 from topcli.studies.order import FALSE
 from topcli.studies.order_ladders import INTERVALS, Ladders, order_study
 from topcli.studies.stress.trials import generic_case
 from topcli.studies.study import LADDER_STEPS
-from topcli.tops import TOPS, forms
+from topcli.tops import TOPS
 
 HOLDS, FALSE_DECLARATION, UNDECIDED, NOT_CLAIMED, NOT_TRIED = "holds", "false", "undecided", "not claimed", "not tried"
 DURATION = 4.0

@@ -149,8 +149,8 @@ def _citations(name: str) -> Iterable[tuple[str, str]]:
     """Names and citations of the scheme with its composition, the composition or the top called ``name``."""
     from topcli.errors import UnknownNameError, nearest, quoted
     from topcli.schemes.compose import COMPOSITIONS, find_composition
+    from topcli.schemes.own_tops import forms, top_names
     from topcli.schemes.registry import all_schemes
-    from topcli.tops import forms, top_names
 
     if name in COMPOSITIONS:
         return [(name, COMPOSITIONS[name].citation)]

@@ -31,10 +31,11 @@ from topcli.engine.precise_numbers import Rationals
 from topcli.engine.residues import Modular, RationalMap, rational_map
 from topcli.errors import RunError, UsageError, counted, quoted, shortened
 from topcli.field.polynomial import Polynomial, decimal
+from topcli.schemes.own_tops import forms
 from topcli.schemes.registry import names_for
 from topcli.studies.stress.cases import GENERIC
 from topcli.studies.stress.cases import config as config_of
-from topcli.tops import CUSTOM, forms
+from topcli.tops import CUSTOM
 
 INTEGRABLE, NOT_INTEGRABLE, UNDECIDED = "integrable", "not integrable", "undecided"
 H = 0.3

@@ -26,14 +26,16 @@ from topcli.analysis.reference import reference_states
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Top, checked_equations
+from topcli.contracts import Array, Top
 from topcli.engine.run import Run
 from topcli.errors import UsageError, shortened
 from topcli.runs.report import finite
 from topcli.runs.simulate import trajectory_of
+from topcli.schemes.own_tops import forms, other_forms
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.studies.entries import under_scheme
-from topcli.tops import BodyTop, forms, other_forms
+from topcli.tops import BodyTop
+from topcli.tops.bodies import checked_equations
 
 NAME = "the study of Lax forms"
 BODIES = (BodyTop.components, BodyTop.components[:3])

@@ -8,8 +8,9 @@ from typing import Any
 
 from topcli.contracts import Block, Scheme
 from topcli.errors import UsageError
+from topcli.schemes.own_tops import forms
 from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.tops import TOPS, forms
+from topcli.tops import TOPS
 
 
 def scheme_forms(name: str, top: str | None = None) -> list[Scheme]:

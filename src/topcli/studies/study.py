@@ -305,7 +305,7 @@ def cited_parts(data: Mapping[str, Any]) -> list[tuple[str, str]]:
 def parts_of(config: Mapping[str, Any], schemes: Iterable[str]) -> list[tuple[str, str]]:
     """Form of the top of a resolved config, and each of the ``schemes``."""
     from topcli.config.formulas import declared_class
-    from topcli.tops import top_class
+    from topcli.schemes.own_tops import top_class
 
     form = (declared_class(config["top"]) or top_class(config["top"]["kind"], config.get("initial") or ())).form
     return [(form, name) for name in schemes]

@@ -28,8 +28,7 @@ from typing import TYPE_CHECKING, Any, cast
 from topcli.config.rows import Row
 from topcli.config.sweep import Sweep
 from topcli.errors import RunError, UsageError, quoted
-from topcli.schemes.plugins import reason_of
-from topcli.schemes.registry import loaded_plugin_files
+from topcli.schemes.plugins import FILES, reason_of
 from topcli.sweeps.row_results import FAILED, Results, Work, unfinished
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
@@ -400,7 +399,7 @@ def _prepared(client: Client, address: str, on_message: Callable[[str], None], s
     from topcli.sweeps.worker import Job, Preparation, versions
 
     threads = _wait_for_workers(client, address, on_message, stop)
-    job = Job(uuid.uuid4().hex[:16], versions(), loaded_plugin_files())
+    job = Job(uuid.uuid4().hex[:16], versions(), tuple(FILES.values()))
     for line in _check_workers(client, address, job):
         on_message(line)
     plugin = Preparation(job)

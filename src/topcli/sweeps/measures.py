@@ -22,8 +22,8 @@ from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.engine.tangent import obstacle as tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.references import obstacle
-from topcli.schemes.plugins import origin_of, plugin_table, without_users_errors
-from topcli.schemes.registry import plugin_failures, schemes_of
+from topcli.schemes.plugins import origin_of, plugin_failures, without_users_errors
+from topcli.schemes.registry import schemes_of
 from topcli.tops import TOPS
 
 STATES, SWING, PROBES = "states", "swing", "probes"
@@ -584,6 +584,3 @@ def steps(batch: Batch) -> Array:
 def seconds(batch: Batch) -> Array:
     """Wall time without compiling and without measuring."""
     return batch.seconds
-
-
-plugin_table(MEASURES)

@@ -26,6 +26,7 @@ from topcli.sweeps.journal import DIGEST, Index, Names, short_digest
 from topcli.sweeps.measures import NoCounterError, resolve_measures
 from topcli.sweeps.row_results import Shared, shared_experiment
 from topcli.tops import TOPS
+from topcli.tops.bodies import moment_warnings
 
 DONE, NEW, CODE, MEASURE, RETRY, REPEATED = range(6)
 REASONS = {
@@ -113,7 +114,7 @@ def survey(sweep: Sweep) -> Survey:
             _check_measures(row, sweep, problems, lacking)
             known[pair] = names.setdefault(_code_of(row), len(names))
         if row.top not in tops and len(tops) < WARNED_TOPS:
-            tops[row.top] = shared_experiment(Shared.of(row)).top.warnings()
+            tops[row.top] = tuple(moment_warnings(shared_experiment(Shared.of(row)).top))
         if row.initial not in states and len(states) < WARNED_STATES:
             states[row.initial] = tuple(unit_warnings(TOPS[row.form], np.array([row.initial])))
         digests += short_digest(row.digest)

@@ -18,10 +18,13 @@ from distributed import WorkerPlugin, get_worker
 import topcli
 from topcli.engine.ensemble import limit_threads
 from topcli.errors import TopcliError, UsageError
-from topcli.schemes.plugins import PluginFile
-from topcli.schemes.registry import load_plugin_file, unload_plugin_files
+from topcli.schemes.own_tops import ORIGINS
+from topcli.schemes.plugins import FILES, PluginFile, load_plugin_file
+from topcli.schemes.registry import SCHEMES
 from topcli.store.provenance import cpu_name, installed
+from topcli.sweeps.measures import MEASURES
 from topcli.sweeps.row_results import Results, Work, forget
+from topcli.tops import TOPS
 
 Versions = dict[str, str]
 
@@ -86,6 +89,8 @@ class _State:
     """Digest of the plugin files that are loaded."""
     folder: Path | None = None
     """Folder of the plugin files that are loaded."""
+    before: tuple[dict[Any, Any], ...] = ()
+    """The tables that plugin files extend, before the first file was loaded."""
     stopped: set[str] = field(default_factory=set)
 
 
@@ -126,13 +131,18 @@ def _set_threads(count: int) -> None:
 
 
 def _load(job: Job, place: str) -> None:
-    """Load the plugin files of a job unless they are loaded; others are unloaded."""
+    """Load the plugin files of a job unless they are loaded; others, such as older versions, are forgotten."""
     if not job.files or _state.loaded == job.content:
         return
-    import topcli.sweeps.measures  # noqa: F401 (its table is among those that plugin files extend)
-
-    unload_plugin_files()
-    forget()
+    tables: tuple[dict[Any, Any], ...] = (SCHEMES, TOPS.data, ORIGINS, MEASURES, FILES)
+    if _state.before:
+        for table, entries in zip(tables, _state.before, strict=True):
+            table.clear()
+            table.update(entries)
+        forget()
+    # the schemes of one name are a list that grows
+    copies = ({key: [*v] if isinstance(v, list) else v for key, v in table.items()} for table in tables)
+    _state.before = tuple(copies)
     _state.loaded, _state.folder = "", Path(tempfile.mkdtemp(prefix="topcli-", dir=place))
     for number, file in enumerate(job.files):
         for name, content in file.content.items():

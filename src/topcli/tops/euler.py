@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pydantic import Field
 
-from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
-from topcli.tops import VERTICAL, BodyTop, length_sq, omega_of, sum_of_products
+from topcli.contracts import EulerPoisson, Floats, Integral, Top
+from topcli.tops import BodyTop, gamma_sq, omega_of
 
 
 def field(y: Floats, p: Floats) -> Floats:
@@ -33,6 +33,21 @@ def field_with_gamma(y: Floats, p: Floats) -> Floats:
 def momentum(y: Floats, p: Floats) -> Floats:
     """Angular momentum (A omega1, B omega2, C omega3)."""
     return (p[0] * y[0], p[1] * y[1], p[2] * y[2])
+
+
+def m_sq(y: Floats, p: Floats) -> Any:
+    """Angular momentum, squared."""
+    return (p[0] * y[0]) ** 2 + (p[1] * y[1]) ** 2 + (p[2] * y[2]) ** 2
+
+
+def m_omega(y: Floats, p: Floats) -> Any:
+    """Twice the energy."""
+    return p[0] * y[0] ** 2 + p[1] * y[1] ** 2 + p[2] * y[2] ** 2
+
+
+def m_gamma(y: Floats, p: Floats) -> Any:
+    """Angular momentum about the vertical."""
+    return p[0] * (y[0] * y[3]) + p[1] * (y[1] * y[4]) + p[2] * (y[2] * y[5])
 
 
 class Euler(Top):
@@ -68,6 +83,13 @@ C\dot\omega_3 = (A - B)\,\omega_1\omega_2
     field = staticmethod(field)
     angular_velocity = staticmethod(omega_of)
     vertical = staticmethod(momentum)
+    integrals: ClassVar[Mapping[str, Integral]] = {"m_sq": m_sq, "m_omega": m_omega}
+    symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "m_sq": ("m²", r"\boldsymbol{m}^2"),
+        "m_omega": ("m·ω", r"\boldsymbol{m}\cdot\boldsymbol{\omega}"),
+        "gamma_sq": ("γ²", r"\boldsymbol{\gamma}^2"),
+        "m_gamma": ("m·γ", r"\boldsymbol{m}\cdot\boldsymbol{\gamma}"),
+    }
 
     A: float = Field(default=3.0, gt=0.0, description="first moment of inertia; positive")
     B: float = Field(default=2.0, gt=0.0, description="second moment of inertia; positive")
@@ -81,22 +103,6 @@ C\dot\omega_3 = (A - B)\,\omega_1\omega_2
     def euler_poisson(self) -> EulerPoisson:
         """Return the coefficients of this top in the general Euler-Poisson equations."""
         return EulerPoisson((self.A, self.B, self.C), (0.0, 0.0, 0.0))
-
-    def invariants(self) -> tuple[Invariant, ...]:
-        """Return m² and m·omega (twice the energy); Sogo, section 1.2."""
-        A, B, C = self.A, self.B, self.C
-
-        # no products of matrices: their rounding depends on the number of rows
-        def m_sq(y: Array) -> Array:
-            return (A * y[:, 0]) ** 2 + (B * y[:, 1]) ** 2 + (C * y[:, 2]) ** 2
-
-        def m_omega(y: Array) -> Array:
-            return A * y[:, 0] ** 2 + B * y[:, 1] ** 2 + C * y[:, 2] ** 2
-
-        return (
-            sum_of_products("m_sq", "m²", r"\boldsymbol{m}^2", "angular momentum, squared", m_sq),
-            sum_of_products("m_omega", "m·ω", r"\boldsymbol{m}\cdot\boldsymbol{\omega}", "twice the energy", m_omega),
-        )
 
 
 class EulerGamma(Euler):
@@ -115,16 +121,4 @@ class EulerGamma(Euler):
     vertical = BodyTop.vertical
     unit_vectors = BodyTop.unit_vectors
     field = staticmethod(field_with_gamma)
-
-    def invariants(self) -> tuple[Invariant, ...]:
-        """Return m², m·omega, gamma² and m·gamma."""
-        A, B, C = self.A, self.B, self.C
-
-        def m_gamma(y: Array) -> Array:
-            return A * (y[:, 0] * y[:, 3]) + B * (y[:, 1] * y[:, 4]) + C * (y[:, 2] * y[:, 5])
-
-        return (
-            *super().invariants(),
-            length_sq("gamma_sq", "γ²", r"\boldsymbol{\gamma}^2"),
-            sum_of_products("m_gamma", "m·γ", r"\boldsymbol{m}\cdot\boldsymbol{\gamma}", VERTICAL, m_gamma),
-        )
+    integrals: ClassVar[Mapping[str, Integral]] = {**Euler.integrals, "gamma_sq": gamma_sq, "m_gamma": m_gamma}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
 from pydantic import Field
 
-from topcli.contracts import Array, EulerPoisson, Floats, Invariant
-from topcli.tops import VERTICAL, BodyTop, length_sq, sum_of_products
+from topcli.contracts import EulerPoisson, Floats, Integral
+from topcli.tops import BodyTop, gamma_sq
 
 
 def field(s: Floats, p: Floats) -> Floats:
@@ -21,6 +23,17 @@ def field(s: Floats, p: Floats) -> Floats:
         g3 * w1 - g1 * w3,
         g1 * w2 - g2 * w1,
     )
+
+
+def m_gamma(y: Floats, p: Floats) -> Any:
+    """Angular momentum about the vertical."""
+    return p[0] * y[0] * y[3] + p[1] * y[1] * y[4] + p[2] * y[2] * y[5]
+
+
+def energy(y: Floats, p: Floats) -> Any:
+    """Energy."""
+    kinetic = (p[0] * y[0] ** 2 + p[1] * y[1] ** 2 + p[2] * y[2] ** 2) / 2
+    return kinetic + (p[3] * y[3] + p[4] * y[4] + p[5] * y[5])
 
 
 class Heavy(BodyTop):
@@ -42,6 +55,12 @@ J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
     swing = "gamma1"
     step_constants = ("A", "B", "C", "x0", "y0", "z0")
     field = staticmethod(field)
+    integrals: ClassVar[Mapping[str, Integral]] = {"gamma_sq": gamma_sq, "m_gamma": m_gamma, "energy": energy}
+    symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "gamma_sq": ("γ²", r"\gamma^2"),
+        "m_gamma": ("m·γ", r"m\cdot\gamma"),
+        "energy": ("E", "E"),
+    }
 
     A: float = Field(default=2.0, gt=0.0, description="first moment of inertia")
     B: float = Field(default=1.5, gt=0.0, description="second moment of inertia")
@@ -57,20 +76,3 @@ J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
     def euler_poisson(self) -> EulerPoisson:
         """Return the coefficients of this top in the general Euler-Poisson equations: its own parameters."""
         return EulerPoisson((self.A, self.B, self.C), (self.x0, self.y0, self.z0))
-
-    def invariants(self) -> tuple[Invariant, ...]:
-        """Return gamma², m·gamma and E; Sogo, section 1.1, eq. (constant)."""
-        moments = np.array((self.A, self.B, self.C))
-        gravity = np.array((self.x0, self.y0, self.z0))
-
-        def m_gamma(y: Array) -> Array:
-            return (moments * y[:, :3] * y[:, 3:]).sum(axis=1)
-
-        def energy(y: Array, gravity: Array = gravity) -> Array:
-            return (0.5 * moments * y[:, :3] ** 2 + gravity * y[:, 3:]).sum(axis=1)
-
-        return (
-            length_sq("gamma_sq", "γ²", r"\gamma^2"),
-            sum_of_products("m_gamma", "m·γ", r"m\cdot\gamma", VERTICAL, m_gamma),
-            Invariant("energy", "E", r"E", "energy", energy, lambda y: energy(np.abs(y), np.abs(gravity))),
-        )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from topcli.contracts import Array, EulerPoisson, Floats, Invariant
-from topcli.tops import VERTICAL, BodyTop, energy, length_sq, sum_of_products
+from topcli.contracts import EulerPoisson, Floats, Invariant, invariant_of
+from topcli.tops import BodyTop, gamma_sq
 
 
 def field(y: Floats, p: Floats) -> Floats:
@@ -68,7 +68,7 @@ class Kowalevski(BodyTop):
     @property
     def C(self) -> float:
         """Third moment of inertia, A/2."""
-        return 0.5 * self.A
+        return self.A / 2
 
     def constants(self) -> Floats:
         """Return ``(c,)`` with c = c0/C."""
@@ -82,23 +82,21 @@ class Kowalevski(BodyTop):
         """Return gamma², 2l = m·gamma, E and Kowalevski's k²; Sogo, section 3.1."""
         C, c0, c = self.C, self.c0, self.c0 / self.C
 
-        def two_l(y: Array) -> Array:
-            return C * (2.0 * (y[:, 0] * y[:, 3] + y[:, 1] * y[:, 4]) + y[:, 2] * y[:, 5])
+        def two_l(y: Floats, p: Floats) -> Any:
+            """Angular momentum about the vertical."""
+            return C * (2 * (y[0] * y[3] + y[1] * y[4]) + y[2] * y[5])
 
-        def kinetic(y: Array) -> Array:
-            return C * (y[:, 0] ** 2 + y[:, 1] ** 2 + 0.5 * y[:, 2] ** 2)
+        def energy(y: Floats, p: Floats) -> Any:
+            """Energy."""
+            return C * (y[0] ** 2 + y[1] ** 2 + y[2] ** 2 / 2) + c0 * y[3]
 
-        def k_sq(y: Array) -> Array:
-            re = y[:, 0] ** 2 - y[:, 1] ** 2 - c * y[:, 3]
-            im = 2.0 * y[:, 0] * y[:, 1] - c * y[:, 4]
-            return re**2 + im**2
-
-        def k_sq_scale(y: Array) -> Array:
-            return (y[:, 0] ** 2 + y[:, 1] ** 2 + np.hypot(c * y[:, 3], c * y[:, 4])) ** 2
+        def k_sq(y: Floats, p: Floats) -> Any:
+            """Kowalevski's integral |(ω₁ + iω₂)² - c(γ₁ + iγ₂)|²."""
+            return (y[0] ** 2 - y[1] ** 2 - c * y[3]) ** 2 + (2 * y[0] * y[1] - c * y[4]) ** 2
 
         return (
-            length_sq("gamma_sq", "γ²", r"\gamma^2"),
-            sum_of_products("two_l", "2l", r"2\ell", VERTICAL, two_l),
-            energy(kinetic, c0, 3),
-            Invariant("k_sq", "k²", r"k^2", "Kowalevski's integral |(ω₁ + iω₂)² - c(γ₁ + iγ₂)|²", k_sq, k_sq_scale),
+            invariant_of("gamma_sq", gamma_sq, (), ("γ²", r"\gamma^2")),
+            invariant_of("two_l", two_l, (), ("2l", r"2\ell")),
+            invariant_of("energy", energy, (), ("E", "E")),
+            invariant_of("k_sq", k_sq, (), ("k²", "k^2")),
         )

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from topcli.contracts import Array, EulerPoisson, Floats, Invariant, Top
-from topcli.tops import VERTICAL, BodyTop, energy, gamma_of, length_sq, sum_of_products
+from topcli.contracts import EulerPoisson, Floats, Integral, Invariant, Top, invariant_of
+from topcli.tops import BodyTop, gamma_of, gamma_sq
 
 
 def field(y: Floats, p: Floats) -> Floats:
@@ -39,60 +39,6 @@ def inertial_field(y: Floats, p: Floats) -> Floats:
 def spherical_omega(y: Floats, p: Floats) -> Floats:
     """Angular velocity -m of the spherical top that has the axis a as its vertical."""
     return (-y[0], -y[1], -y[2])
-
-
-def hk_corrections(A: Any, nu: Any, k: Any, h: Any, y: Any) -> tuple[Any, Any, Any]:
-    """Differences of the integrals of the HK map from gamma², m·gamma and E; ``y`` has the six components.
-
-    omega1' = k omega2 + nu gamma2, omega2' = -k omega1 - nu gamma1, where k = (A - C) omega3/A, minus the momentum of a
-    rotor over A, and nu = mu/A.
-
-    They are of size h² and follow from the conserved quantities J = (v + K u + K + S)/y, c2 and c0 of Kimura and Hirota
-    (2000), rearranged to avoid cancellation for small h or small mu. With d = h/2,
-    W = k (omega1, omega2) + nu (gamma1, gamma2), q = nu gamma3 + k s and H = (omega1, omega2).W + (k + s) q,
-    c2 + 1 = d^4 y (N + (d H/y)²)/R, N = |W|² + q².
-    """
-    d = h / 2
-    w1, w2, s, g1, g2, Z = y
-    K, S, n = d * k, d * s, d * d * nu
-    U, V, G = w1 * w1 + w2 * w2, w1 * g1 + w2 * g2, g1 * g1 + g2 * g2
-    wW, gW = k * U + nu * V, k * V + nu * G
-    x = nu * Z
-    q = x + k * s
-    KS, dq = K * S, d * d * q
-    Y = dq - 1
-    H = wW + (k + s) * q
-    N = k * wW + nu * gW + q * q
-    z, u, v, r = n * Z, d * d * U, d * n * V, n * n * G
-    R = (
-        Y * r
-        + 2 * v * (K * z + S * (1 + K * K))
-        + u * ((K * K - 1) * z + (1 + K * K) * (1 + KS))
-        + (z + 1 + KS) * (Y * Y + (K + S) ** 2)
-    )
-    eps = d**4 * Y * (N + (d * H / Y) ** 2) / R
-    # linear coefficient of gamma1² + gamma2² as a polynomial in gamma3, in powers of d²
-    a4 = gW + Z * (q - k * k)
-    a6 = (
-        (V + Z * s) * wW
-        + (k * k - k * s - 2 * x) * gW
-        + V * (k * x + s * q)
-        + Z * (q * (s * s + k * k - q) - (k * k + k * s - q) ** 2)
-    )
-    a8 = (
-        wW * (k * (nu * G + U * Z + (k - s) * V) + k * Z * (2 * (x - k * k) + k * s))
-        + (x - k * k) * q * gW
-        + k * U * Z * (k * x + s * q)
-        + k * s * s * (k * k - q) * V
-        + Z * q * q * (q - k * k)
-    )
-    a10 = -k * (N * (V * q + k * U * Z) + k * k * nu * s * (w1 * g2 - w2 * g1) ** 2)
-    a1 = 2 * d * d * (a4 + d * d * (a6 + d * d * (a8 + d * d * a10))) / (Y * R)
-    gamma_sq = Z * (Z * (K * K * (1 - eps) - eps) - a1)
-    b1 = 2 * K * k * S + d * d * H / Y - 2 * k * (1 + KS) * eps
-    m_gamma = -A * Z * (b1 + k * (1 - eps) * z)
-    energy = A / 2 * (2 * x * (KS * (1 - eps) - eps) + (1 - eps) * (d * x) ** 2)
-    return gamma_sq, m_gamma, energy
 
 
 class Lagrange(BodyTop):
@@ -149,19 +95,44 @@ A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
         """Return gamma², m·gamma, E (Sogo, constant) and Lagrange's integral m·e3 = C omega3."""
         A, C, mu = self.A, self.C, self.mu
 
-        def m_gamma(y: Array) -> Array:
-            return A * (y[:, 0] * y[:, 3] + y[:, 1] * y[:, 4]) + C * y[:, 2] * y[:, 5]
+        def m_gamma(y: Floats, p: Floats) -> Any:
+            """Angular momentum about the vertical."""
+            return A * (y[0] * y[3] + y[1] * y[4]) + C * y[2] * y[5]
 
-        def kinetic(y: Array) -> Array:
-            return 0.5 * (A * (y[:, 0] ** 2 + y[:, 1] ** 2) + C * y[:, 2] ** 2)
+        def energy(y: Floats, p: Floats) -> Any:
+            """Energy."""
+            return (A * (y[0] ** 2 + y[1] ** 2) + C * y[2] ** 2) / 2 + mu * y[5]
 
-        spin = "angular momentum about the top's axis, Cω₃ (Lagrange's integral)"
+        def m_axis(y: Floats, p: Floats) -> Any:
+            """Angular momentum about the top's axis, Cω₃ (Lagrange's integral)."""
+            return C * y[2]
+
         return (
-            length_sq("gamma_sq", "γ²", r"\gamma^2"),
-            sum_of_products("m_gamma", "m·γ", r"m\cdot\gamma", VERTICAL, m_gamma),
-            energy(kinetic, mu, 5),
-            sum_of_products("m_axis", "m·e₃", r"m\cdot e_3", spin, lambda y: C * y[:, 2]),
+            invariant_of("gamma_sq", gamma_sq, (), ("γ²", r"\gamma^2")),
+            invariant_of("m_gamma", m_gamma, (), ("m·γ", r"m\cdot\gamma")),
+            invariant_of("energy", energy, (), ("E", "E")),
+            invariant_of("m_axis", m_axis, (), ("m·e₃", r"m\cdot e_3")),
         )
+
+
+def a_sq(y: Floats, p: Floats) -> Any:
+    """Length of the axis, squared."""
+    return y[3] ** 2 + y[4] ** 2 + y[5] ** 2
+
+
+def m_p(y: Floats, p: Floats) -> Any:
+    """Angular momentum about the vertical."""
+    return y[2]
+
+
+def m_a(y: Floats, p: Floats) -> Any:
+    """Angular momentum about the top's axis."""
+    return y[0] * y[3] + y[1] * y[4] + y[2] * y[5]
+
+
+def inertial_energy(y: Floats, p: Floats) -> Any:
+    """Energy m²/2 + a·p."""
+    return (y[0] ** 2 + y[1] ** 2 + y[2] ** 2) / 2 + y[5]
 
 
 class LagrangeInertial(Top):
@@ -186,6 +157,13 @@ class LagrangeInertial(Top):
     swing = "a3"
     step_constants = ("1",)
     field = staticmethod(inertial_field)
+    integrals: ClassVar[Mapping[str, Integral]] = {"a_sq": a_sq, "m_p": m_p, "m_a": m_a, "energy": inertial_energy}
+    symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "a_sq": ("a²", "a^2"),
+        "m_p": ("m·p", r"m\cdot p"),
+        "m_a": ("m·a", r"m\cdot a"),
+        "energy": ("E", "E"),
+    }
 
     def constants(self) -> Floats:
         """Return ``(1,)``, which is mg z0/A in these units."""
@@ -194,19 +172,3 @@ class LagrangeInertial(Top):
     def euler_poisson(self) -> EulerPoisson:
         """Return the spherical top with omega = -m and gamma = a, whose Euler-Poisson equations are the same."""
         return EulerPoisson((1.0, 1.0, 1.0), (0.0, 0.0, 1.0), omega_sign=-1.0)
-
-    def invariants(self) -> tuple[Invariant, ...]:
-        """Return a², m·p, m·a and the energy m²/2 + a·p of the continuous motion (Sogo, section 2.3)."""
-
-        def m_a(y: Array) -> Array:
-            return y[:, 0] * y[:, 3] + y[:, 1] * y[:, 4] + y[:, 2] * y[:, 5]
-
-        def kinetic(y: Array) -> Array:
-            return 0.5 * (y[:, 0] ** 2 + y[:, 1] ** 2 + y[:, 2] ** 2)
-
-        return (
-            length_sq("a_sq", "a²", r"a^2", "length of the axis, squared"),
-            sum_of_products("m_p", "m·p", r"m\cdot p", VERTICAL, lambda y: y[:, 2]),
-            sum_of_products("m_a", "m·a", r"m\cdot a", "angular momentum about the top's axis", m_a),
-            energy(kinetic, 1.0, 5, "energy m²/2 + a·p"),
-        )

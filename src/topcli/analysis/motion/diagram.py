@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.arithmetic.multiprecision import DIGITS, Real, cubic_roots, digits, mp, real
 from topcli.contracts import Array
-from topcli.schemes.kowalevski.closed_form.curve import DIGITS, Curve, Integrals, Real, cubic_roots, real
-from topcli.schemes.kowalevski.closed_form.multiprecision import digits, mp, mpc, mpf, polyroots, sqrt
+from topcli.schemes.kowalevski.curve import Curve, Integrals
 
 SEPARATRIX, PINCH, PERIODIC, DELONE, BOBYLEV = "separatrix", "pinch", "periodic", "delone", "bobylev-steklov"
 REGULAR = "regular"
@@ -45,7 +45,7 @@ REGIONS = {name: Region(name, tori) for name, tori in (("I", 1), ("II", 2), ("II
 
 def region(of: Curve) -> Region:
     """Region of a curve: by sign(|E - 2 L²/G| - k), a conjugate pair or double root, and the lower end of s1."""
-    pair = of.pair or "cubic" in of.of.double_roots
+    pair = of.pair or of.of.discriminants()[2] == 0
     k, above = (of.e[3] - of.e[4]).real, real(3 * of.of.l1 - 2 * of.of.L**2 / of.of.G)
     if abs(above) < k:
         return REGIONS["I" if pair else "II"]
@@ -76,9 +76,9 @@ class Level:
 
     def roots(self) -> list[Any]:
         """The three roots of the cubic, e4 and e5."""
-        k, l1 = sqrt(self.k_sq), self.l1
+        k, l1 = mp.sqrt(self.k_sq), self.l1
         cubic = cubic_roots(self.k_sq - self.G + 3 * l1**2, l1 * (self.k_sq - self.G - l1**2) + self.L**2)
-        return [*cubic, mpc((l1 + k) / 2), mpc((l1 - k) / 2)]
+        return [*cubic, mp.mpc((l1 + k) / 2), mp.mpc((l1 - k) / 2)]
 
     def with_energy(self, E: Real) -> Level:
         """The level with another energy E."""
@@ -90,7 +90,7 @@ class Level:
 
     def critical_energies(self) -> list[Real]:
         """Energies at which two roots coincide for the same k², L and G."""
-        k, middle = sqrt(self.k_sq), 2 * self.L**2 / self.G
+        k, middle = mp.sqrt(self.k_sq), 2 * self.L**2 / self.G
         double = _real_zeros([self.G - self.k_sq, -2 * self.L, 0, 0, 1])
         return [middle + k, middle - k, *(x * x + self.L / x for x in double if x)]
 
@@ -104,13 +104,13 @@ class Level:
 def _real_zeros(coefficients: Sequence[Real]) -> list[Real]:
     """Real zeros of a polynomial, constant term first; a double zero may be missing."""
     if not any(coefficients[:-1]):
-        return [mpf(0)]
+        return [mp.mpf(0)]
     try:
-        zeros = polyroots(coefficients, maxsteps=400, extraprec=4 * mp.prec, asc=True)
+        zeros = mp.polyroots(coefficients, maxsteps=400, extraprec=4 * mp.prec, asc=True)
     except mp.NoConvergence:
         return []
     size = max(abs(x) for x in zeros)
-    return [x.real for x in zeros if abs(x.imag) <= size * mpf(10) ** (-mp.dps // 3)]
+    return [x.real for x in zeros if abs(x.imag) <= size * mp.mpf(10) ** (-mp.dps // 3)]
 
 
 def collision(level: Level) -> str:
@@ -145,7 +145,7 @@ def separatrix_distance(of: Integrals, shrinks: bool) -> float | None:
         E, k_sq = 3 * level.l1, level.k_sq
         changes = [abs(v - E) for v in _nearest(E, level.critical_energies(), level.with_energy, passed)]
         for value in _nearest(k_sq, level.critical_k_sq(), level.with_k_sq, passed):
-            changes.append(abs(value - k_sq) / (sqrt(value) + sqrt(k_sq)))
+            changes.append(abs(value - k_sq) / (mp.sqrt(value) + mp.sqrt(k_sq)))
         return float(min(changes)) if changes else None
 
 

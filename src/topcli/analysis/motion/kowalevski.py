@@ -1,35 +1,23 @@
 """Motion of the Kowalevski top: class of the torus, frequencies, distance to a separatrix.
 
-All from the roots of Kowalevski's curve and integrals over its two real ovals (``curve`` and ``oval`` in
-``schemes.kowalevski.closed_form``). With a, b the integrals of ds/|w| over the ovals of s1 and s2, and P, Q those of
-|s - sigma| ds/|w|, the periods of s1 and s2 are 2 (P b + Q a)/b and 2 (P b + Q a)/a.
+All from the roots of Kowalevski's curve and integrals over its two real ovals (``schemes.kowalevski.separation``). With
+a, b the integrals of ds/|w| over the ovals of s1 and s2, and P, Q those of |s - sigma| ds/|w|, the periods of s1 and s2
+are 2 (P b + Q a)/b and 2 (P b + Q a)/a.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
 
 from topcli.analysis.motion import Motion, Quantity
 from topcli.analysis.motion.diagram import Region, between, region, separatrix_distance
+from topcli.arithmetic.multiprecision import DIGITS, Real, digits, mp, real
 from topcli.contracts import Floats
-from topcli.schemes.kowalevski.closed_form.curve import (
-    DIGITS,
-    Curve,
-    Integrals,
-    Real,
-    curve,
-    integrals,
-    real,
-    separated,
-    series_step,
-)
-from topcli.schemes.kowalevski.closed_form.multiprecision import digits, ellipk, isinf, mpc, mpf, sqrt
-from topcli.schemes.kowalevski.closed_form.oval import Oval, ovals_of
-from topcli.schemes.kowalevski.closed_form.setup import is_pendulum
+from topcli.schemes.kowalevski.curve import Curve, Integrals, separated, series_step
+from topcli.schemes.kowalevski.separation import ROOT_DIGITS, Separated
 from topcli.tops.kowalevski import Kowalevski, field
 
 SHIFTS = (0, 3, 5)
@@ -39,102 +27,73 @@ HALVES = 2
 DISTANCE = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
 
 
-@dataclass(frozen=True)
-class Ovals:
-    """Curve of a motion and the ovals of s1 and s2."""
+def _turns(motion: Separated) -> tuple[int, int]:
+    """Half periods of s1 and of s2 after which all signs of the state are those of the start."""
+    return 1 if motion.one.low == 4 else 2, HALVES
 
-    curve: Curve
-    first: Oval
-    second: Oval
 
-    @classmethod
-    def of(cls, integrals: Integrals) -> Ovals | None:
-        """Ovals of the given integrals; None if three roots of the curve coincide at an end of an oval."""
-        with digits(2 * DIGITS):
-            roots = curve(integrals)
-        if any(roots.e.count(roots.e[i]) > 2 for i in roots.occupied()[:2]):
-            return None
-        with digits(DIGITS):
-            return cls(roots, *ovals_of(roots))
+def _variables(of: Integrals, y: Floats, c: float) -> tuple[list[Real], Real, Real] | None:
+    """State on the orbit of ``y`` with its finite s1 and s2; None if they are undetermined at all times tried."""
+    rate = max(*map(abs, y[:3]), math.sqrt(abs(c) * max(map(abs, y[3:]))))
+    for shift in SHIFTS:
+        start = series_step([real(v) for v in y], mp.mpf(c), mp.mpf(shift) / 32 / mp.mpf(rate), 90 if shift else 0)
+        try:
+            one, two = separated(of, start)
+        except ZeroDivisionError:
+            continue
+        if not mp.isinf(two):
+            return start, one, two
+    return None
 
-    @property
-    def turns(self) -> tuple[int, int]:
-        """Half periods of s1 and of s2 after which all signs of the state are those of the start."""
-        return 1 if self.first.low == 4 else 2, HALVES
 
-    @property
-    def on_separatrix(self) -> bool:
-        """True if an end of an oval is a double root."""
-        return any(self.first.touched) or any(self.second.touched)
+def shrinks(curve: Curve, y: Floats, c: float) -> bool:
+    """True if the torus of the state ``y`` shrinks to a motion of Bobylev and Steklov where two roots meet.
 
-    @property
-    def periods(self) -> tuple[float, float]:
-        """Periods of s1 and s2."""
-        (a, P), (b, Q) = self.first.half_periods, self.second.half_periods
-        determinant = 2 * (P * b + Q * a)
-        return float(determinant / b), float(determinant / a)
-
-    def half_periods(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Integrals of ds/|w| and s ds/|w| over the oval of s1 and that of s2."""
-        (a, P), (b, Q) = self.first.half_periods, self.second.half_periods
-        sigma = self.first.sigma
-        return (float(a), float(P + sigma * a)), (float(b), float(sigma * b - Q))
-
-    def separated(self, y: Floats, c: float) -> tuple[list[Real], Real, Real] | None:
-        """State on the orbit of ``y`` with its finite s1 and s2; None if they are undetermined at all times tried."""
-        rate = max(*map(abs, y[:3]), math.sqrt(abs(c) * max(map(abs, y[3:]))))
-        for shift in SHIFTS:
-            with digits(2 * DIGITS):
-                start = [mpf(v) for v in y]
-                if shift:
-                    start = series_step(start, mpf(c), mpf(shift) / 32 / mpf(rate), 90)
-                try:
-                    one, two = separated(self.curve.of, start)
-                except ZeroDivisionError:
-                    continue
-                if not isinf(two):
-                    return start, one, two
-        return None
-
-    def shrinks(self, y: Floats, c: float) -> bool:
-        """True if the torus of the state ``y`` shrinks to a motion of Bobylev and Steklov where two roots meet.
-
-        Then f_i g_i f_j g_j > 0 for the two roots between the ovals, with f_i g_i = ± sqrt(s1 - e_i) sqrt(s2 - e_i).
-        The state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``state_of_factors``).
-        """
-        roots, gap = self.curve.e[:3], between(self.curve.e)
-        separated = self.separated(y, c)
-        if len(gap) < 2 or separated is None:
+    Then f_i g_i f_j g_j > 0 for the two roots between the ovals, with f_i g_i = ± sqrt(s1 - e_i) sqrt(s2 - e_i). The
+    state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``separation``).
+    """
+    roots, gap = curve.e[:3], between(curve.e)
+    with digits(2 * DIGITS):
+        variables = _variables(curve.of, y, c) if len(gap) == 2 else None
+        if variables is None:
             return False
-        state, s1, s2 = separated
-        with digits(DIGITS):
-            factors = [sqrt(s1 - e) * sqrt(s2 - e) for e in roots]
-            lam = [1 / ((roots[i] - roots[i - 1]) * (roots[i] - roots[i - 2])) for i in range(3)]
+        state, s1, s2 = variables
+        factors = [mp.sqrt(s1 - e) * mp.sqrt(s2 - e) for e in roots]
+        lam = [1 / ((roots[i] - roots[i - 1]) * (roots[i] - roots[i - 2])) for i in range(3)]
 
-            def missed(signs: Sequence[int]) -> float:
-                terms = [s * v * w for s, v, w in zip(signs, factors, lam, strict=True)]
-                N = 1 + sum(v * (e - self.curve.r2) for v, e in zip(terms, roots, strict=True))
-                return float(abs(self.curve.x0 + self.curve.r1 * sum(terms) / N - mpc(state[0], state[1])))
+        def missed(signs: Sequence[int]) -> float:
+            terms = [s * v * w for s, v, w in zip(signs, factors, lam, strict=True)]
+            N = 1 + sum(v * (e - curve.r2) for v, e in zip(terms, roots, strict=True))
+            return float(abs(curve.x0 + curve.r1 * sum(terms) / N - mp.mpc(state[0], state[1])))
 
-            signs = min(product((1, -1), repeat=3), key=missed)
-            i, j = gap
-            return bool((signs[i] * signs[j] * factors[i] * factors[j]).real > 0)
+        signs = min(product((1, -1), repeat=3), key=missed)
+        i, j = gap
+        return bool((signs[i] * signs[j] * factors[i] * factors[j]).real > 0)
+
+
+def _coincide(curve: Curve) -> tuple[bool, bool]:
+    """True if an end of an oval is a double root, and true if the oval of s1 is a point."""
+    e, (top, low, high) = curve.e, curve.occupied()
+    equal = [{i, j} for i in range(5) for j in range(i) if abs(e[i] - e[j]) < mp.mpf(10) ** (-mp.dps // 4)]
+    return any(pair & {top, low, high} and pair != {low, high} for pair in equal), {low, high} in equal
 
 
 def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     """Motion of the Kowalevski top from the state ``y`` (6,), with gravity."""
     c = float(top.constants()[0])
-    of = integrals(y, c)
+    of = Integrals.of(y, c)
     conserved = _integrals(top, of, c)
     if _at_rest(y, c):
         return Motion(top.form, "equilibrium", "equilibrium: omega and gamma are constant", y, conserved)
-    if is_pendulum(y, c):
+    if y[1] == 0 and Fraction(c) * Fraction(y[5]) == Fraction(y[0]) * Fraction(y[2]):
         return _pendulum(top, y, c, conserved)
-    ovals = Ovals.of(of)
-    if ovals is not None and ovals.first.length and not ovals.on_separatrix:
-        return _torus(top, y, ovals, conserved, c)
+    with digits(ROOT_DIGITS):
+        curve = Curve.with_integrals(of)
+        on_separatrix, point = _coincide(curve) if 0 in of.discriminants() else (False, False)
+        if not (on_separatrix or point):
+            return _torus(top, y, Separated(curve, c), conserved)
     what = "roots of Kowalevski's curve coincide, so there are no frequencies"
-    if ovals is None or not ovals.on_separatrix:
+    if point:
         return Motion(top.form, "critical", f"critical motion: {what}", y, conserved)
     distance = Quantity("separatrix.distance", 0.0, DISTANCE)
     return Motion(top.form, "separatrix", f"at the integrals of a separatrix: {what}", y, (*conserved, distance))
@@ -156,9 +115,9 @@ def _integrals(top: Kowalevski, of: Integrals, c: float) -> tuple[Quantity, ...]
     )
 
 
-def _frequencies(ovals: Ovals) -> list[Quantity]:
-    period1, period2 = ovals.periods
-    n1, n2 = ovals.turns
+def _frequencies(motion: Separated) -> list[Quantity]:
+    period1, period2 = (float(2 / rate) for rate in motion.rates)
+    n1, n2 = _turns(motion)
     about = {1: "once", 2: "twice"}
     first, second = 1.0 / (n1 * period1), 1.0 / (n2 * period2)
     frequencies = [
@@ -178,41 +137,41 @@ def _frequencies(ovals: Ovals) -> list[Quantity]:
     ]
 
 
-def _torus(top: Kowalevski, y: Floats, ovals: Ovals, conserved: Sequence[Quantity], c: float) -> Motion:
-    where = region(ovals.curve)
+def _torus(top: Kowalevski, y: Floats, motion: Separated, conserved: Sequence[Quantity]) -> Motion:
+    where, sigma = region(motion.curve), motion.sigma
     quantities = [
         *conserved,
         Quantity("tori", where.tori, "number of tori with these integrals"),
-        *_frequencies(ovals),
+        *_frequencies(motion),
     ]
-    for name, both in zip(("s1", "s2"), ovals.half_periods(), strict=True):
+    for name, (time, weighted), sign in (("s1", motion.one.half, 1), ("s2", motion.two.half, -1)):
         quantities += [
-            Quantity(f"half_period.{name}.0", both[0], f"integral of ds/|w| over the oval of {name}"),
-            Quantity(f"half_period.{name}.1", both[1], f"integral of s ds/|w| over the oval of {name}"),
+            Quantity(f"half_period.{name}.0", float(time), f"integral of ds/|w| over the oval of {name}"),
+            Quantity(
+                f"half_period.{name}.1",
+                float(sigma * time + sign * weighted),
+                f"integral of s ds/|w| over the oval of {name}",
+            ),
         ]
-    distance = separatrix_distance(ovals.curve.of, ovals.shrinks(y, c))
+    distance = separatrix_distance(motion.curve.of, shrinks(motion.curve, y, motion.c))
     if distance is not None:
         quantities.append(Quantity("separatrix.distance", distance, DISTANCE))
-    return Motion(top.form, f"torus {where.name}", torus_title(where, ovals), y, tuple(quantities))
+    return Motion(top.form, f"torus {where.name}", torus_title(where, motion), y, tuple(quantities))
 
 
-def torus_title(where: Region, ovals: Ovals) -> str:
+def torus_title(where: Region, motion: Separated) -> str:
     """Class of a torus in words."""
     number = "the only torus" if where.tori == 1 else f"one of {where.tori} tori"
-    names = _root_names(ovals)
-    ends = f"s1 in [{names[ovals.first.low]}, e4], s2 in (-∞, {names[ovals.second.low]}]"
+    roots = motion.curve.e
+    # e4, e5, and e1 > e2 > e3 of the cubic
+    cubic = sorted((i for i in range(3) if roots[i].imag == 0), key=lambda i: -roots[i].real)
+    names = {3: "e4", 4: "e5"} | {i: f"e{n}" for n, i in enumerate(cubic, 1)}
+    ends = f"s1 in [{names[motion.one.low]}, e4], s2 in (-∞, {names[motion.two.low]}]"
     return f"quasi-periodic on {number} in region {where.name} of the bifurcation diagram; {ends}"
 
 
-def _root_names(ovals: Ovals) -> dict[int, str]:
-    """Names of the real roots: e4, e5, and e1 > e2 > e3 of the cubic."""
-    roots = ovals.curve.e
-    cubic = sorted((i for i in range(3) if roots[i].imag == 0), key=lambda i: -roots[i].real)
-    return {3: "e4", 4: "e5"} | {i: f"e{n}" for n, i in enumerate(cubic, 1)}
-
-
 def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
-    """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (``schemes.kowalevski.closed_form.setup``)."""
+    """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (Bobylev 1896, Steklov 1896)."""
     what = "pendulum (Bobylev-Steklov): ω2 = 0 at all times"
     w1, _, w3, g1, g2, _ = map(Fraction, y)
     xi = (w1 * w1 - Fraction(c) * g1, -Fraction(c) * g2)
@@ -221,10 +180,10 @@ def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity
         period = Quantity("period", math.inf, "time of the homoclinic motion")
         return Motion(top.form, "separatrix", f"{what}; homoclinic to its upper equilibrium", y, (*conserved, period))
     with digits(2 * DIGITS):
-        k = sqrt(real(k_sq))
+        k = mp.sqrt(real(k_sq))
         m = (real(energy) + 2 * k) / (4 * k)  # of sin²(theta/2) at the turning points
         rotates = m > 1
-        time = float(2 * ellipk(1 / m) / sqrt(k * m) if rotates else 4 * ellipk(m) / sqrt(k))
+        time = float(2 * mp.ellipk(1 / m) / mp.sqrt(k * m) if rotates else 4 * mp.ellipk(m) / mp.sqrt(k))
     quantities = (
         *conserved,
         Quantity("frequency", 1.0 / time, "cycles per unit time"),

@@ -17,29 +17,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal, localcontext
+from fractions import Fraction
 
 from topcli.analysis.motion import Motion, Quantity, integrals_of
-from topcli.arithmetic.elliptic import DIGITS, PI, carlson_rf, carlson_rj, derivative, horner, oscillation
+from topcli.arithmetic.elliptic import third_kind
+from topcli.arithmetic.multiprecision import Real, digits, mp, real
 from topcli.contracts import Floats, Top
 from topcli.errors import UsageError
 from topcli.schemes.euler.exact import free_motion
+from topcli.schemes.lagrange.exact import ROOT_DIGITS, AsymptoticError, oscillation
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
 AXES = "ABC"
-Vector = tuple[Decimal, Decimal, Decimal]
 Described = tuple[str, str, Sequence[Quantity]]
 """Kind, title and quantities of a motion."""
 LARGEST = 1e70
 """Largest number of a state or a top; the fourth power of larger ones overflows."""
-CUSP = Decimal("1e-12")
+CUSP = 1e-12
 """Largest rate of precession at a turning point, relative to its terms, that counts as a cusp."""
-ONE = Decimal(1)
-NOTHING = Decimal("1e-60")
-"""Differences of numbers of the order of one below this are rounding errors of the decimal arithmetic."""
+NOTHING = 1e-50
+"""Differences of numbers of the order of one below this are rounding errors of the multiprecision."""
 
 
 def motion_of(top: Top, y0: Floats) -> Motion:
@@ -60,9 +60,9 @@ def motion_of(top: Top, y0: Floats) -> Motion:
         free, notes = True, ("without gravity: the free symmetric top",)
     described: Described = "no closed form", _without_closed_form(top), ()
     conserved = integrals_of(top, y)
-    with localcontext(prec=DIGITS):
+    with digits(ROOT_DIGITS):
         if free:
-            described = _free(_vector(y[:3]), _vector(top.euler_poisson().moments))
+            described = _free(y[:3], tuple(map(float, top.euler_poisson().moments)))
         elif isinstance(top, Lagrange | LagrangeInertial):
             described = _lagrange(top, y)
     kind, title, quantities = described
@@ -96,53 +96,47 @@ def _without_closed_form(top: Top) -> str:
     return "no closed form is known for a top with these parameters"
 
 
-def _vector(values: Sequence[float]) -> Vector:
-    a, b, c = (Decimal(float(v)) for v in values)
-    return a, b, c
-
-
-def _free(w: Vector, J: Vector) -> Described:
-    """Motion without gravity from omega ``w``, for the moments of inertia ``J``."""
-    square = sum(((a * b) ** 2 for a, b in zip(J, w, strict=True)), Decimal(0))
-    twice = sum((a * b * b for a, b in zip(J, w, strict=True)), Decimal(0))
+def _free(omega: Floats, moments: Floats) -> Described:
+    """Motion without gravity from ``omega``, for the moments of inertia ``moments``."""
+    w, J = ([Fraction(v) for v in values] for values in (omega, moments))
+    square = sum((a * b) ** 2 for a, b in zip(J, w, strict=True))
+    twice = sum(a * b * b for a, b in zip(J, w, strict=True))
     if not twice:
         return "equilibrium", "at rest", ()
     effective = square / twice
     place = Quantity("moment", float(effective), "m²/(m·ω), the moment of inertia about the axis of rotation")
     low, middle, high = sorted(J)
-    speed = sum((v * v for v in w), Decimal(0)).sqrt()
-    turning = (
-        place,
-        Quantity("frequency.rotation", float(speed) / (2.0 * math.pi), "revolutions of the body per unit time"),
-    )
-    steady = all((J[i] - J[j]) * w[i] * w[j] == 0 for i, j in ((0, 1), (1, 2), (2, 0)))
     different = low < middle < high
-    if steady:
+    motion = free_motion(omega, moments)
+    if motion is None:
+        speed = math.hypot(*omega) / (2.0 * math.pi)
+        turning = (place, Quantity("frequency.rotation", speed, "revolutions of the body per unit time"))
         if low == high:
             return "steady rotation", "steady rotation of the spherical top", turning
         unstable = different and effective == middle
         word = "unstable" if unstable else "stable" if different or effective != middle else "neutral"
         return "steady rotation", f"{word} steady rotation about a principal axis", turning
-    motion = free_motion(w, J, Decimal(1))
-    rate = motion.step[0] + motion.step[1]
-    assert motion.precession is not None
-    if motion.quarter is None:
+    axis, argument = motion.elliptic.axes[0], motion.elliptic.argument
+    rate, quarter = argument.rate, argument.quarter
+    if quarter is None:
         period = Quantity("period", math.inf, "time from one steady rotation about the middle axis to the other")
-        rate_quantity = Quantity("rate", rate, "approach to the steady rotation, in e-foldings per unit time")
+        rate_quantity = Quantity("rate", float(rate), "approach to the steady rotation, in e-foldings per unit time")
         return (
             "separatrix",
             "separatrix: asymptotic to the rotation about the middle axis",
             (place, period, rate_quantity),
         )
-    half = 2.0 * motion.quarter[0] / rate
-    about = motion.precession.per_step[0] + motion.precession.per_half[0] / half
-    axis = motion.axes[0]
+    half = 2 * quarter / rate
     size = "smallest" if J[axis] == low else "largest"
     quantities = [
         place,
-        Quantity("frequency", 0.5 / half, "cycles of ω along the polhode per unit time"),
-        Quantity("period", 2.0 * half, "time in which ω traverses the polhode"),
-        Quantity("frequency.precession", about, f"mean revolutions of the axis {AXES[axis]} about m per unit time"),
+        Quantity("frequency", float(0.5 / half), "cycles of ω along the polhode per unit time"),
+        Quantity("period", float(2 * half), "time in which ω traverses the polhode"),
+        Quantity(
+            "frequency.precession",
+            float(motion.turn),
+            f"mean revolutions of the axis {AXES[axis]} about m per unit time",
+        ),
     ]
     if not different:
         title = f"regular precession of a symmetric top; ω circles about the axis of {AXES[axis]}"
@@ -151,7 +145,7 @@ def _free(w: Vector, J: Vector) -> Described:
         Quantity(
             "separatrix.distance", float(effective - middle), f"m²/(m·ω) - {float(middle):g}; 0 on the separatrix"
         ),
-        Quantity("separatrix.m1", motion.m1, "complementary parameter 1 - k² of the elliptic functions"),
+        Quantity("separatrix.m1", float(argument.m1), "complementary parameter 1 - k² of the elliptic functions"),
     ]
     title = f"polhode about the axis of the {size} moment, {AXES[axis]} = {float(J[axis]):g}"
     return f"polhode about {AXES[axis]}", title, quantities
@@ -161,19 +155,19 @@ def _free(w: Vector, J: Vector) -> Described:
 class Nutation:
     """Constants of one motion; ``c`` is its initial cos(theta)."""
 
-    bv: Decimal
-    ba: Decimal
-    nu: Decimal
-    e: Decimal
-    c: Decimal
+    bv: Real
+    ba: Real
+    nu: Real
+    e: Real
+    c: Real
 
     @property
-    def polynomial(self) -> list[Decimal]:
+    def polynomial(self) -> list[Real]:
         """Coefficients of c'², highest degree first."""
         bv, ba, nu, e = self.bv, self.ba, self.nu, self.e
-        return [Decimal(0), 2 * nu, -2 * e - ba * ba, 2 * bv * ba - 2 * nu, 2 * e - bv * bv]
+        return [2 * nu, -2 * e - ba * ba, 2 * bv * ba - 2 * nu, 2 * e - bv * bv]
 
-    def turn(self, c: Decimal) -> Decimal:
+    def turn(self, c: Real) -> Real:
         """Rate of precession times 1 - c²."""
         return self.bv - self.ba * c
 
@@ -181,53 +175,45 @@ class Nutation:
         """The same motion seen with the axis reversed, which changes the sign of nu."""
         return Nutation(self.bv, -self.ba, -self.nu, self.e, -self.c)
 
-    def precession(self, low: Decimal, high: Decimal) -> Decimal:
+    def precession(self, low: Real, high: Real) -> Real:
         """Angle of precession in one period of the nutation between ``low`` and ``high``."""
         if self.nu < 0:
             return self.mirrored().precession(-high, -low)
         apart = high - low
         if self.nu:
             third = (2 * self.e + self.ba**2) / (2 * self.nu) - low - high
-            rate, m1 = (2 * self.nu * (third - low)).sqrt(), (third - high) / (third - low)
+            rate, m1 = mp.sqrt(2 * self.nu * (third - low)), (third - high) / (third - low)
         else:
-            rate, m1 = (2 * self.e + self.ba**2).sqrt(), ONE
-        total = Decimal(0)
+            rate, m1 = mp.sqrt(2 * self.e + self.ba**2), mp.mpf(1)
+        total, quarter = mp.mpf(0), mp.elliprf(0, m1, 1)
         # 1/(1 - c²) in partial fractions; each integral over sin² with its own characteristic
         for weight, start, sign in ((self.bv - self.ba, 1 - low, 1), (self.bv + self.ba, 1 + low, -1)):
             if abs(weight) > NOTHING and start:
                 n = sign * apart / start
-                total += weight / 2 / start * _complete_third(n, m1)
+                total += weight / 2 / start * third_kind(quarter, mp.mpf(1), mp.mpf(0), m1, n)
         return 4 * total / rate
-
-
-def _complete_third(n: Decimal, m1: Decimal) -> Decimal:
-    """Complete elliptic integral of the third kind for the characteristic n < 1, with complementary parameter m1."""
-    zero = Decimal(0)
-    if n == 0:
-        return carlson_rf(zero, m1, ONE)
-    return carlson_rf(zero, m1, ONE) + n / 3 * carlson_rj(zero, m1, ONE, 1 - n)
 
 
 def _lagrange(top: Lagrange | LagrangeInertial, y: Floats) -> Described:
     """Motion of the Lagrange top from the state ``y`` (6,), in the body frame or the inertial frame."""
     if not any(y[3:]):
         return "equilibrium", "equilibrium: m and a are constant", ()
-    nutation = _nutation(top, [Decimal(float(v)) for v in y])
+    nutation = _nutation(top, [real(float(v)) for v in y])
     try:
-        between = oscillation(nutation.polynomial, nutation.c, True, -ONE, ONE)
-    except ValueError:
+        between = oscillation(nutation.polynomial, nutation.c, True)
+    except AsymptoticError:
         return _asymptotic(nutation)
     if between.gap == 0.0:
         return _steady(nutation)
-    low, high = max(between.lower, -ONE), min(between.upper, ONE)
-    turned = float(nutation.precession(low, high) / (2 * PI))
+    low, high = max(between.lower, mp.mpf(-1)), min(between.upper, mp.mpf(1))
+    turned = float(nutation.precession(low, high) / (2 * mp.pi))
     period = between.period
     quantities = (
         Quantity("frequency.nutation", 1.0 / period, "cycles of cos θ per unit time"),
         Quantity("period.nutation", period, "time of one oscillation of cos θ"),
         Quantity("frequency.precession", turned / period, "mean revolutions about the vertical per unit time"),
         Quantity("precession.per_nutation", turned, "revolutions about the vertical in one nutation"),
-        *_bounds(float(low), float(high), between.kc2),
+        *_bounds(float(low), float(high), float(between.argument.m1)),
         *_sleeping(nutation),
     )
     return *_curve(nutation, low, high), quantities
@@ -241,23 +227,22 @@ def _bounds(low: float, high: float, m1: float) -> tuple[Quantity, ...]:
     )
 
 
-def _nutation(top: Lagrange | LagrangeInertial, y: Sequence[Decimal]) -> Nutation:
+def _nutation(top: Lagrange | LagrangeInertial, y: Sequence[Real]) -> Nutation:
     """Constants of the motion, from the state in the body frame or the inertial frame."""
     first, vertical = y[:3], y[3:]
-    size = sum((v * v for v in vertical), Decimal(0)).sqrt()
-    along = sum((a * b for a, b in zip(first, vertical, strict=True)), Decimal(0)) / size
+    size = mp.sqrt(mp.fdot(vertical, vertical))
+    along = mp.fdot(first, vertical) / size
     c = vertical[2] / size
     if isinstance(top, LagrangeInertial):
-        across = sum((v * v for v in first), Decimal(0)) - along**2
+        across = mp.fdot(first, first) - along**2
         return Nutation(first[2], along, size, across / 2 + size * c, c)
-    A = Decimal(top.A)
-    spin = Decimal(top.C) / A * first[2]
-    nu = Decimal(top.mu) / A * size
+    A = real(top.A)
+    spin, nu = real(top.C) / A * first[2], real(top.mu) / A * size
     flat = first[0] * vertical[0] + first[1] * vertical[1]
     return Nutation(flat / size + spin * c, spin, nu, (first[0] ** 2 + first[1] ** 2) / 2 + nu * c, c)
 
 
-def _curve(nutation: Nutation, low: Decimal, high: Decimal) -> tuple[str, str]:
+def _curve(nutation: Nutation, low: Real, high: Real) -> tuple[str, str]:
     """Kind of the curve of the axis on the sphere, and the motion in words."""
     bv, ba = nutation.bv, nutation.ba
     if not bv and not ba:
@@ -285,13 +270,14 @@ def _sleeping(nutation: Nutation) -> list[Quantity]:
 
 def _steady(nutation: Nutation) -> Described:
     """Regular precession, or a top that spins or rests about the vertical; theta is constant."""
-    square = -horner(derivative(derivative(nutation.polynomial)), nutation.c) / 2
+    cubic, quadratic, *_ = nutation.polynomial
+    square = -(3 * cubic * nutation.c + quadratic)
     quantities = []
     if square > 0:
-        small = float(square.sqrt() / (2 * PI))
+        small = float(mp.sqrt(square) / (2 * mp.pi))
         quantities.append(Quantity("frequency.nutation", small, "cycles of cos θ per unit time in small nutations"))
     if abs(nutation.c) != 1:
-        turn = float(nutation.turn(nutation.c) / (1 - nutation.c**2) / (2 * PI))
+        turn = float(nutation.turn(nutation.c) / (1 - nutation.c**2) / (2 * mp.pi))
         quantities.append(Quantity("frequency.precession", turn, "revolutions about the vertical per unit time"))
         quantities.append(Quantity("cos_theta.min", float(nutation.c), "constant cosine of the angle θ"))
         title = "regular precession: θ is constant" if turn else "at rest in a tilted position"

@@ -17,57 +17,51 @@ from functools import lru_cache, partial
 from typing import Any
 
 from topcli.arithmetic.fused import follow_precision
-from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.field.implicit import Generated, MidpointTangent, NewtonStep, generated
+from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
+from topcli.field.implicit import MidpointTangent, NewtonStep, generated
 from topcli.field.polynomial import Field, NotPolynomialError, field_of, strongly_connected
 from topcli.field.straight_line import function_of
-from topcli.schemes.layout import (
-    LONG_NEWTON,
-    Change,
-    CompensatedOption,
-    is_compensated,
-    polynomial_invariants,
-    stepper,
-)
+from topcli.schemes.limits import NO_SOLUTION, quadratic_invariants
 from topcli.schemes.registry import scheme
+from topcli.schemes.steppers import stepper
 
 NEWTON_LIMIT = 25
 """Maximum number of Newton iterations; three or four are typical."""
-PER_LENGTH, PARTS = 4, 64
-"""Iterations for each of the longer and longer steps that lead to one that does not converge at once, and for all."""
 SETTLED = 2.0**-33
 """Tolerance of the last correction, relative; by quadratic convergence the error is far below the last bit.
 """
+FAR = 2.0**-10
+"""Largest sum of such corrections relative to the state. After a singular matrix the state is huge, its rates are the
+square of that, and a correction as large as the state would be small beside them."""
 NEAR, NEAREST = 2.0**-20, 2.0**-30
 """Distance of the arguments of a difference quotient: these parts of half of the change, and of the component."""
 follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=0.5, NEAR=0.5, NEAREST=0.5)
+
+LONG_STEPS = {
+    **dict.fromkeys(("euler", "euler+gamma", "heavy"), ("resonance", "singular-step")),
+    **dict.fromkeys(("kowalevski", "lagrange"), ("singular-step",)),
+}
+"""Hard cases of the tops of the paper in which Newton's method finds no solution."""
 
 _CHANGE = """
 def change(s, h, p):
     u = ({zeros})
     status = nan
     iterations = 0.0
-    for attempt in range(2):
-        for _ in range(NEWTON_LIMIT):
-            iterations += 1.0
-            v = newton(({state}{half}), h, p)
-            settled = {settled}
-            u = ({new})
-            if settled:
-                status = 0.0
-                break
-        if status == 0.0 or attempt == 1:
+    for _ in range(NEWTON_LIMIT):
+        iterations += 1.0
+        v = newton(({state}{half}), h, p)
+        settled = {settled}
+        u = ({new})
+        if settled:
+            status = 0.0
             break
-        u = ({zeros})
-        for part in range(PARTS):
-            v = newton(({state}{half}), h * ((part // PER_LENGTH + 1) * PER_LENGTH / PARTS), p)
-            u = ({new})
     return ({changes}status, iterations)
 """
 
 
 @lru_cache(maxsize=256)  # tops with one pattern share their machine code
-def _generated_change(newton: NewtonStep) -> Change:
+def _generated_change(newton: NewtonStep) -> StepFunction:
     """Change in a step of the rule for a polynomial field.
 
     Components that occur in each other's products are of one kind, such as omega and gamma.
@@ -78,7 +72,7 @@ def _generated_change(newton: NewtonStep) -> Change:
 
 
 @lru_cache(maxsize=256)
-def _differenced_change(field: Callable[[Floats, Floats], Floats], d: int) -> Change:
+def _differenced_change(field: Callable[[Floats, Floats], Floats], d: int) -> StepFunction:
     """Change in a step of the rule for any field of ``d`` components, by difference quotients.
 
     The step of Newton's method has the inputs and outputs of ``NewtonStep``. The second argument of a quotient lies in
@@ -118,7 +112,7 @@ def _differenced_change(field: Callable[[Floats, Floats], Floats], d: int) -> Ch
     return _change(scope["newton"], d, [(i,) for i in every], "iterations > 1.0")
 
 
-def _change(newton: StepFunction, d: int, kinds: Sequence[Sequence[int]], *conditions: str) -> Change:
+def _change(newton: StepFunction, d: int, kinds: Sequence[Sequence[int]], *conditions: str) -> StepFunction:
     """Change in a step of the midpoint rule by Newton's method, with its status and the number of iterations.
 
     The iteration ends if the corrections of every kind of components are small against its size, and the ``conditions``
@@ -136,11 +130,12 @@ def _change(newton: StepFunction, d: int, kinds: Sequence[Sequence[int]], *condi
         f"{total('abs(v[{i}] - u[{i}])', kind)} <= SETTLED * ({total('abs(s[{i}]) + abs(v[{size}])', kind)})"
         for kind in kinds
     )
+    near = f"{total('abs(v[{i}] - u[{i}])', range(d))} <= FAR * ({total('abs(s[{i}]) + abs(v[{i}])', range(d))})"
     text = _CHANGE.format(
         zeros=listed("0.0"),
         state=listed("s[{i}]"),
         half=listed("u[{i}]"),
-        settled=" and ".join((*tests, *conditions)),
+        settled=" and ".join((*tests, near, *conditions)),
         new=listed("v[{i}]"),
         changes=listed("2.0 * u[{i}]"),
     )
@@ -149,8 +144,7 @@ def _change(newton: StepFunction, d: int, kinds: Sequence[Sequence[int]], *condi
         "nan": math.nan,
         "NEWTON_LIMIT": NEWTON_LIMIT,
         "SETTLED": SETTLED,
-        "PARTS": PARTS,
-        "PER_LENGTH": PER_LENGTH,
+        "FAR": FAR,
         "__name__": __name__,
     }
     exec(compile(text, f"<midpoint rule {d}>", "exec"), scope)
@@ -196,10 +190,10 @@ def _tangent_functions(newton: NewtonStep, made: MidpointTangent) -> dict[str, S
     return scope
 
 
-def _midpoint_tangent(field: Field, top: Top, newton: Generated[NewtonStep]) -> Stepper:
+def _midpoint_tangent(field: Field, top: Top, newton: NewtonStep) -> Stepper:
     """The midpoint rule with its tangent map."""
     made = generated(MidpointTangent, field, len(top.constants()) + len(newton.constants))
-    found = _tangent_functions(newton.code, made.code)
+    found = _tangent_functions(newton, made)
     return Stepper(
         found["step"],
         2 * len(field) + 1,
@@ -212,20 +206,20 @@ def _midpoint_tangent(field: Field, top: Top, newton: Generated[NewtonStep]) -> 
 
 @scheme(
     "midpoint",
-    top=("heavy", "kowalevski", "lagrange", "lagrange/inertial"),
-    later=lambda top: True,
+    top=None,
+    requires=lambda top: None,
     title="Implicit midpoint rule",
     order=2,
     explicit=False,
     self_adjoint=True,
-    conserves=lambda top: polynomial_invariants(top, 2),
+    conserves=quadratic_invariants,
     citation="Cooper 1987; Sogo, Discrete Spinning Tops, section 1.2 (for Euler's top)",
     formula=r"y' = y + h\,f(\bar y)",
-    equations="y' - y = h f((y' + y)/2)",
-    options=CompensatedOption,
-    limits=lambda top: {"singular-step": LONG_NEWTON} if top.form == "heavy" else {},
+    equations="y' - y = h f((y' + y)/2); for Euler's top the last difference equations of section 1.2 of the paper",
+    limits=lambda top: dict.fromkeys(LONG_STEPS.get(top.form, ()), NO_SOLUTION),
+    changes=True,
 )
-def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
+def build(top: Top, options: NoOptions) -> Stepper:
     """An implicit step: Newton's method solves its equation, y' = y + h f((y + y')/2), to round-off.
 
     The step is self-adjoint. For any top the midpoint rule conserves every quadratic integral exactly, such as gamma²,
@@ -234,15 +228,14 @@ def build_midpoint(top: Top, options: CompensatedOption) -> Stepper:
     uses difference quotients. If a step does not converge, the run ends as `no_convergence`.
     """
     d = len(top.components)
-    lost = range(d * is_compensated(options))
-    of_change = partial(stepper, moved=d, lost=lost, counters=("iterations",), iterative=True)
+    of_change = partial(stepper, d=d, counters=("iterations",), iterative=True)
     try:
         field = field_of(top)
     except NotPolynomialError:
         return of_change(_differenced_change(top.field, d))
     newton = generated(NewtonStep, field, len(top.constants()))
     return replace(
-        of_change(_generated_change(newton.code)),
+        of_change(_generated_change(newton)),
         constants=newton.constants,
         source=partial(newton.source, "newton"),
         tangent=partial(_midpoint_tangent, field, top, newton),

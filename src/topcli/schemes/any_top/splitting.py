@@ -24,9 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
-
-from pydantic import Field
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.vectors import (
@@ -36,10 +33,11 @@ from topcli.arithmetic.vectors import (
     turned,
     turned_increment,
 )
-from topcli.contracts import EulerPoisson, Floats, StepFunction, Stepper, Top, checked_equations
+from topcli.contracts import EulerPoisson, Floats, NoOptions, StepFunction, Stepper, Top
 from topcli.errors import UsageError
-from topcli.schemes.layout import LONG_SPLITTING, Change, CompensatedOption, stepper
 from topcli.schemes.registry import scheme
+from topcli.schemes.steppers import stepper
+from topcli.tops.bodies import checked_equations
 
 KEPT = {
     "euler": ("m_sq",),
@@ -103,27 +101,12 @@ def leaving(equations: EulerPoisson, d: int) -> StepFunction:
     return leave
 
 
-def momentum_stepper(equations: EulerPoisson, d: int, change: Change, compensated: bool) -> Stepper:
-    """Stepper of a method without iterations, from its change."""
-    enter = entering(equations, d, () if d == 3 else equations.gravity)
-    return stepper(change, d, d, lost=range(d * compensated), checked=d, enter=enter, leave=leaving(equations, d))
-
-
 NEEDED_BY = "scheme 'splitting'"
-LONG = {"singular-step": LONG_SPLITTING}
+LONG = {
+    "singular-step": "If the body turns by several radians in a step, the kicks and rotations no longer approximate "
+    "the exact motion: the energy deviates by several times its first value."
+}
 """Limits of the tops with weight."""
-
-
-class SplittingOptions(CompensatedOption):
-    """Options: the flow between the kicks, compensated sums."""
-
-    free: Literal["auto", "closed", "axes"] = Field(
-        default="auto",
-        description="motion between the two kicks by gravity: closed form of the free body, which needs A = B "
-        "(closed), rotations about the three axes (axes), or the closed form if A = B and otherwise rotations (auto)",
-    )
-
-
 Free = Callable[[Vector, Vector, Floats, float], tuple[Vector, Vector, Vector]]
 """``free(m, gamma, c, h)``: changes of m and gamma in a step of the free body, and the new gamma."""
 
@@ -167,7 +150,7 @@ def closed(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, V
     return (a1, a2, -0.0), (p1 + q1, p2 + q2, p3), (g1 + q1, g2 + q2, g3)  # x + -0.0 is x, for x = -0.0 too
 
 
-def free_change(free: Free) -> Change:
+def free_change(free: Free) -> StepFunction:
     """Return the change of m in a step without gamma; the inverse moments follow m."""
 
     def change(s: Floats, h: float, p: Floats) -> Floats:
@@ -176,7 +159,7 @@ def free_change(free: Free) -> Change:
     return change
 
 
-def kicked_change(free: Free) -> Change:
+def kicked_change(free: Free) -> StepFunction:
     """Return the change of m and gamma, half a kick, the free body, half a kick; inverse moments and weight follow."""
 
     def change(s: Floats, h: float, p: Floats) -> Floats:
@@ -193,7 +176,7 @@ def kicked_change(free: Free) -> Change:
 @scheme(
     "splitting",
     top=None,
-    later=partial(checked_equations, needed_by=NEEDED_BY),
+    requires=partial(checked_equations, needed_by=NEEDED_BY),
     title="Splitting into kicks and rotations",
     order=2,
     explicit=True,
@@ -210,10 +193,9 @@ F_h = R^1_{h/2}\circ R^2_{h/2}\circ R^3_h\circ R^2_{h/2}\circ R^1_{h/2} \ \text{
 R^i_\tau:\ \dot v = v\times\frac{m_i}{I_i}\,e_i \ \text{ for } v = m, \gamma
 """,
     equations="kick h/2 by gamma x g, rotations about the axes 1, 2 (h/2), 3 (h), 2, 1 (h/2), kick h/2",
-    options=SplittingOptions,
     limits=lambda top: LONG if top.form in ("kowalevski", "lagrange", "heavy") else {},
 )
-def build(top: Top, options: SplittingOptions) -> Stepper:
+def build(top: Top, options: NoOptions) -> Stepper:
     """A step combines exact motions: gravity alone for h/2 (a kick), the free body for h, gravity alone for h/2.
 
     If A = B, the motion of the free body is computed in closed form; otherwise it is split into rotations about the
@@ -221,15 +203,10 @@ def build(top: Top, options: SplittingOptions) -> Stepper:
     and m·gamma; the deviation of the energy oscillates, is of size h² and does not drift.
 
     If A = B, the error is proportional to the torque of gravity and independent of the spin, so steps may be long for a
-    fast top. With `free: axes`, the scheme does not conserve the integrals m·e3 and m·p of the Lagrange top.
+    fast top.
     """
-    equations = checked_equations(top, NEEDED_BY)
-    d = state_length(top, NEEDED_BY)
-    symmetric = equations.moments[0] == equations.moments[1]
-    if options.free == "closed" and not symmetric:
-        A, B, _ = equations.moments
-        raise UsageError(
-            f"free: closed needs two equal moments, A = B, not A = {A!r} and B = {B!r}; use free: axes or omit it"
-        )
-    free = closed if symmetric and options.free != "axes" else axes
-    return momentum_stepper(equations, d, (free_change if d == 3 else kicked_change)(free), options.compensated)
+    equations, d = checked_equations(top, NEEDED_BY), state_length(top, NEEDED_BY)
+    free = closed if equations.moments[0] == equations.moments[1] else axes
+    change = (free_change if d == 3 else kicked_change)(free)
+    enter = entering(equations, d, () if d == 3 else equations.gravity)
+    return stepper(change, d, d, enter=enter, leave=leaving(equations, d))

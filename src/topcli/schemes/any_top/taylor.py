@@ -25,7 +25,7 @@ from topcli.field.polynomial import required_field, variational
 from topcli.field.units import NaturalUnits
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of, expand, taylor_increment
 from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, two_sum
-from topcli.schemes.layout import linear_invariants
+from topcli.schemes.limits import linear_invariants
 from topcli.schemes.registry import scheme
 
 STEP, FRACTION, LAG, TIME, LOG2_TOL, UNITS = range(6)
@@ -291,7 +291,7 @@ def log2_tolerance(tol: float) -> float:
 @scheme(
     "taylor",
     top=None,
-    later=partial(required_field, needed_by="scheme 'taylor'"),
+    requires=partial(required_field, needed_by="scheme 'taylor'"),
     title="Taylor series",
     order=None,
     explicit=True,

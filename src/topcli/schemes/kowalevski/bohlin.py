@@ -24,14 +24,19 @@ from topcli.arithmetic.vectors import (
     root_sign,
 )
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.schemes.layout import AMBIGUOUS, BOHLIN, OVERFLOW, ambiguous_root, with_counter
+from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
 
 CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
 CONSERVES = ("gamma_sq", "k_sq")
+XI = r"\xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)"
+FORMULA = rf"""
+\omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
+(\omega_1' + i\omega_2')^2 = e^{{-ih\bar\omega_3}}\,\xi + c\,(\gamma_1' + i\gamma_2'), \qquad {XI}
+"""
 FIXED_POINT = (
     "If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state is a "
-    "fixed point of the map: the state never changes, and the counter `ambiguous_roots` counts every step."
+    "fixed point of the map: the state never changes."
 )
 LIMITS = {
     "homoclinic-spacing": "The motion of this case is close to the homoclinic orbit. The error of a method of order 1 "
@@ -41,12 +46,14 @@ LIMITS = {
     "delone-sleeping": FIXED_POINT,
     "huge": OVERFLOW,
 }
-SWITCH_BELOW = -0.8
-"""Method B switches from the paper's chart to the other one if gamma3 is below this, |z| > 3 (|z| < 1/3 in the other).
-
-The switch is not at the equator, because Euler's rule on the other chart is a different scheme of order 1. With this
-value the scene of the paper, in which gamma3 >= -0.663, is computed on the paper's chart only.
-"""
+POLE = (
+    "The coordinate z of gamma is infinite at gamma3 = -1. Where gamma comes close to this direction, Euler's "
+    "rule for z has a large error, and the new gamma may be rounded to (0, 0, -1): the run then ends as `blew_up`."
+)
+FAR = (
+    "If the body turns by a radian or more in a step, Euler's rule squares a large z, the coordinate of gamma, in each "
+    "step, until gamma is rounded to (0, 0, -1), where z is infinite: the run ends as `blew_up`."
+)
 Root = Callable[[float, float, float, float], Complex]
 Method = Callable[[float, float, float, float, float, float, float], Vector]
 ROOTS: dict[str, Root] = {"nearest": root_nearest, "sign": root_sign}
@@ -64,33 +71,20 @@ class BranchOptions(BaseModel):
     )
 
 
-class ChartOptions(BranchOptions):
-    """Options of Method B: branch of the root and chart of the sphere."""
-
-    chart: Literal["switch", "single"] = Field(
-        default="switch",
-        description="stereographic coordinate of gamma near gamma3 = -1, where the paper's coordinate is singular: "
-        "that of the other pole (switch), or always the paper's coordinate (single)",
-    )
-
-
 def method_a(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
     """New gamma by Method A, the BS scheme: gamma' - gamma = h/2 (gamma' + gamma) x omega."""
     d = 0.5 * h
     return cayley_rotated(d * w1, d * w2, d * w3, g1, g2, g3)
 
 
-def _euler_on_chart(side: float, w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
-    """New gamma by Euler's rule for z = (gamma1 + i gamma2)/(1 + side gamma3).
+def method_b(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
+    """New gamma by Method B, Euler's rule for z = (gamma1 + i gamma2)/(1 + gamma3), which is infinite at gamma3 = -1.
 
-    dz/dt = i/2 (side omega - 2 omega3 z - side conj(omega) z**2) with side = 1 is the equation of the paper; the chart
-    of the other pole is its mirror image gamma3 -> -gamma3, (omega1, omega2) -> -(omega1, omega2). Terms in gamma and
-    omega3 are computed first, because omega1 and omega2, from a square root, are available last.
+    Terms in gamma and omega3 are computed first, because omega1 and omega2, from a square root, are available last.
     """
-    r = 1.0 / fma(side, g3, 1.0)
-    x = g1 * r
-    y = g2 * r
-    d = side * (0.5 * h)
+    r = 1.0 / (1.0 + g3)
+    x, y = g1 * r, g2 * r
+    d = 0.5 * h
     xx = x * x - y * y
     xy = d * (2.0 * x * y)
     turn = h * w3
@@ -99,17 +93,7 @@ def _euler_on_chart(side: float, w1: float, w2: float, w3: float, g1: float, g2:
         fma(w1, fma(-d, xx, d), fma(-w2, xy, fma(-turn, x, y))),
     )
     n = 2.0 / (fma(x, x, 1.0) + y * y)
-    return (x * n, y * n, (0.5 * side) * n * (1.0 - fma(x, x, y * y)))
-
-
-def method_b_single(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
-    """New gamma by Method B on the single chart of the paper, which is singular at gamma3 = -1."""
-    return _euler_on_chart(1.0, w1, w2, w3, g1, g2, g3, h)
-
-
-def method_b_switch(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
-    """New gamma by Method B with a switch of charts near the singular point, so that |z| <= 3 before a step."""
-    return _euler_on_chart(-1.0 if g3 < SWITCH_BELOW else 1.0, w1, w2, w3, g1, g2, g3, h)
+    return (x * n, y * n, 0.5 * n * (1.0 - fma(x, x, y * y)))
 
 
 def method_c(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h: float) -> Vector:
@@ -144,16 +128,6 @@ def direct(s: Floats, h: float, p: Floats) -> Complex:
     return (s[0] + d * (s[2] * s[1]), s[1] - d * (s[2] * s[0] - p[0] * s[5]))
 
 
-def with_root_counter(stepper: Stepper) -> Stepper:
-    """Add a counter of the steps with an ambiguous root to ``stepper``."""
-    return with_counter(stepper, AMBIGUOUS, ambiguous_root(direct))
-
-
-def switched(old: Floats, new: Floats, h: float, p: Floats) -> bool:
-    """Event: the next step uses another chart than this one, in either direction."""
-    return (new[5] < SWITCH_BELOW) != (old[5] < SWITCH_BELOW)
-
-
 @scheme(
     "bohlin-a",
     top="kowalevski",
@@ -163,7 +137,7 @@ def switched(old: Floats, new: Floats, h: float, p: Floats) -> bool:
     self_adjoint=False,
     conserves=CONSERVES,
     citation=CITATION,
-    formula=r"\gamma' - \gamma = h\,\bar\gamma\times\omega" + "\n" + BOHLIN,
+    formula=r"\gamma' - \gamma = h\,\bar\gamma\times\omega" + "\n" + FORMULA,
     equations="(A), (Kxi) and (direct) of the paper",
     limits=LIMITS,
     options=BranchOptions,
@@ -180,7 +154,7 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
     If the body rests with gamma along the third axis, then xi = 0. This state is a fixed point of all three schemes of
     Bohlin's method (`bohlin-a`, `bohlin-b` and `bohlin-c`), although a real top would start to fall.
     """
-    return with_root_counter(Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6))
+    return Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6)
 
 
 @scheme(
@@ -196,23 +170,22 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
 z' - z = \tfrac{ih}{2}\,\bigl((\omega_1 + i\omega_2) - 2\omega_3 z - (\omega_1 - i\omega_2)\,z^2\bigr), \qquad
 z = \frac{\gamma_1 + i\gamma_2}{1 + \gamma_3}
 """
-    + BOHLIN,
+    + FORMULA,
     equations="(B), (Kxi) and (direct) of the paper",
-    limits=LIMITS,
-    options=ChartOptions,
+    limits={
+        **LIMITS,
+        **dict.fromkeys(("pole", "there-and-back", "drift"), POLE),
+        **dict.fromkeys(("resonance", "singular-step"), FAR),
+    },
+    options=BranchOptions,
 )
-def build_b(top: Top, options: ChartOptions) -> Stepper:
+def build_b(top: Top, options: BranchOptions) -> Stepper:
     """The scheme advances a stereographic coordinate z of gamma by Euler's rule, and computes omega as in `bohlin-a`.
 
-    The paper's coordinate z = (gamma1 + i gamma2)/(1 + gamma3) is infinite at gamma3 = -1. By default the step uses the
-    coordinate of the other pole, 1/conj(z), if gamma3 < -0.8. Euler's rule in that coordinate is a slightly different
-    scheme of the same order. Each step computes z from gamma, so a switch between the two coordinates costs nothing,
-    and a resumed run equals an uninterrupted one. The counter `chart_switches` is the number of switches.
+    The coordinate z = (gamma1 + i gamma2)/(1 + gamma3) is infinite at gamma3 = -1: where gamma comes close to that
+    direction, the error of a step is large, and the run ends as `blew_up` if gamma is rounded to it.
     """
-    root = ROOTS[options.branch]
-    if options.chart == "single":
-        return with_root_counter(Stepper(bohlin_step(method_b_single, root), 6))
-    return with_root_counter(with_counter(Stepper(bohlin_step(method_b_switch, root), 6), "chart_switches", switched))
+    return Stepper(bohlin_step(method_b, ROOTS[options.branch]), 6)
 
 
 @scheme(
@@ -224,7 +197,7 @@ def build_b(top: Top, options: ChartOptions) -> Stepper:
     self_adjoint=False,
     conserves=CONSERVES,
     citation=CITATION,
-    formula=r"\gamma' = e^{-h\hat\omega}\,\gamma, \qquad \hat\omega v = \omega\times v" + "\n" + BOHLIN,
+    formula=r"\gamma' = e^{-h\hat\omega}\,\gamma, \qquad \hat\omega v = \omega\times v" + "\n" + FORMULA,
     equations="(C), (Kxi) and (direct) of the paper",
     limits={
         **LIMITS,
@@ -239,4 +212,4 @@ def build_c(top: Top, options: BranchOptions) -> Stepper:
     The old omega is omega before the step. Rodrigues' formula gives the rotated gamma without a division by |omega|, so
     omega = 0 is a regular point.
     """
-    return with_root_counter(Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6))
+    return Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6)

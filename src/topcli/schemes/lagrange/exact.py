@@ -18,31 +18,107 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal, localcontext
+from fractions import Fraction
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.elliptic import DIGITS, TURN, Oscillation, oscillation
+from topcli.arithmetic.elliptic import Argument, phase
+from topcli.arithmetic.multiprecision import Real, cubic_roots, digits, mp, real
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.layout import LAGRANGE_AXIS
 from topcli.schemes.registry import scheme
 
+LAGRANGE_AXIS = r"""
+\dot u^2 = (2E - s^2 - 2u)(1 - u^2) - (l - su)^2, \qquad
+u = u_1 + (u_2 - u_1)\,\mathrm{sn}^2\Bigl(\sqrt{\tfrac{u_3 - u_1}{2}}\;(t + t_0)\,;\ k\Bigr), \quad
+k^2 = \frac{u_2 - u_1}{u_3 - u_1}
+
+u = \gamma_3 = a\cdot p, \quad s = m\cdot e_3 = m\cdot a, \quad l = m\cdot\gamma = m\cdot p, \quad
+E = \tfrac12 m^2 + u, \qquad u_1 \leq u_2 \leq u_3 \text{ the zeros of } \dot u^2; \quad A = \mu = 1
+"""
 MAX_SAMPLES = 1 << 15
-_NOTHING = 1e-26
-"""Squares below this, relative to the largest, are zeros with rounding errors of the decimal arithmetic."""
+NOTHING = 1e-30
+"""Squares that vanish are below this, relative to the largest, because of rounding."""
+ROOT_DIGITS = 120
+REFUSED = "lagrange, scheme exact: {}; use scheme 'taylor'"
 
 
-def _dot(x: Sequence[Decimal], y: Sequence[Decimal]) -> Decimal:
-    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+class AsymptoticError(RunError):
+    """The motion tends to rest."""
 
 
-def _least(low: Decimal, high: Decimal) -> float:
-    """Ratio of the smaller to the larger of two squares; zero if it is only round-off."""
-    small, large = min(low, high), max(low, high)
-    return float(small / large) if large > 0 and small > large * Decimal(_NOTHING) else 0.0
+class Oscillation(NamedTuple):
+    """Solution of (dx/dt)² = Q(x) between two zeros of Q: x = lower + gap sn², or upper - gap sn² if it ``hangs``.
+
+    ``gap`` is 0 if x is at rest.
+    """
+
+    lower: Real
+    upper: Real
+    gap: float
+    argument: Argument
+    hangs: bool
+
+    @property
+    def period(self) -> float:
+        """Period of x in time."""
+        return float(2 * self.argument.quarter / self.argument.rate) if self.gap else 1.0
+
+    def turns(self, n: NDArray[Any], h: float) -> tuple[NDArray[np.int64], Array]:
+        """Whole periods of x and the rest, in [-1/2, 1/2], after ``n`` (m,) steps of ``h``."""
+        with digits():
+            period = 2 * self.argument.quarter
+            return phase(self.argument.start / period, self.argument.rate * real(h) / period, n)
+
+    def at(self, turn: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """x - lower, upper - x, dx/dt, sn, cn at phases (m,); sn and cn up to the same sign."""
+        sn, cn, dn = self.argument.at(turn)
+        near, far = self.gap * sn * sn, self.gap * cn * cn
+        rate = 2.0 * self.gap * float(self.argument.rate) * sn * cn * dn
+        return (far, near, -rate, sn, cn) if self.hangs else (near, far, rate, sn, cn)
+
+
+def oscillation(q: Sequence[Real], x0: Real, rising: bool) -> Oscillation:
+    """Motion with (dx/dt)² = Q(x) from ``x0``, rising or falling, for a cubic ``q``, the highest degree first.
+
+    Raises AsymptoticError, or RunError if the zeros cannot be resolved.
+    """
+    a, b, c, d = q
+    tiny, size = mp.mpf(10) ** (10 - mp.dps), sum(map(abs, q)) * max(1, abs(x0)) ** 3
+
+    def value(x: Real) -> Real:
+        return ((a * x + b) * x + c) * x + d
+
+    if abs(value(x0)) <= tiny * size and abs((3 * a * x0 + 2 * b) * x0 + c) <= tiny * size:
+        return Oscillation(x0, x0, 0.0, Argument.of(mp.mpf(0), mp.mpf(0), mp.mpf(1)), False)
+    if a:
+        g2, g3 = (b * b / 3 - a * c) / 4, (a * b * c / 3 - 2 * b**3 / 27 - a * a * d) / 16
+        roots = sorted((4 * e.real - b / 3) / a for e in cubic_roots(g2, g3, True))
+        far, (low, high) = (roots[2], roots[:2]) if a > 0 else (roots[0], roots[1:])
+        length = abs(far - (low if a > 0 else high))
+        m1, rate = abs(far - (high if a > 0 else low)) / length, mp.sqrt(abs(a) * length) / 2
+    else:
+        root = mp.sqrt(c * c - 4 * b * d)
+        low, high = sorted(((root - c) / (2 * b), (-root - c) / (2 * b)))
+        m1, rate = mp.mpf(1), mp.sqrt(-b) / 2
+    if not m1 > 1e-32:
+        raise AsymptoticError(REFUSED.format("the motion is asymptotic to rest and not periodic"))
+    if max(abs(value(low)), abs(value(high))) > 1e-40 * size:
+        raise RunError(REFUSED.format("the turning points cannot be resolved, because gravity is too weak"))
+    hangs, gap = bool(a < 0), high - low
+    s2, c2 = (min(max(abs(x0 - x) / gap, mp.mpf(0)), mp.mpf(1)) for x in ((high, low) if hangs else (low, high)))
+    with digits():
+        start = mp.sqrt(s2) * mp.elliprf(c2, c2 + m1 * s2, 1)
+        return Oscillation(low, high, float(gap), Argument.of(start if rising != hangs else -start, rate, m1), hangs)
+
+
+def _least(squares: Sequence[Real], vanishes: bool) -> float:
+    """Ratio of the smaller to the larger of two squares; zero if it is only round-off, because one ``vanishes``."""
+    small, large = min(squares), max(squares)
+    return float(small / large) if large > 0 and not (vanishes and small <= large * NOTHING) else 0.0
 
 
 @dataclass(frozen=True)
@@ -55,12 +131,12 @@ class _Constants:
     S: float
     lower: float
     upper: float
-    down: tuple[float, float]
-    """sqrt(N) + u."""
-    up: tuple[float, float]
-    """sqrt(N) - u."""
-    momentum: tuple[float, float]
-    """Square of the horizontal part of m, 2 (E - nu u) - P²."""
+    down: float
+    """sqrt(N) + u at the minimum."""
+    up: float
+    """sqrt(N) - u at the maximum."""
+    momentum: float
+    """Smallest square of the horizontal part of m, 2 (E - nu u) - P²."""
     axis_turn: tuple[float, float]
     """N P - S u."""
     momentum_turn: tuple[float, float]
@@ -71,10 +147,9 @@ class _Constants:
 
     def squares(self, rise: Array, fall: Array) -> tuple[Array, Array]:
         """Squares of the horizontal parts of a and m, as sums and products of non-negative terms."""
-        axis = (self.up[1] + fall) * (self.down[0] + rise)
-        if self.nu > 0.0:
-            return axis, self.momentum[1] + 2.0 * self.nu * fall
-        return axis, self.momentum[0] - 2.0 * self.nu * rise
+        return (self.up + fall) * (self.down + rise), self.momentum + 2.0 * abs(self.nu) * (
+            fall if self.nu > 0.0 else rise
+        )
 
     def turns(self, rise: Array, fall: Array) -> tuple[Array, Array]:
         """N P - S u and S - P u, computed from the nearer turning point."""
@@ -82,120 +157,98 @@ class _Constants:
         axis = np.where(near, self.axis_turn[0] - self.S * rise, self.axis_turn[1] + self.S * fall)
         return axis, np.where(near, self.momentum_turn[0] - self.P * rise, self.momentum_turn[1] + self.P * fall)
 
-    def heights(self, rise: Array, fall: Array) -> Array:
-        """u, computed from the nearer turning point."""
-        return np.where(rise < fall, self.lower + rise, self.upper - fall)
-
 
 @lru_cache(maxsize=64)
-def _constants(y0: Floats, h: float, nu: float) -> _Constants:
-    with localcontext() as context:
-        context.prec = DIGITS
-        m, a = [Decimal(v) for v in y0[:3]], [Decimal(v) for v in y0[3:]]
-        g, P, S, N = Decimal(nu), m[2], _dot(m, a), _dot(a, a)
-        E = _dot(m, m) / 2 + g * a[2]
-        root = N.sqrt()
-        q = [Decimal(0), 2 * g, -2 * E, 2 * S * P - 2 * g * N, 2 * E * N - S * S - N * P * P]
-        rising = m[0] * a[1] - m[1] * a[0] >= 0
-        nutation = oscillation(q, a[2], rising, -root, Decimal(h))
-        ends = (nutation.lower, nutation.upper)
-        up, down = [root - u for u in ends], [root + u for u in ends]
-        momentum = [2 * (E - g * u) - P * P for u in ends]
-
-        def pair(values: Sequence[Decimal], floor: Decimal) -> tuple[float, float]:
-            low, high = (float(max(v, floor)) for v in values)
-            return low, high
-
-        nothing, anything = Decimal(0), Decimal("-Infinity")
+def _constants(y0: Floats, nu: float) -> _Constants:
+    m, a, g = [Fraction(v) for v in y0[:3]], [Fraction(v) for v in y0[3:]], Fraction(nu)
+    P, (S, N, square) = m[2], (sum(x * y for x, y in zip(*both, strict=True)) for both in ((m, a), (a, a), (m, m)))
+    E = square / 2 + g * a[2]
+    q = 2 * g, -2 * E, 2 * S * P - 2 * g * N, 2 * E * N - S * S - N * P * P
+    upright, spins = S * S == N * P * P, 2 * g * S == P * (2 * E - P * P)
+    with digits(ROOT_DIGITS):
+        nutation = oscillation([real(v) for v in q], real(a[2]), m[0] * a[1] - m[1] * a[0] >= 0)
+        ends, root = (nutation.lower, nutation.upper), mp.sqrt(real(N))
+        up, down = ([max(root + sign * u, mp.mpf(0)) for u in ends] for sign in (-1, 1))
+        momentum = [max(real(2 * E - P * P) - real(2 * g) * u, mp.mpf(0)) for u in ends]
+        P, S, N = (real(v) for v in (P, S, N))
+        axis_turn, momentum_turn = ([float(x - y * u) for u in ends] for x, y in ((N * P, S), (S, P)))
         return _Constants(
-            nutation,
-            nu,
-            float(P),
-            float(S),
-            float(ends[0]),
-            float(ends[1]),
-            pair(down, nothing),
-            pair(up, nothing),
-            pair(momentum, nothing),
-            pair([N * P - S * u for u in ends], anything),
-            pair([S - P * u for u in ends], anything),
-            _least(up[0] * down[0], up[1] * down[1]),
-            _least(momentum[0], momentum[1]),
+            nutation=nutation,
+            nu=nu,
+            P=float(P),
+            S=float(S),
+            lower=float(ends[0]),
+            upper=float(ends[1]),
+            down=float(down[0]),
+            up=float(up[1]),
+            momentum=float(min(momentum)),
+            axis_turn=(axis_turn[0], axis_turn[1]),
+            momentum_turn=(momentum_turn[0], momentum_turn[1]),
+            axis_least=_least([x * y for x, y in zip(up, down, strict=True)], upright),
+            momentum_least=_least(momentum, spins),
         )
 
 
 @dataclass(frozen=True)
 class _Angle:
-    """Angle whose rate has the period of the nutation: mean rate per step, and Fourier series of the periodic part."""
+    """Angle whose rate has the period of the nutation: mean rate, and Fourier series of the periodic part."""
 
     mean: float
     harmonics: NDArray[np.complex128]
 
-    def periodic(self, phase: NDArray[np.uint64]) -> Array:
-        """Periodic part at the phases (m,)."""
-        z = np.exp(phase.view(np.int64) * (4j * math.pi / TURN))
+    def periodic(self, turn: Array) -> Array:
+        """Periodic part at the phases (m,), in periods."""
+        z = np.exp(2j * math.pi * (turn + 0.5))
         total: NDArray[np.complex128] = np.zeros(len(z), dtype=np.complex128)
         for coefficient in self.harmonics[::-1]:
             total = (total + coefficient) * z
         return total.real
 
 
-def _rate(c: _Constants, by_axis: bool, phase: NDArray[np.uint64]) -> Array:
-    rise, fall, *_ = c.nutation.at(phase)
-    square = c.squares(rise, fall)[0 if by_axis else 1]
-    turn = c.turns(rise, fall)[0 if by_axis else 1]
-    return turn / square if by_axis else c.nu * turn / square
-
-
 @lru_cache(maxsize=64)
-def _angle(c: _Constants, by_axis: bool, h: float) -> _Angle:
-    """Integral of the rate by the trapezoidal rule, doubling the number of samples; raise ValueError at the limit."""
-    samples = 32
+def _angle(c: _Constants, by_axis: bool) -> _Angle:
+    """Integral of the rate by the trapezoidal rule, doubling the number of samples; raise RunError at the limit."""
+    samples, frequency = 32, 2.0 * math.pi / c.nutation.period
     while samples <= MAX_SAMPLES:
-        phase = np.arange(samples, dtype=np.uint64) * np.uint64(TURN // 2 // samples)
-        rate = _rate(c, by_axis, phase)
+        rise, fall, *_ = c.nutation.at(np.linspace(-0.5, 0.5, samples, endpoint=False))
+        which = 0 if by_axis else 1
+        rate = (1.0 if by_axis else c.nu) * c.turns(rise, fall)[which] / c.squares(rise, fall)[which]
         series = np.fft.rfft(rate) / samples
-        frequency = 2.0 * math.pi / c.nutation.period
         order = np.arange(1, samples // 2)
         harmonics = 2.0 * series[1 : samples // 2] / (1j * order * frequency)
         round_off = 1e-16 * (1.0 + float(np.abs(rate).max()) / frequency)
         if np.abs(harmonics[samples // 4 :]).max() <= round_off:
-            kept = np.flatnonzero(np.abs(harmonics) > 0.01 * round_off)
-            return _Angle(float(series[0].real) * h, harmonics[: kept[-1] + 1 if len(kept) else 0])
+            large = np.flatnonzero(np.abs(harmonics) > 0.01 * round_off)
+            return _Angle(float(series[0].real), harmonics[: large[-1] + 1 if len(large) else 0])
         samples *= 2
-    raise ValueError("almost planar motion: both the axis and the angular momentum pass too close to the vertical")
+    why = "almost planar motion: both the axis and the angular momentum pass too close to the vertical"
+    raise RunError(REFUSED.format(why))
 
 
 def _motion(y0: Floats, h: float, n: NDArray[np.int64], nu: float) -> Array:
     """Solution (m, a) of m' = nu p x a, a' = m x a from ``y0`` after n steps (m,), shape (m, 6)."""
-    c = _constants(y0, h, nu)
-    phase, begin = c.nutation.phases(n), c.nutation.phases(np.zeros(1, dtype=np.int64))
-    rise, fall, rate, sn, cn = c.nutation.at(phase)
+    c = _constants(y0, nu)
+    (j, turn), (j0, begin) = c.nutation.turns(n, h), c.nutation.turns(np.zeros(1), h)
+    rise, fall, rate, sn, cn = c.nutation.at(turn)
     axis_sq, momentum_sq = c.squares(rise, fall)
     axis_now, momentum_now = complex(y0[3], y0[4]), complex(y0[0], y0[1])
     if c.axis_least == c.momentum_least == 0.0:
         # at rest upright, or planar motion: the horizontal parts stay on a line and change sign
-        first, second = (sn, cn) if nu > 0.0 else (cn, sn)
-        _, _, _, sn0, cn0 = c.nutation.at(begin)
-        sign0, other0 = (sn0[0], cn0[0]) if nu > 0.0 else (cn0[0], sn0[0])
-        along = axis_now * np.sign(sign0) if axis_now else 1j * momentum_now * np.sign(other0)
-        along = along / abs(along) if along else 0.0
-        a = along * np.sqrt(axis_sq) * np.sign(first)
-        m = -1j * along * np.sqrt(momentum_sq) * np.sign(second)
+        *_, sn0, cn0 = c.nutation.at(begin)
+        way = 1j if c.nutation.hangs else -1j
+        along = axis_now * np.sign(sn0[0]) if axis_now else momentum_now * np.sign(cn0[0]) / way
+        along = np.where((j - j0) % 2, -along, along) / (abs(along) or 1.0)
+        a, m = along * np.sqrt(axis_sq) * np.sign(sn), way * along * np.sqrt(momentum_sq) * np.sign(cn)
     else:
         by_axis = c.axis_least >= c.momentum_least
-        angle = _angle(c, by_axis, h)
-        turned = np.exp(1j * (angle.mean * n + (angle.periodic(phase) - angle.periodic(begin))))
-        momentum_turn = c.turns(rise, fall)[1]
-        if by_axis:
-            length = np.sqrt(axis_sq)
-            turned = turned * (axis_now / abs(axis_now))
-            a, m = turned * length, turned * (momentum_turn - 1j * rate) / length
-        else:
-            length = np.sqrt(momentum_sq)
-            turned = turned * (momentum_now / abs(momentum_now))
-            m, a = turned * length, turned * (momentum_turn + 1j * rate) / length
-    height = c.heights(rise, fall)
+        now, square = (axis_now, axis_sq) if by_axis else (momentum_now, momentum_sq)
+        angle = _angle(c, by_axis)
+        length = np.sqrt(square)
+        turned = np.exp(1j * (angle.mean * h * n + (angle.periodic(turn) - angle.periodic(begin)))) * (now / abs(now))
+        # the other vector follows without a second integral
+        other = turned * (c.turns(rise, fall)[1] + (-1j if by_axis else 1j) * rate) / length
+        a, m = (turned * length, other) if by_axis else (other, turned * length)
+    height = np.where(rise < fall, c.lower + rise, c.upper - fall)
     return np.column_stack([m.real, m.imag, np.full(len(n), c.P), a.real, a.imag, height])
 
 
@@ -204,10 +257,7 @@ def inertial_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Arr
 
     Raises RunError for a motion that is not covered (see the module docstring).
     """
-    try:
-        return _motion(tuple(map(float, y0)), float(h), n, float(p[0]))
-    except ValueError as error:
-        raise RunError(f"lagrange, scheme exact: {error}") from error
+    return _motion(tuple(map(float, y0)), float(h), n, float(p[0]))
 
 
 def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
@@ -219,14 +269,16 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     alpha, nu = float(p[0]), float(p[1])
     w1, w2, s, *gamma = map(float, y0)
     spin = s - alpha * s
-    try:
-        found = _motion((-w1, -w2, -spin, *gamma), float(h), n, nu)
-    except ValueError as error:
-        raise RunError(f"lagrange, scheme exact: {error}") from error
+    m1, m2, _, a1, a2, a3 = _motion((-w1, -w2, -spin, *gamma), float(h), n, nu).T
     turned = np.exp(-1j * (alpha * s * h) * n)
-    omega = -(found[:, 0] + 1j * found[:, 1]) * turned
-    vertical = (found[:, 3] + 1j * found[:, 4]) * turned
-    return np.column_stack([omega.real, omega.imag, np.full(len(n), s), vertical.real, vertical.imag, found[:, 5]])
+    omega, vertical = -(m1 + 1j * m2) * turned, (a1 + 1j * a2) * turned
+    return np.column_stack([omega.real, omega.imag, np.full(len(n), s), vertical.real, vertical.imag, a3])
+
+
+WEAK_GRAVITY = (
+    "The nutation of a body that rotates very fast is too small to be resolved. The motion is refused, and the message "
+    "names the scheme `taylor`."
+)
 
 
 @scheme(
@@ -241,6 +293,7 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     formula=LAGRANGE_AXIS,
     equations="(Euler) and (Poisson) of the paper with A = B, x0 = y0 = 0",
     limits={
+        "huge": WEAK_GRAVITY,
         "sleeping-threshold": "The scheme refuses motions that tend to the upright position, because their period is "
         "infinite. At the stability limit of the upright top it also refuses motions within 1e-6 of the upright "
         "position, because their period is too long to resolve.",
@@ -249,8 +302,9 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
 def build_exact(top: Top, options: NoOptions) -> Sampler:
     """The scheme computes gamma3 by Jacobi functions and the angle of precession by a Fourier series.
 
-    Every state is accurate to round-off, at any time. The scheme refuses motions that tend to the upright position,
-    because they are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
+    The nutation is accurate to round-off at any time, and the angle of precession to a few ulp of its size, which grows
+    with time. The scheme refuses motions that tend to the upright position, because they are not periodic, and motions
+    in which the axis stays nearly, but not exactly, in a vertical plane.
     """
     return Sampler(body_states)
 
@@ -266,11 +320,13 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     citation="Lagrange 1788; Whittaker, Analytical Dynamics, section 71",
     formula=LAGRANGE_AXIS,
     equations="m' = p x a, a' = m x a",
+    limits={"huge": WEAK_GRAVITY},
 )
 def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
     """The scheme computes a·p by Jacobi functions and the angle of precession by a Fourier series.
 
-    Every state is accurate to round-off, at any time. The scheme refuses motions that tend to the upright position,
-    because they are not periodic, and motions in which the axis stays nearly, but not exactly, in a vertical plane.
+    The nutation is accurate to round-off at any time, and the angle of precession to a few ulp of its size, which grows
+    with time. The scheme refuses motions that tend to the upright position, because they are not periodic, and motions
+    in which the axis stays nearly, but not exactly, in a vertical plane.
     """
     return Sampler(inertial_states)

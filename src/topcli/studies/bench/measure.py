@@ -30,8 +30,7 @@ from topcli.engine.loop import Loop, loop_of
 from topcli.errors import UsageError
 from topcli.runs.identity import scheme_code
 from topcli.runs.report import finite
-from topcli.schemes.plugins import users_error
-from topcli.schemes.registry import loaded_plugin_files
+from topcli.schemes.plugins import FILES, users_error
 from topcli.store.provenance import environment, installed
 from topcli.studies.bench.contest import LineUp, Problem, Rung, ladder, tolerance_option
 from topcli.studies.bench.peers import NoResultError, Peer, missing
@@ -169,7 +168,7 @@ class PeerProcess:
             stderr=self._log,
             env={**os.environ, **_ONE_THREAD},
         )
-        plugins = [Path(file.path).absolute() for file in loaded_plugin_files()]
+        plugins = [Path(file.path).absolute() for file in FILES.values()]
         self.send("start", peer.variants, problem.experiment.resolved(), problem.duration, problem.intervals, plugins)
 
     def send(self, method: str, *arguments: Any) -> None:

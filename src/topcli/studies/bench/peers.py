@@ -27,7 +27,7 @@ import numpy as np
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.registry import load_plugin_file
+from topcli.schemes.plugins import load_plugin_file
 from topcli.studies import imported
 
 

@@ -14,7 +14,7 @@ from topcli.config.load import load_experiment
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.field.polynomial import field_of
-from topcli.schemes.plugins import origin_of, plugin_table
+from topcli.schemes.plugins import origin_of
 from topcli.studies.stress.checks import (
     Case,
     Check,
@@ -414,7 +414,6 @@ CASES = [
 """Cases of topcli."""
 OWN: dict[tuple[str, str], Case] = {}
 """Cases of plugins by name and form."""
-plugin_table(OWN)
 
 
 def case(

@@ -118,7 +118,7 @@ def measure(
     Examples
     --------
     >>> import topcli
-    >>> report = topcli.stress("hk", "dg4", cases=["delone", "pole"])
+    >>> report = topcli.stress("hk", "backlund", cases=["delone", "pole"])
     >>> report.grid().loc["hk", "pole"]
     'held'
     >>> len(report.table), len(report.unexplained)

@@ -19,12 +19,13 @@ from topcli.errors import (
     nearest,
     shortened,
 )
+from topcli.schemes.own_tops import forms
 from topcli.schemes.plugins import reason_of, users_error
 from topcli.schemes.registry import find_scheme, names_for, schemes_of
 from topcli.store.provenance import environment
 from topcli.studies.stress.cases import CASES, cases_named, cases_of
 from topcli.studies.stress.checks import Case, CaseCache, CaseOutcome, Finding, Trial, false_order
-from topcli.tops import TOPS, forms
+from topcli.tops import TOPS
 
 GENERIC = "backwards"
 """Case of every top whose motion is a generic one with a short step: there every scheme has its order."""

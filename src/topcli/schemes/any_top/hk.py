@@ -1,0 +1,138 @@
+"""Hirota-Kimura scheme (Kahan's method) of every quadratic field, generated from the field (``topcli.field.implicit``).
+
+Of a step of some motion the linear system is singular for certain lengths of the order of 1/|omega|. The determinant is
+1 + O(h²), so that a small one shows such a step: the state then jumps far away. A top with an energy ends as
+``left_motion`` or ``blew_up`` within a few steps; for a top without one, steps with a small determinant are counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache, partial
+
+from topcli.contracts import UNKNOWN, Floats, Integrability, Invariant, NoOptions, StepFunction, Stepper, Top
+from topcli.field.implicit import KahanStep, KahanTangent, generated
+from topcli.field.polynomial import required_field
+from topcli.field.straight_line import function_of
+from topcli.schemes.limits import LONG_HK, SINGULAR, has_own_cases, linear_invariants
+from topcli.schemes.registry import scheme
+from topcli.schemes.steppers import first
+
+NEEDED_BY = "scheme 'hk'"
+NEAR_SINGULAR = "near_singular_solves"
+SMALL = 2.0**-10
+"""Determinant, which is 1 at h = 0, below which a step is counted: three digits are lost to cancellation."""
+GAMMA_GROWS = (
+    "The conserved m²/K and m·omega/K keep omega bounded. The modified integral that HK conserves in place of "
+    "gamma² is a quadratic form in gamma. For short steps the form is positive definite and keeps gamma bounded. If h "
+    "is about the time of one revolution of the body, the form may be indefinite, and gamma then grows without bound. "
+    "The page Tops gives the exact condition."
+)
+DIGITS_LOST = (
+    "If h is about the time of one revolution of the body, terms of the linear system that are much larger than the "
+    "change cancel. The modified integrals then deviate by up to ten times more than round-off of the state explains."
+)
+LONG_EULER = {"euler": DIGITS_LOST, "euler+gamma": GAMMA_GROWS}
+INTEGRABLE = {
+    "euler": Integrability(UNKNOWN, "a family of brackets of this map (Petrera, Suris 2010)"),
+    "euler+gamma": Integrability(UNKNOWN, UNKNOWN),
+    "lagrange": Integrability(UNKNOWN, UNKNOWN),
+}
+"""Integrable maps."""
+
+
+def _tangent(top: Top) -> Stepper:
+    """The step of ``top`` with its tangent map."""
+    field = required_field(top, NEEDED_BY, 2)
+    code = generated(KahanTangent, field, len(top.constants()))
+    return Stepper(function_of(code.graph, "tangent", code.outputs), 2 * len(field), constants=code.constants)
+
+
+@lru_cache(maxsize=256)  # steppers that share the functions share their machine code
+def counted(step: StepFunction, change: StepFunction, determinants: StepFunction, d: int) -> Stepper:
+    """Stepper of d components that counts steps with a small determinant."""
+
+    def small(y: Floats, h: float, p: Floats) -> float:
+        count = 0.0
+        for determinant in determinants(y, h, p):
+            if abs(determinant) < SMALL:
+                count = 1.0
+        return count
+
+    def counting(s: Floats, h: float, p: Floats) -> Floats:
+        y = s[:d]
+        return (*step(y, h, p), s[d] + small(y, h, p))
+
+    def counting_change(s: Floats, h: float, p: Floats) -> Floats:
+        return (*change(s, h, p), small(s, h, p))
+
+    def enter(y: Floats, h: float, p: Floats) -> Floats:
+        return (*y, 0.0)
+
+    return Stepper(counting, d + 1, enter, first(d), (NEAR_SINGULAR,), change=counting_change)
+
+
+def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
+    """Integrals of the map, as far as they are known."""
+    if top.form in ("euler", "euler+gamma"):
+        from topcli.schemes.euler.hk_integrals import hk_integrals
+
+        return hk_integrals(top, h)
+    if top.form in ("lagrange", "lagrange-gyrostat"):
+        from topcli.schemes.lagrange.hk_integrals import hk_integrals
+
+        return hk_integrals(top, h)
+    return top.modified_invariants("hk", h)
+
+
+def limits(top: Top) -> Mapping[str, str]:
+    """Hard cases of the tops of the paper in which steps are too long."""
+    if not has_own_cases(top) or top.form == "lagrange/inertial":  # its determinant does not vanish
+        return {}
+    return {"singular-step": SINGULAR, "resonance": LONG_EULER.get(top.form, LONG_HK)}
+
+
+@scheme(
+    "hk",
+    top=None,
+    requires=partial(required_field, needed_by=NEEDED_BY, degree=2),
+    title="Hirota-Kimura scheme (Kahan's method)",
+    order=2,
+    explicit=True,
+    self_adjoint=True,
+    conserves=linear_invariants,
+    modified=modified,
+    integrable=lambda top: INTEGRABLE.get(top.form),
+    citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Petrera, Pfadler, Suris 2011 (integrability); "
+    "Celledoni, McLachlan, Owren, Quispel, J. Phys. A 46 (2013) 025201; "
+    "Sogo, Discrete Spinning Tops, sections 1.2, 2.1 and 3.2.1",
+    formula=r"""
+\frac{y_i' - y_i}{h} = \sum_{jk} a_{ijk}\,\tfrac12\,(y_j y_k' + y_j' y_k) + \sum_j b_{ij}\,\bar y_j + c_i, \qquad
+\dot y_i = \sum_{jk} a_{ijk}\,y_j y_k + \sum_j b_{ij}\,y_j + c_i
+
+J\,\frac{\omega' - \omega}{h} = \tfrac12\,(J\omega\times\omega' + J\omega'\times\omega) + \bar\gamma\times r, \qquad
+\frac{\gamma' - \gamma}{h} = \tfrac12\,(\gamma\times\omega' + \gamma'\times\omega)
+""",
+    equations="(dEulerPoisson) of the paper, with the last line corrected so that it ends with "
+    "gamma_2^n omega_1^{n+1}; for any top (y' - y)/h = 2 f((y + y')/2) - f(y)/2 - f(y')/2",
+    limits=limits,
+    changes=True,
+)
+def build(top: Top, options: NoOptions) -> Stepper:
+    """Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
+
+    The code of the step is generated from the equations of motion. In these equations every product y z of two
+    variables becomes (y' z + y z')/2, and every linear term y becomes the mean (y + y')/2; a prime marks a value after
+    the step. The step is self-adjoint. HK conserves linear integrals; for small h the deviations of the other integrals
+    are of size h². Some tops have modified integrals, which HK conserves exactly for every h.
+    """
+    field, d = required_field(top, NEEDED_BY, 2), len(top.components)
+    code = generated(KahanStep, field, len(top.constants()))
+    of = partial(function_of, code.graph)
+    step, change = of("step", code.outputs), of("change", code.changes())
+    if any(invariant.name == top.energy for invariant in top.invariants()) or not code.determinants:
+        plain = Stepper(step, d, change=change)
+    else:
+        plain = counted(step, change, of("determinants", code.determinants), d)
+    return replace(plain, constants=code.constants, source=partial(code.source, "step"), tangent=partial(_tangent, top))

@@ -1,0 +1,101 @@
+"""Integrals of the HK map of the Euler top, without and with the vertical gamma.
+
+With d = h/2, alpha_1 = (B - C)/A and cyclically, I = (A, B, C), i, j, k cyclic:
+
+    K_i = 1 - d² alpha_j alpha_k omega_i²,    q_i = alpha_j omega_k² - alpha_k omega_j²,    K_j - K_k = d² alpha_i q_i,
+    R_i = K_j K_k - d⁴ q_j q_k.
+
+The map of omega conserves K_i/K_j, m²/K_i and m·omega/K_i (Hirota, Kimura 2000; Petrera, Pfadler, Suris 2011). The map
+of omega and gamma also conserves modified forms of m·gamma and gamma²; K is the mean of the K_i:
+
+    J = sum_i rho_i omega_i gamma_i/K³,
+        rho_i = I_i K_j K_k + d² [(I_k K_j + I_j K_k) q_i/2
+                                  + (I_i (K_j + K_k) - d² (I_j + I_k) q_i) (alpha_k q_k - alpha_j q_j)/4],
+    G = (sum_i R_j R_k gamma_i²/K_i + d² K_1 K_2 K_3 S²)/K⁴,    S = sum_i (1 + d² q_i/K_i) omega_i gamma_i.
+
+No difference of moments appears in a denominator and no two nearly equal terms are subtracted, so that J -> m·gamma and
+G -> gamma² without loss of digits as h -> 0, also for bodies with two or three equal moments. The signs of the K_i
+relative to each other and those of the R_i are conserved. If all K_i > 0 and all R_i have one sign, G is positive
+definite in gamma and bounds its length. Otherwise it is indefinite.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from topcli.contracts import Floats, Integral, Invariant, Top, invariant_of
+
+LONGEST = 2.0**511
+"""Steps from here on have squares that are no double."""
+AXES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+
+
+def hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
+    """Exact integrals of the HK map: five of omega and, if gamma is part of the state, two with gamma.
+
+    m² and m·omega are divided by the mean of the three K_i. Instead of K_1/K_2 = 1 + (h/2)² alpha_3 q, the integral is
+    q = (alpha_1 omega_2² - alpha_2 omega_1²)/K_2: it loses no digits for small h and tends to an integral of the motion
+    as h -> 0.
+    """
+    square, p = ((0.5 * h) ** 2 if abs(h) < LONGEST else math.inf), top.constants()
+    moments, alpha = p[:3], p[3:]
+
+    def K(y: Floats) -> list[Any]:
+        return [1.0 - square * alpha[j] * alpha[k] * y[i] ** 2 for i, j, k in AXES]
+
+    def mean(y: Floats) -> Any:
+        a, b, c = K(y)
+        return (a + b + c) / 3.0
+
+    def q(y: Floats) -> list[Any]:
+        return [alpha[j] * y[k] ** 2 - alpha[k] * y[j] ** 2 for _, j, k in AXES]
+
+    def modified_m_sq(y: Floats, p: Floats) -> Any:
+        """m² divided by the mean of K1, K2, K3."""
+        return sum((m * w) ** 2 for m, w in zip(moments, y[:3], strict=True)) / mean(y)
+
+    def modified_m_omega(y: Floats, p: Floats) -> Any:
+        """m·ω divided by the mean of K1, K2, K3."""
+        return sum(m * w**2 for m, w in zip(moments, y[:3], strict=True)) / mean(y)
+
+    def ratio(i: int, j: int) -> Integral:
+        def integral(y: Floats, p: Floats) -> Any:
+            return (alpha[i] * y[j] ** 2 - alpha[j] * y[i] ** 2) / K(y)[j]
+
+        integral.__doc__ = f"(K{i + 1}/K{j + 1} - 1)/((h/2)² α{4 - i - j})"
+        return integral
+
+    def modified_m_gamma(y: Floats, p: Floats) -> Any:
+        """m·γ, modified so that the HK map conserves it."""
+        k, x = K(y), q(y)
+        total: Any = 0.0
+        for i, j, n in AXES:
+            even = 0.5 * (moments[n] * k[j] + moments[j] * k[n]) * x[i]
+            odd = moments[i] * (k[j] + k[n]) - square * (moments[j] + moments[n]) * x[i]
+            rho = moments[i] * k[j] * k[n] + square * (even + 0.25 * odd * (alpha[n] * x[n] - alpha[j] * x[j]))
+            total = total + rho * y[i] * y[3 + i]
+        return total / mean(y) ** 3
+
+    def modified_gamma_sq(y: Floats, p: Floats) -> Any:
+        """γ², modified so that the HK map conserves it."""
+        k, x = K(y), q(y)
+        R = [k[j] * k[n] - (square * x[j]) * (square * x[n]) for _, j, n in AXES]
+        along = sum((1.0 + square * x[i] / k[i]) * y[i] * y[3 + i] for i in range(3))
+        squares = sum(R[j] * R[n] / k[i] * y[3 + i] ** 2 for i, j, n in AXES)
+        return (squares + square * k[0] * k[1] * k[2] * along**2) / mean(y) ** 4
+
+    gamma, m, omega = r"\boldsymbol{\gamma}", r"\boldsymbol{m}", r"\boldsymbol{\omega}"
+    integrals: dict[str, tuple[Integral, str, str]] = {
+        "modified_m_sq": (modified_m_sq, "m²/K", rf"{m}^2/K"),
+        "modified_m_omega": (modified_m_omega, "m·ω/K", rf"{m}\cdot{omega}/K"),
+        "modified_k12": (ratio(0, 1), "κ12", r"\kappa_{12}"),
+        "modified_k23": (ratio(1, 2), "κ23", r"\kappa_{23}"),
+        "modified_k31": (ratio(2, 0), "κ31", r"\kappa_{31}"),
+        "modified_m_gamma": (modified_m_gamma, "J", rf"J({m}\cdot{gamma})"),
+        "modified_gamma_sq": (modified_gamma_sq, "G", rf"G({gamma}^2)"),
+    }
+    count = 5 if len(top.components) == 3 else 7
+    return tuple(
+        invariant_of(name, integral, p, (symbol, tex)) for name, (integral, symbol, tex) in [*integrals.items()][:count]
+    )

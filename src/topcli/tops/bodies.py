@@ -1,0 +1,145 @@
+"""Checks of what a top says about its body: its Euler-Poisson equations, its angular velocity and its vertical."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any, cast
+
+import numpy as np
+
+from topcli.contracts import EulerPoisson, Top
+from topcli.errors import UsageError
+from topcli.field.polynomial import Polynomial, required_field
+
+ROUNDING = 1e-12
+"""Relative difference of coefficients that rounded parameters may leave."""
+MOVED = 1e-6
+"""Relative change of a vertical that finite differences may leave."""
+PROBES = 4
+"""States at which a vertical is tried."""
+
+
+def checked_equations(top: Top, needed_by: str) -> EulerPoisson:
+    """Return ``top.euler_poisson()`` after comparing its polynomials with those of ``top.field``.
+
+    Parameters
+    ----------
+    top : Top
+        Any top, also one from a user's file.
+    needed_by : str
+        User of the equations, for the error message, such as "scheme 'dmv'".
+
+    Raises
+    ------
+    UsageError
+        If the top gives no Euler-Poisson equations, or if they differ from its field. The message names the component
+        that differs.
+    """
+    try:
+        equations = top.euler_poisson()
+    except NotImplementedError:
+        other = "use a scheme that needs the field alone, such as rk4, or " if needed_by.startswith("scheme") else ""
+        raise UsageError(
+            f"top {top.kind!r}: {needed_by} needs its Euler-Poisson equations, which it does not define; "
+            f"{other}define euler_poisson()"
+        ) from None
+    if fault := _difference(top, equations, needed_by):
+        raise UsageError(f"top {top.kind!r}: euler_poisson(), which {needed_by} needs, is not its field: {fault}")
+    return equations
+
+
+def _difference(top: Top, equations: EulerPoisson, needed_by: str) -> str:
+    """Component of the field that differs from the equations, and by what term; empty if none does."""
+    d = len(top.components)
+    if not all(isinstance(value, int | float | Fraction) for value in top.constants()):
+        return ""  # numbers of another precision; the same formulas have passed in doubles
+    if d not in (3, 6):
+        return f"its state has {d} components; expected omega (3), or omega and gamma (6)"
+    field, sign = required_field(top, needed_by), equations.omega_sign
+    omega = [sign * Polynomial.variable(i) for i in range(3)]
+    gamma = [Polynomial.variable(i) if d == 6 else Polynomial.of(0) for i in range(3, 6)]
+    constants = (*equations.moments, *equations.gravity)
+    A, B, C, x, y, z = (Polynomial.of(value) for value in constants)
+    exact = EulerPoisson(cast(Any, (A, B, C)), cast(Any, (x, y, z))).rates((*omega, *gamma))
+    # J_j - J_k is a difference of the size of J_j + J_k
+    sums = [Polynomial.of(J).constant() for J in ((B + C) / A, (C + A) / B, (A + B) / C)]
+    for i in range(d):
+        expected = exact[i] * (sign if i < 3 else 1)
+        for monomial in sorted({*expected.terms, *field[i].terms}):
+            a, b = field[i].terms.get(monomial, 0), expected.terms.get(monomial, 0)
+            size = sums[i] if i < 3 and max(monomial, default=3) < 3 else max(abs(a), abs(b))
+            if abs(a - b) > Fraction(ROUNDING) * size:
+                factors = "*".join(top.components[k] for k in monomial) or "1"
+                by = f"{float(a):.10g}*{factors} by the field and {float(b):.10g}*{factors} by the equations"
+                return f"{top.components[i]}' is {by}"
+    return ""
+
+
+def checked_rotation(top: Top, needed_by: str) -> None:
+    """Check that ``top`` gives its angular velocity, and that its ``vertical`` is fixed in space.
+
+    In the body's frame, the rate of change of the vertical must be vertical x angular velocity. This is tested at
+    several states by finite differences. ``needed_by`` has the same meaning as in ``checked_equations``.
+
+    Raises
+    ------
+    UsageError
+        If the top gives no angular velocity, or if its vertical moves.
+    """
+    velocity, vertical = type(top).angular_velocity, type(top).vertical
+    if velocity is None:
+        raise UsageError(
+            f"top {top.kind!r}: {needed_by} needs its angular velocity, which it does not declare; if it turns like a "
+            "body, define angular_velocity, three numbers in the body's frame"
+        )
+    p, d = top.constants(), len(top.components)
+    raised: list[Exception] = []
+    for probe in range(PROBES):
+        y = np.cos(np.arange(1.0, d + 1.0) + d * probe)  # in general position
+        try:
+            omega = velocity(tuple(y.tolist()), p)
+            rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
+            s = 1e-3 / max(1.0, float(np.abs(rates).max()))
+            if not s > 0.0:  # beyond the range of a double there is nothing to compare
+                continue
+            near = [tuple((y + k * s * rates).tolist()) for k in (0, -2, -1, 1, 2)]
+            along = [vertical(state, p) for state in near] if vertical else []
+        except (ArithmeticError, ValueError) as error:  # outside the domain of a root or a logarithm, perhaps
+            raised.append(error)
+            continue
+        for name, value in (("angular_velocity", omega), ("vertical", along[0] if along else omega)):
+            if not isinstance(value, tuple) or len(value) != 3:
+                raise UsageError(f"top {top.kind!r}: {name} must return a tuple of three numbers, not {value!r}")
+        with np.errstate(all="ignore"):
+            v = np.array(along or [omega] * 5, dtype=float)
+            rate, turn = (v[1] - v[4] + 8.0 * (v[3] - v[2])) / (12.0 * s), np.cross(v[0], omega)
+            rounding = np.abs(v).max() * (MOVED * (1.0 + np.abs(omega).max()) + ROUNDING / s)
+            moves = vertical is not None and np.abs(rate - turn).max() > rounding + MOVED * np.abs(rate).max()
+        if moves:
+            shown = [", ".join(f"{value:.6g}" for value in vector) for vector in (rate, turn, y)]
+            raise UsageError(
+                f"top {top.kind!r}: its vertical is not fixed in space: it changes by ({shown[0]}), and "
+                f"vertical x angular_velocity is ({shown[1]}), at ({shown[2]})"
+            )
+    if len(raised) == PROBES:
+        error = f"{type(raised[-1]).__name__}: {raised[-1]}"
+        raise UsageError(f"top {top.kind!r}: angular_velocity or vertical fails at every state that was tried: {error}")
+
+
+def moment_warnings(top: Top) -> list[str]:
+    """A warning about moments of inertia that violate the triangle inequality: each is at most the sum of the others.
+
+    Such moments do not prevent a run.
+    """
+    try:
+        moments = checked_equations(top, "the check of the moments").moments
+    except UsageError:
+        return []
+    (small, _), (middle, _), (large, axis) = sorted(zip(moments, "ABC", strict=True))
+    if large <= (small + middle) * (1.0 + ROUNDING):  # decimals such as 0.3, 0.1, 0.2 are rounded
+        return []
+    listed = ", ".join(f"{moment:g}" for moment in moments)
+    return [
+        f"the moments ({listed}) violate the triangle inequality: {axis} = {large:g} > {small:g} + {middle:g}; "
+        "no rigid body has such moments, but the equations are integrated"
+    ]
