@@ -39,7 +39,7 @@ TYPES = (
 )
 """Types of arguments and results outside ``topcli`` itself, named from it on."""
 MEMBERS = {
-    "Top": "constants, invariants, euler_poisson, warnings, new\n   :exclude-members: model_config",
+    "Top": "constants, invariants, euler_poisson, new\n   :exclude-members: model_config",
     "Trajectory": "",
     "Ensemble": "",
     "Motion": "",
