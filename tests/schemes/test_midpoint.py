@@ -13,6 +13,7 @@ import topcli
 from fields import random_state
 from steppers import built, physical
 from topcli.contracts import Outcome, Top
+from topcli.engine.run import Run
 from topcli.field.expression import in_arithmetic
 from topcli.tops import TOPS
 from topcli.tops.declared import custom_class
@@ -62,6 +63,15 @@ def test_the_step_solves_its_equation_and_returns(d: int, compensated: bool) -> 
             new = step(y, h, p)
             assert residual(top, y, new, h) < 10.0
             assert np.abs(np.subtract(step(new, -h, p), y)).max() < 20.0 * 2.0**-52
+
+
+@pytest.mark.slow
+def test_a_state_of_many_components_is_compiled() -> None:
+    """Lorenz's ring of 1996; numba refuses more than 30 items for a variable with several values."""
+    top = top_of({f"x{i}": f"(x{(i + 1) % 33} - x{(i - 2) % 33})*x{(i - 1) % 33} - x{i} + 8" for i in range(33)})
+    y = tuple(8.0 + 0.01 * i for i in range(33))
+    new = Run(top, built("midpoint", top), y, 0.01, 1).collect().states[-1]
+    assert residual(top, y, new, 0.01) < 10.0
 
 
 def config(field: dict[str, str], y: Any, h: float = 0.1, **changes: Any) -> dict[str, Any]:

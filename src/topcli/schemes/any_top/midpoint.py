@@ -45,14 +45,16 @@ LONG_STEPS = {
 
 _CHANGE = """
 def change(s, h, p):
-    u = ({zeros})
+    zero = ({zeros})  # numba refuses more than 30 items for a variable with several values
+    u = zero
     status = nan
     iterations = 0.0
     for _ in range(NEWTON_LIMIT):
         iterations += 1.0
         v = newton(({state}{half}), h, p)
         settled = {settled}
-        u = ({new})
+        new = ({new})
+        u = new
         if settled:
             status = 0.0
             break
