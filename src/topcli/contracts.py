@@ -14,7 +14,6 @@ Rules for the author of a scheme:
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -27,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from topcli.arithmetic.fused import double_of
 from topcli.arithmetic.sized import Sized
 from topcli.errors import counted
 
@@ -95,14 +95,6 @@ class Invariant:
 
 Integral = Callable[[Any, Floats], Any]
 """``integral(y, p)``: an invariant as a formula of the components of a state and the constants of the top."""
-
-
-def double_of(x: Fraction) -> float:
-    """Nearest double; infinite beyond the range of doubles."""
-    try:
-        return float(x)
-    except OverflowError:
-        return math.inf if x > 0 else -math.inf
 
 
 def of_numpy(x: Any) -> Any:

@@ -43,10 +43,15 @@ def fma(a: float, b: float, c: float) -> float:
         # an exact zero has the sign common to both terms, else +0
         same = math.copysign(1.0, a) * math.copysign(1.0, b) * math.copysign(1.0, c) > 0.0
         return math.copysign(0.0, c) if same and c == 0.0 else 0.0
+    return double_of(exact)
+
+
+def double_of(x: Fraction) -> float:
+    """Nearest double; infinite beyond the range of doubles."""
     try:
-        return float(exact)
+        return float(x)
     except OverflowError:
-        return math.inf if exact > 0 else -math.inf
+        return math.inf if x > 0 else -math.inf
 
 
 def unlikely(condition: bool) -> bool:

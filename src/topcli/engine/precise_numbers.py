@@ -20,6 +20,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any, cast
 
+from topcli.arithmetic.fused import double_of
 from topcli.contracts import check_stop
 from topcli.errors import UsageError, shortened
 
@@ -350,10 +351,7 @@ class Rational:
         return bool(self.q)
 
     def __float__(self) -> float:
-        try:
-            return float(self.q)
-        except OverflowError:
-            return math.inf if self.q > 0 else -math.inf
+        return double_of(self.q)
 
     def __int__(self) -> int:
         return int(self.q)

@@ -120,7 +120,7 @@ class Tile:
         self.done = 0
         self.uncounted = stepper.width - len(stepper.counters)
         self.work = np.zeros((stepper.width + 1, lanes.width))
-        p = (*context.p.tolist(), *map(float, stepper.constants))
+        p = (*context.p.tolist(), *stepper.doubles)
         begun = context.y0[first:stop].tolist()
         if stepper.enter:
             begun = [stepper.enter(tuple(y), context.h, p) for y in begun]
