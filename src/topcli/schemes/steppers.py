@@ -9,7 +9,6 @@ compensated step has one addition more on its critical path; the rest overlaps w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -56,7 +55,6 @@ def stepper(
     counters: tuple[str, ...] = (),
     enter: StepFunction | None = None,
     leave: StepFunction | None = None,
-    advice: Callable[[Sequence[float], float], str] | None = None,
     compensated: bool = False,
 ) -> Stepper:
     """Stepper that adds ``change`` to the first ``d`` slots of its working state.
@@ -85,7 +83,6 @@ def stepper(
         counters,
         iterative=iterative,
         checked=d if compensated and not iterative else 0,  # a status must be seen
-        advice=advice,
         change=change,
     )
 
@@ -94,6 +91,4 @@ def compensated(method: Stepper, d: int) -> Stepper:
     """``method``, which has a ``change`` of its d components, with compensated sums."""
     assert method.change is not None
     summed = stepper(method.change, d, iterative=method.iterative, counters=method.counters, compensated=True)
-    return replace(
-        summed, constants=method.constants, source=method.source, tangent=method.tangent, advice=method.advice
-    )
+    return replace(summed, constants=method.constants, source=method.source, tangent=method.tangent)
