@@ -19,8 +19,8 @@ LONG_HK = (
     "the motion. The state jumps far away whenever the determinant is close to zero."
 )
 NO_SOLUTION = (
-    "If h is the time of one revolution of the body or longer, Newton's method, which starts from a step of HK (the "
-    "scheme `hk`), may find no solution. The run then ends as `no_convergence`."
+    "If h is the time of one revolution of the body or longer, Newton's method may find no solution. The run then ends "
+    "as `no_convergence`."
 )
 NEWTON_SINGULAR = (
     "The iteration for the step starts from a step of HK (the scheme `hk`), whose linear system is singular for the h "
