@@ -162,31 +162,26 @@ def name_fault(name: str, what: str, earlier: Mapping[str, str]) -> str:
     return ""
 
 
+_classes: dict[tuple[str, tuple[str, ...]], type[Custom]] = {}
+
+
 def custom_class(section: Mapping[str, Any]) -> type[Custom]:
     """Class of the top that a valid section ``top`` declares; the same one for the same components, names and formulas.
 
-    Raises ExpressionError.
+    The parameters of the first such section are the defaults. Raises ExpressionError.
     """
     declaration = {key: section[key] for key in KEYS if key != "parameters" and section.get(key)}
     if "field" in declaration:
         declaration["field"] = {name: section["field"][name] for name in section["components"]}
-    return _custom(json.dumps(declaration), tuple((section.get("parameters") or {}).items()))
-
-
-_classes: dict[tuple[str, tuple[str, ...]], type[Custom]] = {}
-
-
-def _custom(text: str, parameters: tuple[tuple[str, float], ...]) -> type[Custom]:
-    """Class of a declaration in JSON; the first one's parameters are the defaults."""
-    key = text, tuple(name for name, _ in parameters)
+    text, parameters = json.dumps(declaration), dict(section.get("parameters") or {})
+    key = text, tuple(parameters)
     if key not in _classes:
-        components = with_body(json.loads(text))["components"]
         _classes[key] = _new(
             Custom,
             json.loads(text),
-            dict(parameters),
+            parameters,
             form=f"{CUSTOM}-{hashlib.sha256(repr(key).encode()).hexdigest()[:8]}",
-            title=f"custom top of {', '.join(components)}",
+            title=f"custom top of {', '.join(with_body(declaration)['components'])}",
             citation="declared in a config",
         )
     return _classes[key]
@@ -206,10 +201,9 @@ def catalogue_class(kind: str) -> type[Declared]:
         for name, value in read["parameters"].items()
     }
     declaration = {"components": list(read.get("field", ())), **{key: read[key] for key in KEYS if key in read}}
-    told = {key: read[key] for key in ("title", "citation", "formula", "swing", "energy", "symbols") if key in read}
-    return _new(
-        Declared, declaration, parameters, kind=kind, form=kind, __doc__=f"{read['title']}.\n\n{read['about']}", **told
-    )
+    texts = {key: read[key] for key in ("title", "citation", "formula", "swing", "energy", "symbols") if key in read}
+    texts["__doc__"] = f"{read['title']}.\n\n{read['about']}"
+    return _new(Declared, declaration, parameters, kind=kind, form=kind, **texts)
 
 
 CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.arithmetic.multiprecision import digits, mp, real
-from topcli.contracts import Array, Floats, Invariant, NoOptions, Sampler, Top
+from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.euler.exact import Elliptic, axes_of
+from topcli.schemes.euler.hk_integrals import hk_integrals
 from topcli.schemes.registry import scheme
 
 
@@ -60,13 +61,6 @@ def hk_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
         return motion.omega(motion.argument.functions(n, mp.mpf(1))[2:])
 
 
-def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
-    """Exact integrals of the map."""
-    from topcli.schemes.euler.hk_integrals import hk_integrals
-
-    return hk_integrals(top, h)
-
-
 @scheme(
     "hk-exact",
     top="euler",
@@ -74,7 +68,7 @@ def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
     order=2,
     explicit=True,
     self_adjoint=True,
-    modified=modified,
+    modified=lambda top, h, options: hk_integrals(top, h),
     citation="Hirota, Kimura 2000; Petrera, Suris 2010",
     formula=r"""
 \omega_1 = a_1\,\mathrm{cn}\,\varphi_n, \quad \omega_2 = a_2\,\mathrm{sn}\,\varphi_n, \quad
