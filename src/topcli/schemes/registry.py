@@ -399,12 +399,11 @@ def find_scheme(name: str, top: str) -> Scheme:
     if not plus:
         return plain
     symmetric = find_composition(composition)
-    if reason := obstacle(plain):
-        raise UsageError(
-            f"scheme {base!r} cannot be composed: it {reason}; schemes for {TOPS.called(top)} that can be: "
-            f"{', '.join(composable_names(top)) or 'none'}"
-        )
-    return _bound(candidates[0], cls, symmetric)
+    try:
+        return _bound(candidates[0], cls, symmetric)
+    except UsageError as error:
+        others = ", ".join(composable_names(top)) or "none"
+        raise UsageError(f"{error}; schemes for {TOPS.called(top)} that can be: {others}") from None
 
 
 def _not_found(name: str, cls: type[Top]) -> UsageError:
