@@ -65,16 +65,18 @@ class Declaration:
     changes: bool
     traits: Mapping[str, Any]
 
-    def misfit(self, cls: type[Top]) -> str:
-        """Reason why the scheme does not integrate a form of a top; empty if it does."""
-        if self.forms is not None:
-            return "" if cls.form in self.forms else f"it fits {', '.join(self.forms)}"
-        try:
-            if self.requires:
-                self.requires(cls.new())
-        except UsageError as error:
-            return str(error)
-        return ""
+
+@cache  # a sweep looks its scheme up for every row
+def misfit(declaration: Declaration, cls: type[Top]) -> str:
+    """Reason why a registered scheme does not integrate a form of a top; empty if it does."""
+    if declaration.forms is not None:
+        return "" if cls.form in declaration.forms else f"it fits {', '.join(declaration.forms)}"
+    try:
+        if declaration.requires:
+            declaration.requires(cls.new())
+    except UsageError as error:
+        return str(error)
+    return ""
 
 
 SCHEMES: dict[str, list[Declaration]] = {}
@@ -356,7 +358,7 @@ def _load(name: str | None = None) -> None:
 
 def _candidates(name: str, cls: type[Top]) -> list[Declaration]:
     """Registered schemes of a name that integrate a form, one for single tops before one for every top."""
-    fitting = [declaration for declaration in SCHEMES.get(name, ()) if not declaration.misfit(cls)]
+    fitting = [declaration for declaration in SCHEMES.get(name, ()) if not misfit(declaration, cls)]
     return sorted(fitting, key=lambda declaration: declaration.forms is None)
 
 
@@ -411,7 +413,7 @@ def _not_found(name: str, cls: type[Top]) -> UsageError:
     known = names_for(cls.form)
     if name in SUCCESSORS:
         return UnknownNameError(f"there is no scheme {name!r} any more; use {SUCCESSORS[name]}")
-    reasons = dict.fromkeys(declaration.misfit(cls) for declaration in SCHEMES.get(name, ()))
+    reasons = dict.fromkeys(misfit(declaration, cls) for declaration in SCHEMES.get(name, ()))
     if reasons:
         return SchemeMisfitError(
             f"scheme {quoted(name)} does not fit top {TOPS.called(cls.form)!r}; {'; '.join(reasons)}; "
