@@ -5,6 +5,8 @@ from __future__ import annotations
 from copy import deepcopy
 from typing import Any, ClassVar
 
+from ruamel.yaml import YAML
+
 from topcli.contracts import Top
 
 VOLTERRA = """\
@@ -25,20 +27,7 @@ h: 0.01
 N: 400
 """
 Y0 = (0.9, -0.4, 1.2)
-SECTION: dict[str, Any] = {
-    "kind": "custom",
-    "components": ["w1", "w2", "w3"],
-    "parameters": {"A": 3.0, "B": 2.0, "C": 1.0, "k": 0.3},
-    "field": {
-        "w1": "((B - C)*w2*w3 - k*w2)/A",
-        "w2": "((C - A)*w3*w1 + k*w1)/B",
-        "w3": "(A - B)*w1*w2/C",
-    },
-    "invariants": {
-        "energy": "(A*w1**2 + B*w2**2 + C*w3**2)/2",
-        "momentum": "(A*w1)**2 + (B*w2)**2 + (C*w3 + k)**2",
-    },
-}
+SECTION: dict[str, Any] = YAML(typ="safe", pure=True).load(VOLTERRA)["top"]
 
 
 def config(**changes: Any) -> dict[str, Any]:
