@@ -30,7 +30,7 @@ SETTLED = 1e-15
 QUIET = 1e-13
 """Amplitude of the strongest line, relative to the largest value, below which a column is constant."""
 LEAST_CYCLES = 2.5
-"""Fewest cycles over all rows: of slower lines the mean cannot be told, and the spectrum has its peak at 1.2 to 2.5."""
+"""Fewest cycles over all rows: the mean of a slower line is unknown, and its spectrum has the peak at 1.2 to 2.5."""
 
 
 @lru_cache(maxsize=8)

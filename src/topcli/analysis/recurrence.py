@@ -31,7 +31,7 @@ LEFT = 5.0
 
 
 class Recurrence(StrEnum):
-    """How an orbit comes back to where it was."""
+    """Kinds of return of an orbit to where it was."""
 
     AT_REST = "at rest"
     REPEATS = "repeats"

@@ -13,7 +13,7 @@ largest of three:
                   covers a different phase of it.
 *at the ends*     half of the change of level, over the length of the run, where the deviation at an end is outside its
                   range in the middle of the run: the Hann weights hardly see the first and the last 5 % of the run.
-                  A change of level there that is smaller than this range cannot be told from an oscillation.
+                  A change of level there that is smaller than this range looks like an oscillation.
 
 The linear trend is chosen only if it is ``EVIDENCE`` times as likely. The test uses the ``LOW`` slowest components of
 the residuals, then all of them: in white noise all are equally large, in a random walk the slower ones are larger

@@ -66,4 +66,4 @@ GONE = {
     "sweep --time-limit": "shorten the rows with N, T or output.every",
     "sweep --yes": "a sweep of any size runs without it",
 }
-"""What to use instead of commands and options of earlier versions."""
+"""Replacements of commands and options of earlier versions, for messages."""

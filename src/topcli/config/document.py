@@ -223,7 +223,7 @@ GONE = {
     "include": "list further rows in zip, or run a second sweep",
     "store": "`topcli show SWEEP --row NUMBER` prints a row as a config for topcli run",
 }
-"""What to use instead of keys of earlier versions."""
+"""Replacements of keys of earlier versions, for messages."""
 
 
 def unknown_key(key: str, known: Iterable[str]) -> str:

@@ -124,7 +124,7 @@ def _checked(node: ast.expr, text: str, names: tuple[str, ...], used: set[str]) 
 
 
 def _is_double(written: str) -> bool:
-    """Whether a number is a decimal one whose double has the same digits."""
+    """True if a text is a decimal number whose double has the same digits."""
     if not re.fullmatch(r"[0-9.]+([eE][+-]?[0-9]+)?", written) or not math.isfinite(value := float(written)):
         return False
     return Fraction(repr(value)) == Fraction(written) if value else not re.match(r"[0.]*[1-9]", written)
@@ -143,7 +143,7 @@ def _constant(node: ast.expr) -> Fraction | None:
 
 
 def _reason(node: ast.expr, names: tuple[str, ...]) -> str:
-    """Why a node is no part of a formula."""
+    """Message about a node that is not a part of a formula."""
     match node:
         case ast.Name(id=name) | ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
             return f"{name} is a function; write {name}({'y, x' if ARITY[name] == 2 else 'x'})"

@@ -76,7 +76,8 @@ def number_text(value: float) -> str:
 class Line:
     """A column drawn against the panel's x column, and its label in the legend (may be mathtext).
 
-    ``dots`` draws open circles at about so many points instead of a line: it shows a curve that coincides with another.
+    ``dots`` draws open circles at about this number of points instead of a line: it shows a curve that coincides with
+    another.
     """
 
     column: str
@@ -169,8 +170,8 @@ def legend_entries(figure: Any) -> dict[str, Any]:
 class Grid:
     """Layout of panels in ``rows`` of equal axes; ``figsize`` is in inches, ``heading`` a line above all panels.
 
-    With ``ncols`` one legend in so many columns is below all panels: each label once, those in ``first`` first. Lines
-    in the legend have the length ``handlelength`` in letters.
+    With ``ncols`` one legend with this number of columns is below all panels: each label once, those in ``first``
+    first. Lines in the legend have the length ``handlelength`` in letters.
     """
 
     rows: int = 1

@@ -106,7 +106,7 @@ def _single(experiment: Experiment | EnsembleExperiment) -> Experiment:
 
 
 def _drawn_together(experiment: Experiment, *columns: str) -> dict[str, Any]:
-    """What the runs of one figure have in common, by its name: what the title and the axes state."""
+    """Parts of a config that all runs of one figure share, by name: the title and the axes state them."""
     config = experiment.resolved()
     formulas = experiment.output.quantities or {}
     meanings = {f"column {name}": (name in experiment.recorded, formulas.get(name)) for name in columns}
