@@ -579,3 +579,12 @@ def test_any_name_works_or_is_refused_with_its_line(role: str, tmp_path: Path) -
     assert len(steps) == 1
     assert refused >= set(keyword.kwlist)
     assert not refused & {"self", "y", "p", "c", "s", "math", "fma", "work", "print", "type", "match", "E", "pi"}
+
+
+def test_refused_parameters_do_not_spoil_the_same_top_with_others() -> None:
+    field = {"x": "y/mass", "y": "-x/mass"}
+    oscillator = {"kind": "custom", "components": ["x", "y"], "field": field}
+    given = {"initial": {"x": 1.0, "y": 0.5}, "scheme": "hk", "h": 0.1, "N": 10}
+    with pytest.raises(ConfigError, match="the field divides by zero with mass = 0"):
+        load_experiment({**given, "top": {**oscillator, "parameters": {"mass": 0.0}}})
+    assert load_experiment({**given, "top": {**oscillator, "parameters": {"mass": 2.0}}}).scheme.name == "hk"

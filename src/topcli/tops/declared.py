@@ -11,13 +11,14 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache
 from keyword import iskeyword
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from topcli.contracts import EulerPoisson, Floats, Integral, Invariant, Top
 from topcli.field.expression import FUNCTIONS, NAME, Expression, function_of, in_arithmetic, parse, value_of
@@ -168,23 +169,27 @@ _classes: dict[tuple[str, tuple[str, ...]], type[Custom]] = {}
 def custom_class(section: Mapping[str, Any]) -> type[Custom]:
     """Class of the top that a valid section ``top`` declares; the same one for the same components, names and formulas.
 
-    The parameters of the first such section are the defaults. Raises ExpressionError.
+    The parameters of the first such section with which the field has values are the defaults. Raises ExpressionError.
     """
     declaration = {key: section[key] for key in KEYS if key != "parameters" and section.get(key)}
     if "field" in declaration:
         declaration["field"] = {name: section["field"][name] for name in section["components"]}
     text, parameters = json.dumps(declaration), dict(section.get("parameters") or {})
     key = text, tuple(parameters)
-    if key not in _classes:
-        _classes[key] = _new(
-            Custom,
-            json.loads(text),
-            parameters,
-            form=f"{CUSTOM}-{hashlib.sha256(repr(key).encode()).hexdigest()[:8]}",
-            title=f"custom top of {', '.join(with_body(declaration)['components'])}",
-            citation="declared in a config",
-        )
-    return _classes[key]
+    if key in _classes:
+        return _classes[key]
+    cls = _new(
+        Custom,
+        json.loads(text),
+        parameters,
+        form=f"{CUSTOM}-{hashlib.sha256(repr(key).encode()).hexdigest()[:8]}",
+        title=f"custom top of {', '.join(with_body(declaration)['components'])}",
+        citation="declared in a config",
+    )
+    with suppress(ValidationError):
+        cls.new()
+        _classes[key] = cls
+    return cls
 
 
 @cache
