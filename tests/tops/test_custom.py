@@ -12,6 +12,7 @@ import subprocess
 import sys
 from fractions import Fraction
 from functools import cache
+from inspect import get_annotations
 from pathlib import Path
 
 import mpmath
@@ -531,7 +532,8 @@ def test_integrals_are_checked_for_every_set_of_parameters(law: str) -> None:
         list(RowReader(drawn).rows())
 
 
-NAMES = {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *dir(Custom), *Custom.__annotations__, *dir(ast.Name)}
+NAMES = {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *dir(Custom), *dir(ast.Name)}
+NAMES |= {name for base in Custom.__mro__ for name in get_annotations(base)}
 NAMES |= {*"ypcsthnxE", "cls", "self", "math", "fma", "work", "out", "params", "value", "pi", "normalize"}
 ROLES = {
     "parameter": ("{{'{name}': 0.3}}", "[u, v]", "u: v, v: -{name}*u"),

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache
+from inspect import get_annotations
 from keyword import iskeyword
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -58,7 +59,7 @@ class Declared(Top):
     """Integrals of the HK map, functions of the state and of the constants with h after them."""
     conditions: ClassVar[Mapping[str, Callable[..., Any]]]
     """Functions of the parameters that are zero where an integral exists, by its name."""
-    mass: ClassVar[Callable[..., Any] | None]
+    body_numbers: ClassVar[Callable[..., Any] | None]
     """Moments of inertia and mg(x0, y0, z0) of a body without a rotor, a function of the parameters."""
 
     @model_validator(mode="after")
@@ -103,9 +104,9 @@ class Declared(Top):
 
     def euler_poisson(self) -> EulerPoisson:
         """Return the coefficients of a body without a rotor in the Euler-Poisson equations."""
-        if self.mass is None:
+        if self.body_numbers is None:
             raise NotImplementedError
-        A, B, C, x, y, z = self.mass((), self.constants())
+        A, B, C, x, y, z = self.body_numbers((), self.constants())
         return EulerPoisson((A, B, C), (x, y, z))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -157,7 +158,8 @@ def name_fault(name: str, what: str, earlier: Mapping[str, str]) -> str:
     if what in ("component", "parameter") and iskeyword(name):
         return f"{name!r} is a word of Python, which no formula contains; choose another name for the {what}"
     of_models = what == "component" and name in dir(BaseModel)
-    of_tops = what == "parameter" and (hasattr(Custom, name) or name in ("cls", "declaration") or name[:6] == "model_")
+    declared = hasattr(Custom, name) or any(name in get_annotations(base) for base in Custom.__mro__)
+    of_tops = what == "parameter" and (declared or name == "cls" or name[:6] == "model_")
     if name in TAKEN or of_models or of_tops:
         return f"{name!r} is taken; choose another name for the {what}"
     return ""
@@ -314,14 +316,14 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
         "holds_on": made["on"],
         "conditions": made["if"],
         "symbols": {name: tuple(given[:2]) for name, given in symbols.items()},
-        "mass": None,
+        "body_numbers": None,
     }
     if vectors:
         namespace["vectors"] = vectors
     if body:
         namespace["unit_vectors"] = BodyTop.unit_vectors
         if all(map(_is_zero, body.get("rotor") or ())):
-            namespace["mass"] = staticmethod(of_parameters(*body["moments"], *body["gravity"]))
+            namespace["body_numbers"] = staticmethod(of_parameters(*body["moments"], *body["gravity"]))
     for key in VECTORS:
         if full.get(key):
             namespace[key] = function_of(key, [read(text) for text in full[key]], components, names)
