@@ -17,7 +17,9 @@ import time
 import numpy as np
 from steps import GENERIC, H, ratio, stepping, straightforward
 
-from topcli.engine.ensemble import EnsembleRun, Execution
+from topcli.engine.drive import drive
+from topcli.engine.machine import Machine
+from topcli.engine.plan import Plan
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 
@@ -55,17 +57,15 @@ def show(name: str, repetitions: int) -> None:
     scheme_name, _, form = name.partition("/")
     scheme, top = find_scheme(scheme_name, form), TOPS[form].new()
     method = scheme.build(top, scheme.options())
+    machine = Machine(top, method)
     d = len(top.components)
     y0 = np.resize(GENERIC, d) + np.random.default_rng(3).normal(scale=0.1, size=(COUNT, d))
 
     def together(threads: int) -> tuple[float, float]:
         """Nanoseconds per trajectory-step, of the processor and of the clock."""
-        run = EnsembleRun(
-            top, method, y0, H, STEPS, STEPS, on_piece=lambda piece: None, execution=Execution(threads=threads)
-        )
+        plan = Plan(top, machine, y0, H, STEPS, STEPS)
         begin, cpu = time.perf_counter_ns(), time.process_time_ns()
-        for _ in run:
-            pass
+        drive(plan, threads=threads)
         spent = time.process_time_ns() - cpu, time.perf_counter_ns() - begin
         return spent[0] / STEPS / COUNT, spent[1] / STEPS / COUNT
 

@@ -70,7 +70,7 @@ def fewest_digits(form: str, h: float, N: int, y: NDArray[np.float64]) -> NDArra
     config = {"top": {"kind": form}, "scheme": "hk", "h": h, "N": N, "output": {"every": 1}}
     at_once, found = max(1, HELD // (N * y.shape[1])), []
     for first in range(0, len(y), at_once):
-        states = topcli.simulate_ensemble(config, states=y[first : first + at_once]).states
+        states = topcli.simulate(config, states=y[first : first + at_once]).states
         found.append(agreement_digits(np.ascontiguousarray(np.moveaxis(states, 2, 1))).min(axis=1))
     return np.concatenate(found)
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from topcli.config.load import load_experiment
-from topcli.engine.loop import loop_of
+from topcli.engine.loops import loop_of
 from topcli.runs.run import run_experiment
 
 SCENE = "kowalevski_hk"

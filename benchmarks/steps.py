@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from topcli.contracts import Method, Sampler, Scheme, Stepper, Top
-from topcli.engine.loop import loop_of
+from topcli.engine.loops import loop_of
 from topcli.engine.tangent import tangent_code
 from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes, find_scheme
@@ -26,7 +26,7 @@ from topcli.tops import CATALOGUE, TOPS
 from topcli.tops.kowalevski import Kowalevski
 
 GENERIC = np.array([0.7, -0.4, 1.3, 0.6, 0.48, 0.64])
-H, STEPS, RENORMALISED = 0.01, 64_000, 64
+H, STEPS = 0.01, 64_000
 
 
 def hk_block(state, h, p):
@@ -93,7 +93,7 @@ def with_tangent(top: Top, scheme: Scheme, method: Method) -> Callable[[], float
 
     def measured() -> float:
         begin = time.thread_time_ns()
-        run.advance(STEPS // RENORMALISED, RENORMALISED)
+        run.advance(STEPS)
         return (time.thread_time_ns() - begin) / STEPS
 
     return measured

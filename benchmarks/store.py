@@ -16,7 +16,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 import topcli
-from topcli.analysis.columns import column_names
+from topcli.engine.columns import column_names
 from topcli.store.series import arrow_table, write_parquet
 
 

@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 
 import topcli
-from topcli.analysis.columns import invariant_values
-from topcli.analysis.tally import InvariantRow, InvariantTally, invariant_report
+from topcli.analysis.series_report import invariant_report, series_rows
+from topcli.analysis.tally import tally_of
+from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Array, Top
+from topcli.engine.rows import Rows
 from topcli.table import markdown_table
 
 KOWALEVSKI = ("kowalevski_hk", "kowalevski_generic_hk", "kowalevski_torus")
@@ -85,13 +87,13 @@ def judged_lengths(
 ) -> Iterator[Judged]:
     """Judge the first parts of a run (m, d) over the longest of the lengths times ``LONGER``."""
     invariants, n = top.invariants(), np.arange(len(states))
-    values = invariant_values(invariants, states)
+    values = series_rows(top, invariants, n, h, states)
     for T in lengths:
         short, long = round(T / h) + 1, round(LONGER * T / h) + 1
         if len(states) < long:
             return  # a scheme that breaks down: there is no truth beyond
-        for row in invariant_report(invariants, n[:short], h, states[:short], top):
-            deviation = values[row.name][:long] - values[row.name][0]
+        for row in invariant_report(top, invariants, n[:short], h, states[:short])[0]:
+            deviation = values[row.name][0, :long] - values[row.name][0, 0]
             slope = np.polyfit(h * n[:long], deviation, 1)[0]
             displacement = deviation[long // 2 :].mean() - deviation[:short].mean()
             yield Judged(scheme, scene, T, row, float(slope), float(displacement))
@@ -116,9 +118,9 @@ def random_states(h: float, count: int, lengths: Sequence[float] = (20.0, 35.0, 
         states = random.normal(size=(count, *first.shape))
         states *= np.linalg.norm(first, axis=-1, keepdims=True) / np.linalg.norm(states, axis=-1, keepdims=True)
         for i, state in enumerate(states.reshape(count, 1, -1)):
-            run = topcli.simulate_ensemble(scene, scheme="hk", h=h, N=N, states=state, output={})
+            run = topcli.simulate(scene, scheme="hk", h=h, N=N, states=state, output={})
             if np.isfinite(run.states).all():
-                found += judged_lengths("HK", f"{scene}, random state {i}", run.tops[0], h, run.states[0], lengths)
+                found += judged_lengths("HK", f"{scene}, random state {i}", run.top, h, run.states[0], lengths)
     return found
 
 
@@ -130,12 +132,13 @@ def with_changes(h: float, lengths: Sequence[float] = (60.0, 100.0, 300.0)) -> C
         invariants = run.top.invariants()
         for n in (np.arange(round(T / h) + 1) for T in lengths):
             states = run.states[: len(n)]
-            values = invariant_values(invariants, states)
-            exact = {row.name for row in invariant_report(invariants, n, h, states, run.top) if row.verdict == "exact"}
+            rows = series_rows(run.top, invariants, n, h, states)
+            values = {invariant.name: rows[invariant.name] for invariant in invariants}
+            exact = {row.name for row in tally_of(rows).report() if row.verdict == "exact"}
             for (name, change), size in product(CHANGES.items(), SIZES):
-                tally, added = InvariantTally(invariants, h, run.top), size * change(n / n[-1])
-                tally.add(n, states, {key: column + np.ptp(column) * added for key, column in values.items()})
-                for row in tally.report():
+                added = size * change(n / n[-1])
+                columns = {key: column + np.ptp(column) * added for key, column in values.items()}
+                for row in tally_of(Rows(rows.plan, n, states[None], columns=columns)).report():
                     if row.drift_bound is not None and row.name not in exact:
                         low = bool(row.drift_bound * n[-1] * h < 0.999 * size * np.ptp(values[row.name]))
                         counts[name, size, low] += 1

@@ -41,7 +41,6 @@ TYPES = (
 MEMBERS = {
     "Top": "constants, invariants, euler_poisson, new\n   :exclude-members: model_config",
     "Trajectory": "",
-    "Ensemble": "",
     "Motion": "",
     "show.report.Report": "save",
     "show.report.StudyReport": "plot, as_dict",

@@ -166,10 +166,9 @@ def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_
 
 @pytest.fixture
 def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Chunks so short that a run of some hundred steps has many."""
-    from topcli.store import series
-
-    for name, value in (("CHUNK_STEPS", 23), ("PLAIN_STEPS", 23), ("CHUNK_ROWS", 16)):
-        monkeypatch.setattr(f"topcli.engine.run.{name}", value)
-    monkeypatch.setattr(series, "ROW_GROUP", 40)
-    monkeypatch.setattr("topcli.runs.recorder.EVALUATED_ROWS", 20)
+    """Chunks, row groups and blocks so short that a run of some hundred steps has many, on a disk without delay."""
+    for name, value in (("ROWS", 640), ("ROWS_ALONE", 16), ("CHUNK_STEPS", 16)):
+        monkeypatch.setattr(f"topcli.engine.integration.{name}", value)
+    for name, value in (("ROW_GROUP", 40), ("GATHERED", 25)):
+        monkeypatch.setattr(f"topcli.store.table.{name}", value)
+    monkeypatch.setattr(os, "fsync", lambda handle: None)

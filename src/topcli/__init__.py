@@ -13,7 +13,6 @@ from __future__ import annotations
 
 __version__ = "0.1.0"
 HOMES = {
-    "Ensemble": "topcli.analysis.trajectory",
     "Motion": "topcli.analysis.motion",
     "Top": "topcli.contracts",
     "Trajectory": "topcli.analysis.trajectory",
@@ -34,7 +33,6 @@ HOMES = {
     "run": "topcli.show.results",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.runs.simulate",
-    "simulate_ensemble": "topcli.runs.simulate",
     "step": "topcli.runs.step_map",
     "stress": "topcli.show.report",
     "sweep": "topcli.show.results",

@@ -1,10 +1,8 @@
 from topcli.analysis.motion import Motion as Motion
-from topcli.analysis.trajectory import Ensemble as Ensemble
 from topcli.analysis.trajectory import Trajectory as Trajectory
 from topcli.contracts import Top as Top
 from topcli.figures.catalogue import figure as figure
 from topcli.runs.simulate import simulate as simulate
-from topcli.runs.simulate import simulate_ensemble as simulate_ensemble
 from topcli.runs.step_map import step as step
 from topcli.schemes.own_tops import top as top
 from topcli.schemes.registry import scheme as scheme

@@ -1,23 +1,20 @@
-"""Commands that are stopped, killed or resumed, closed pipes and full disks; and progress meanwhile."""
+"""Commands that are stopped, killed and run again, and closed pipes; and progress meanwhile."""
 
 from __future__ import annotations
 
 import json
 import os
 import signal
-import sys
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from conftest import ROOT
 from faults import Disk
-from injected import command_in_fork, python_process, signal_to_self, topcli_process
+from injected import command_in_fork, signal_to_self, topcli_process
 from topcli.cli.output import ProgressDisplay
-from topcli.store.manifest import stored_runs
-from topcli.store.series import read_series
+from topcli.engine import integration
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
 SWEEP = """\
@@ -31,28 +28,29 @@ STOPS = [signal.SIGINT, signal.SIGTERM]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [*STOPS, signal.SIGKILL])
-def test_a_stopped_run_is_resumed(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_stopped_run_is_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals) -> None:
     """Remains of a signal at the third checkpoint are continued to the end of a run that was never stopped."""
     steps = ["--set", "N=12000000", "--set", "output.every=50000", "--checkpoint-every", "0"]
     arguments = ["run", HK, "--set", "name=long", *steps]
+    monkeypatch.setattr(integration, "CALL_SECONDS", 0.0)
     at_a_checkpoint = Disk(tmp_path, 3, meanwhile=signal_to_self(number), only="replace checkpoint")
     said = command_in_fork(arguments, tmp_path, at_a_checkpoint)
     if number != signal.SIGKILL:
         assert said.code == 130, said.err
-        assert "--resume continues it" in said.err
+        assert "run it again to continue" in said.err
         assert "Traceback" not in said.err
         manifest = json.loads((tmp_path / "results" / "long" / "manifest.json").read_text())
         assert manifest["outcome"] == "interrupted"
         assert 0 < manifest["step"] < 12_000_000
     else:
         assert said.code == -signal.SIGKILL
-        planned = topcli_process(*arguments, "--resume", "--dry-run", cwd=tmp_path)
-        assert "will continue from step" in planned.stdout
-    again = topcli_process(*arguments, "--resume", "--json", cwd=tmp_path)
-    assert "continues from step" in again.stderr
+        planned = topcli_process(*arguments, "--dry-run", cwd=tmp_path)
+        assert "will continue from its last checkpoint" in planned.stdout
+    again = topcli_process(*arguments, "--json", cwd=tmp_path)
+    assert "long: continues from the last checkpoint" in again.stderr
     whole = topcli_process(*arguments, "--out", "whole", "--json", cwd=tmp_path)
     reports = [json.loads(done.stdout)["runs"][0] for done in (whole, again)]
-    assert [report["status"] for report in reports] == ["ran", "resumed"]
+    assert [report["status"] for report in reports] == ["ran", "continued"]
     for report in reports:
         del report["seconds"], report["status"], report["folder"]
     assert reports[0] == reports[1]
@@ -69,7 +67,7 @@ def test_a_signal_after_the_last_step_changes_nothing(tmp_path: Path, number: si
     many = ["--set", "ensemble={random: {count: 3, gamma: sphere}}"] if kind == "ensemble" else []
     run = ["run", HK, "--set", "name=one", "--set", "N=500", *many]
     command, last = (["sweep", "one.yaml"], "rows") if kind == "sweep" else (run, "manifest")
-    late = Disk(tmp_path, 1, meanwhile=signal_to_self(number), only=f"replace {last}")
+    late = Disk(tmp_path, 1 + (kind != "sweep"), meanwhile=signal_to_self(number), only=f"replace {last}")
     said = command_in_fork(command, tmp_path, late)
     assert said.code == 0, said.err
     assert "interrupted" not in said.err
@@ -92,29 +90,6 @@ def test_a_terminated_sweep_ends_as_interrupted_and_continues(cli, in_tmp: Path,
     assert not Path("results/study/manifest.json").exists()
     plan = cli("sweep", "study.yaml", "--dry-run", "--json").json()
     assert (plan["done"], plan["new"]) == (done, 40 - done)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="limits the file size the way Linux does")
-@pytest.mark.parametrize("suffix", ["parquet", "csv"])
-def test_a_file_that_may_not_grow_is_closed_and_readable(tmp_path: Path, suffix: str) -> None:
-    """The kernel itself refuses the write, in the second row group; the first is kept."""
-    room = 12_000_000 if suffix == "parquet" else 40_000_000
-    code = (
-        f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}));"
-        "from topcli.__main__ import main;"
-        f"sys.argv = ['topcli', 'run', {HK!r}, '--out', {str(tmp_path)!r}, '--quiet',"
-        f"'--set', 'output.format={suffix}', '--set', 'name=x', '--set', 'N=300000']; main()"
-    )
-    done = python_process(code, cwd=tmp_path)
-    assert done.returncode == 1, done.stderr
-    assert f"x/series.{suffix}: the file would exceed the size limit; the run up to step" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    (stored,) = stored_runs(tmp_path)
-    assert stored.manifest["outcome"] == "interrupted"
-    rows = read_series(stored.series)["n"]
-    assert (rows == np.arange(stored.manifest["step"] + 1)).all()
-    assert len(rows) > 100_000
 
 
 @pytest.mark.slow

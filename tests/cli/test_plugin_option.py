@@ -43,17 +43,6 @@ def test_an_own_top_is_listed_with_schemes_that_run(gyrostat: Callable[..., Said
         assert said.code == 0, said.err
 
 
-def test_init_writes_a_config_of_an_own_top_that_runs(gyrostat: Callable[..., Said]) -> None:
-    assert gyrostat("init", "mine.yaml", "--top", "gyrostat").code == 0
-    assert gyrostat("show", "mine.yaml", "--json").json()["config"]["initial"] == {
-        "w1": 0.9,
-        "w2": -0.4,
-        "w3": 1.2,
-    }
-    assert gyrostat("init", "mine.toml", "--top", "gyrostat", "--force").code == 0
-    assert gyrostat("run", "mine.toml", "--set", "N=10").code == 0
-
-
 def test_cite_prints_the_citation_of_an_own_top(gyrostat: Callable[..., Said]) -> None:
     assert "{Volterra, Vito}" in gyrostat("cite", "gyrostat").out
 

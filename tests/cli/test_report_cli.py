@@ -77,9 +77,8 @@ def test_a_page_is_written_whole_or_not_at_all(cli: Cli, stored: Path, monkeypat
 
 
 def test_no_page_is_written_on_an_unfinished_run(cli: Cli, in_tmp: Path, small_chunks: None) -> None:
-    """A killed process leaves a part folder with a checkpoint."""
-    part = killed(in_tmp / "results", experiment("long", N=5000), 3)
-    for place in ("long", str(part)):
+    folder = killed(in_tmp / "results", experiment("long", N=5000), 3)
+    for place in ("long", str(folder)):
         said = cli("report", place, "--out", "page.html")
         assert said.code == 2
         assert "unfinished" in said.err

@@ -112,14 +112,14 @@ def test_runs_are_listed_with_sweeps_also_unfinished_ones(cli: Callable[..., Sai
         "--quiet",
     )
     whole = {item["name"]: item for item in cli("list", "runs", "--json").json()["runs"]}
-    keys = ("kind", "outcome", "step", "N", "resumable")
-    assert [whole["one"][key] for key in keys] == ["run", "completed", 50, 50, False]
-    assert [whole["heavy_drift"][key] for key in keys] == ["sweep", "completed", 8, 8, False]
+    keys = ("kind", "outcome", "step", "N")
+    assert [whole["one"][key] for key in keys] == ["run", "completed", 50, 50]
+    assert [whole["heavy_drift"][key] for key in keys] == ["sweep", "completed", 8, 8]
     Path("results/heavy_drift/manifest.json").unlink()
     journal = Path("results/heavy_drift/journal.jsonl")
     lines = journal.read_text(encoding="utf-8").splitlines(keepends=True)
     journal.write_text("".join(lines[:1]), encoding="utf-8")
     item = {item["name"]: item for item in cli("list", "runs", "--json").json()["runs"]}["heavy_drift"]
-    assert [item[key] for key in ("outcome", "N", "resumable")] == ["unfinished", 8, True]
+    assert [item[key] for key in ("outcome", "N")] == ["unfinished", 8]
     assert 0 < item["step"] <= 8
-    assert re.search(r"^heavy_drift +sweep +unfinished +\d+ +yes +8 ", cli("list", "runs").out, re.MULTILINE)
+    assert re.search(r"^heavy_drift +sweep +unfinished +\d+ +8 ", cli("list", "runs").out, re.MULTILINE)

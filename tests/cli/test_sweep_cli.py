@@ -100,7 +100,7 @@ def test_a_sweep_is_no_run(cli: Cli, study: Path) -> None:
     assert [row["kind"] for row in json.loads(cli("list", "runs", "--json").out)["runs"]] == ["sweep"]
     said = cli("run", "kowalevski_hk", "--set", "N=10", "--set", "name=study")
     assert said.code == 2
-    assert "exists and is not a finished run; nothing was written" in said.err
+    assert said.err == "error: results/study: holds a sweep; choose another name with --set name=NAME\n"
     assert len(rows()) == 4
 
 

@@ -16,7 +16,7 @@ import topcli
 from conftest import ROOT, Said
 from documentation import read_page
 from injected import topcli_process
-from topcli.engine import native
+from topcli.engine import compile
 from topcli.errors import UsageError
 
 Cli = Callable[..., Said]
@@ -172,24 +172,6 @@ measure: [%s]
 """
 
 
-@pytest.mark.slow
-def test_init_chooses_a_scheme_that_the_top_can_have(cli: Cli, in_tmp: Path) -> None:
-    """dmv needs equations that a gyrostat does not give."""
-    for name, text in read_page(ROOT / "docs" / "own-scheme.md").files().items():
-        (in_tmp / name).write_text(text)
-    own = ("--plugin", "gyrostat.py")
-    for file, scheme in (("mine.yaml", ()), ("other.yaml", ("--scheme", "heun"))):
-        said = cli("init", file, "--top", "gyrostat", *scheme, *own)
-        assert (said.code, said.err.splitlines()[0]) == (0, f"wrote {file} and topcli.schema.json")
-        assert cli("run", file, "--set", "N=20", *own).code == 0
-    text = (in_tmp / "mine.yaml").read_text()
-    assert "name: hk" in text
-    listed = cli("list", "schemes", "--top", "gyrostat", "--json", *own).json()["schemes"]
-    names = [scheme["name"] for scheme in listed]
-    assert text.partition("# one of ")[2].partition("\n")[0] == ", ".join(names)
-    assert "dmv" not in names
-
-
 def test_order_takes_the_content_of_a_config() -> None:
     config: dict[str, Any] = {"top": "euler", "initial": {"omega": [0.2, 1, 0.1]}, "scheme": "hk", "h": 0.1, "N": 20}
     found = topcli.order("hk", config=config, sizes=[0.1, 0.05, 0.025], progress=False)
@@ -274,13 +256,12 @@ def test_settings_of_the_environment_are_not_blamed_on_the_scheme(
 def test_a_compiler_that_cannot_be_loaded_is_not_a_folder_that_cannot_be_written(
     cli: Callable[..., Said], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    native._machine.cache_clear()
-    native._process_engine.cache_clear()
+    compile._llvm.cache_clear()
     monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
     try:
         said = cli("run", "kowalevski_hk", "--set", "N=20", "--quiet")
     finally:
-        native._machine.cache_clear()
+        compile._llvm.cache_clear()
     assert said.code == 1
     assert "the compiler cannot be loaded: llvmlite" in said.err
     assert "written" not in said.err

@@ -17,7 +17,6 @@ from topcli.config.load import load_experiment
 from topcli.config.schema import config_schema
 from topcli.contracts import Stepper, Top
 from topcli.schemes import registry
-from topcli.studies.compare_runs import compare_schemes
 from topcli.studies.entries import under_scheme
 
 HK = CONFIGS / "kowalevski_hk.yaml"
@@ -116,18 +115,3 @@ def test_the_plus_and_the_key_are_taken(word: str) -> None:
         def _build(top: Top, options: BaseModel) -> Stepper:
             """Never registered."""
             return KICK_TURN
-
-
-GENERIC = "kowalevski_generic_hk"
-
-
-@pytest.mark.slow
-def test_a_composition_from_python() -> None:
-    trajectory = topcli.simulate(GENERIC, scheme={"name": "hk", "compose": "kahan-li8"}, h=0.1, N=100)
-    assert trajectory.scheme == "hk+kahan-li8"
-    assert np.array_equal(trajectory.states, topcli.simulate(GENERIC, scheme="hk+kahan-li8", h=0.1, N=100).states)
-    names = ["hk", "hk+suzuki4"]
-    compared = compare_schemes(load_experiment(GENERIC, ["h=0.1", "N=100", "output.every=1"]), names)
-    hk, suzuki = compared.data["schemes"]
-    assert [(one["scheme"], one["declared_order"]) for one in (hk, suzuki)] == [("hk", 2), ("hk+suzuki4", 4)]
-    assert hk["max_error"] > 30 * suzuki["max_error"] > 0.0

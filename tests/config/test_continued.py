@@ -20,8 +20,7 @@ from topcli.config.load import load, load_experiment
 from topcli.config.schema import config_schema
 from topcli.config.sweep import load_sweep
 from topcli.errors import ConfigError
-from topcli.runs.decision import RunOptions
-from topcli.runs.run import run_experiment
+from topcli.runs.run import RunOptions, run_experiment
 from topcli.sweeps.run import SweepOptions, run_sweep
 
 BODY: dict[str, Any] = {
@@ -118,7 +117,6 @@ def test_the_schema_of_configs_knows_continued_runs() -> None:
         plain = {**BODY, "top": top}
         assert fits(schema, {**plain, "initial": {"from": "one"}})
         assert fits(schema, {**plain, "initial": {"from": "one", "normalize": True}})
-        assert not fits(schema, {**plain, "initial": {"from": 3}})
 
 
 OFF = [0.6, 0.0, 0.8 + 5e-5]
@@ -139,13 +137,13 @@ def test_commands_and_functions_warn_of_states_off_the_unit_sphere(cli: Callable
         assert topcli.simulate({**BODY, **changes}).states[0].tolist() == state
     assert caught[0].filename == __file__
     with pytest.warns(UserWarning, match=WARNING):
-        topcli.simulate_ensemble(BODY, states=[[0.3, 0.2, 1.1, 0.6, 0.0, 0.8], state])
+        topcli.simulate(BODY, states=[[0.3, 0.2, 1.1, 0.6, 0.0, 0.8], state])
     for ensemble in (
         {"states": [{}, changes["initial"]]},
         {"grid": {"gamma3": [0.8, OFF[2]], "omega1": [0.1, 0.2]}},
     ):
         with pytest.warns(UserWarning, match=WARNING):
-            topcli.simulate_ensemble({**BODY, "ensemble": ensemble})
+            topcli.simulate({**BODY, "ensemble": ensemble})
 
 
 def test_sweeps_warn_of_states_off_the_unit_sphere(in_tmp: Path) -> None:

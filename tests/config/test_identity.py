@@ -185,6 +185,19 @@ def test_a_config_that_overrides_complete_has_a_name(tmp_path: Path) -> None:
     assert found.name == f"part-{found.digest[:6]}"
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["con", "NUL", "Com1", "lpt9.txt", "aux .x", "figures", "x.", "x ", " x", "..", "-x", "a\tb", "a:b", "a/b", ""],
+)
+def test_names_that_some_system_reserves_or_changes_are_refused(name: str) -> None:
+    assert name_fault(name)
+
+
+@pytest.mark.parametrize("name", ["run #1", "console", "com10", "a.b", "é (2)", "x+y"])
+def test_other_names_are_accepted(name: str) -> None:
+    assert not name_fault(name)
+
+
 @pytest.mark.parametrize("base", ["x", "n" * 100, "é" * 97, "ab " * 33])
 def test_a_default_name_is_a_name(base: str) -> None:
     assert not name_fault(base.strip())

@@ -204,3 +204,15 @@ def test_the_ends_of_a_range_are_those_that_are_given(spacing: str) -> None:
     }
     values = load_sweep(data).axes[0].columns[0]
     assert (values[0], values[2]) == (first, last)
+
+
+def test_exclude_may_name_what_an_override_removed() -> None:
+    data = {"base": BASE, "grid": {"scheme": ["hk", "rk4", "dop853"], "h": [0.1, 0.2]}}
+    data["exclude"] = [{"scheme": "dop853", "h": 0.2}, {"scheme": "hk", "h": 0.1}]
+    fewer = list(RowReader(load_sweep(data, ["grid.scheme=[hk, rk4]"])).rows())
+    assert [row.keys for row in fewer] == [("hk", 0.2), ("rk4", 0.1), ("rk4", 0.2)]
+    with pytest.raises(TopcliError, match=r"exclude\[0\].scheme: is not varied by grid or zip"):
+        load_sweep(data, ["grid={h: [0.1, 0.2]}"])
+    assert load_sweep("kowalevski_errors", ["grid.scheme=[hk, rk4]"]).count_left > 0
+    with pytest.raises(TopcliError, match=r"exclude\[0\].scheme: no row has the value 'dop8'"):
+        load_sweep({**data, "exclude": [{"scheme": "dop8"}]})

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from fractions import Fraction
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,16 +16,15 @@ from conftest import GEN, PAPER, ROOT
 from declared import SCHEMES
 from steppers import built
 from topcli.analysis import reference
-from topcli.analysis.tally import InvariantTally
 from topcli.config.load import load_experiment
-from topcli.contracts import Outcome, Sampler, Scheme, Stepper, StopAsked, check_stop, stopping_when
-from topcli.engine import ensemble, tile
-from topcli.engine.ensemble import EnsembleRun, Execution
-from topcli.engine.precise_numbers import LONG, Rational
-from topcli.engine.run import Run
+from topcli.contracts import Ending, Outcome, Sampler, Scheme, Stepper, StopAsked, check_stop, stopping_when
+from topcli.engine import integration
+from topcli.engine.collect import Memory, orbit
+from topcli.engine.drive import drive
+from topcli.engine.machine import Machine
+from topcli.engine.numbers import LONG, Rational
+from topcli.engine.plan import Plan
 from topcli.errors import RunError
-from topcli.runs.decision import RunOptions
-from topcli.runs.run import run_experiment
 from topcli.schemes.any_top import runge_kutta
 from topcli.schemes.any_top.taylor import MAX_EXPANSIONS, SHORTEST_REACH
 from topcli.schemes.kowalevski import exact
@@ -49,7 +46,14 @@ class AskedAt:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every call of compiled code is followed by the question whether to stop."""
-    monkeypatch.setattr("topcli.engine.run.CALL_SECONDS", 0.0)
+    monkeypatch.setattr(integration, "CALL_SECONDS", 0.0)
+
+
+def stopped(name: str, h: float, N: int, stop: Callable[[], bool], y0: Any = (GEN,)) -> tuple[Ending, np.ndarray]:
+    """Ending of the first trajectory of a drive that is asked to stop, and its states."""
+    memory, top = Memory(), Kowalevski()
+    run = drive(Plan(top, Machine(top, built(name)), np.array(y0), h, N), [memory], stop=stop)
+    return run.endings[0], memory.states[0]
 
 
 def test_requests_of_all_levels_are_heeded_and_forgotten() -> None:
@@ -100,8 +104,7 @@ def test_a_reference_ends_at_its_budget_of_steps() -> None:
 def test_taylor_stops_within_a_step(impatient: None) -> None:
     """h is far longer than the 50,000 series of a call reach."""
     asked = AskedAt(3)
-    run = Run(Kowalevski(), built("taylor"), GEN, 1e6, 2, stop=asked)
-    ending = run.collect().ending
+    ending, _ = stopped("taylor", 1e6, 2, asked)
     assert (ending.outcome, ending.step) == (Outcome.INTERRUPTED, 0)
     assert asked.count <= 4
     assert ending.counters["expansions"] in (MAX_EXPANSIONS, 2 * MAX_EXPANSIONS)
@@ -110,7 +113,7 @@ def test_taylor_stops_within_a_step(impatient: None) -> None:
 def test_taylor_refuses_a_step_of_too_many_series() -> None:
     """At |omega| of one a series reaches less than about one unit of time."""
     assert SHORTEST_REACH == 2.0**-26
-    ending = Run(Kowalevski(), built("taylor"), GEN, 1e8, 2).collect().ending
+    ending = orbit(Kowalevski(), built("taylor"), GEN, 1e8, 2).ending
     assert (ending.outcome, ending.step, ending.counters["expansions"]) == (Outcome.NO_CONVERGENCE, 1, 0)
     assert ending.message == "did not converge at step 1 (t = 1e+08); a step of 1e+08 would need 7e+07 series or more"
 
@@ -125,7 +128,7 @@ def test_dop853_stops_within_a_step() -> None:
 
 def test_dop853_gives_up_a_hopeless_step_early() -> None:
     """At 12 evaluations for some tenths of a unit of time, 1e9 would take 1e10 evaluations or more."""
-    ending = Run(Kowalevski(), built("dop853"), GEN, 1e9, 2).collect().ending
+    ending = orbit(Kowalevski(), built("dop853"), GEN, 1e9, 2).ending
     assert (ending.outcome, ending.step) == (Outcome.NO_CONVERGENCE, 1)
     assert runge_kutta.TRIAL < ending.counters["evaluations"] < runge_kutta.TRIAL + 15
 
@@ -136,47 +139,8 @@ def test_the_set_up_of_a_closed_form_stops_when_asked(impatient: None) -> None:
     with stopping_when(asked), pytest.raises(StopAsked):
         exact.exact_states(np.array(GEN), 0.1, np.array([1]), (1.0,))
     assert asked.count == 3
-    found = Run(Kowalevski(), built("exact"), GEN, 0.1, 10, stop=AskedAt(3)).collect()
-    assert (found.ending.outcome, found.n.tolist()) == (Outcome.INTERRUPTED, [0])
-
-
-def test_a_trajectory_that_goes_on_by_itself_stops_when_asked(impatient: None) -> None:
-    """The states are finite, but their sum is not, so that each trajectory repeats the steps alone."""
-    huge = (1e308, 1e308, 1e308, 0.0, 0.0, 0.0)
-
-    def stay(s: Any, h: float, p: Any) -> Any:
-        return s
-
-    def run(stop: Callable[[], bool] = lambda: False) -> tuple[EnsembleRun[list[int]], list[list[int]]]:
-        made = EnsembleRun(
-            Kowalevski(),
-            Stepper(stay, 6),
-            np.tile(huge, (2, 1)),
-            1.0,
-            1000,
-            10,
-            on_piece=lambda piece: piece.kept.tolist(),
-            execution=Execution(stop, threads=1),
-        )
-        single = made.code.single_loop()
-
-        def drive(*arguments: Any) -> int:
-            calls.append(arguments[4])
-            return single.drive(*arguments)
-
-        made.code._loop = replace(single, drive=drive)
-        return made, [found for found, _ in made]
-
-    calls: list[int] = []
-    whole, pieces = run()
-    assert pieces == [[101, 101]]
-    assert [(one.outcome, one.step) for one in whole.endings] == [(Outcome.COMPLETED, 1000)] * 2
-    assert sum(calls) == 2000
-    calls.clear()
-    cut, pieces = run(lambda: len(calls) > 0)
-    assert calls == [tile.LONE_FIRST_CALL] * 2
-    assert [(one.outcome, one.step) for one in cut.endings] == [(Outcome.INTERRUPTED, tile.LONE_FIRST_CALL)] * 2
-    assert pieces == [[1 + tile.LONE_FIRST_CALL // 10] * 2]
+    ending, states = stopped("exact", 0.1, 10, AskedAt(3))
+    assert (ending.outcome, np.isfinite(states).any(axis=1).sum()) == (Outcome.INTERRUPTED, 1)
 
 
 def test_an_operation_on_long_rational_numbers_heeds_a_stop() -> None:
@@ -203,7 +167,7 @@ def test_a_tiny_step_moves_nothing_or_is_refused(one: Scheme, h: float, impatien
     top = TOPS[one.top]()
     method = one.build(top, one.options())
     y0 = np.array([0.7, -0.4, 1.3, 0.6, 0.48, 0.64][: len(top.components)])
-    found = Run(top, method, y0, h, 40).collect()
+    found = orbit(top, method, y0, h, 40)
     if found.ending.outcome is Outcome.COMPLETED:
         np.testing.assert_allclose(found.states, np.broadcast_to(y0, found.states.shape), rtol=0.0, atol=1e-15)
     else:
@@ -233,88 +197,30 @@ def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: Non
         asked = AskedAt(10**9)
         refused = [RunError] if isinstance(found, Sampler) else []
         with np.errstate(all="ignore"), stopping_when(asked), suppress(*refused):
-            assert Run(top, found, y0, h, 2, stop=asked).collect().ending.outcome is not Outcome.INTERRUPTED
+            run = drive(Plan(top, Machine(top, found), y0[None], h, 2), stop=asked)
+            assert Outcome.INTERRUPTED not in run.endings.outcomes
         assert asked.count <= (PANELS if isinstance(found, Sampler) else QUESTIONS), (size, h)
 
 
 def test_a_step_of_too_many_evaluations_does_not_converge(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runge_kutta, "MAX_EVALUATIONS", 3000)
     experiment = load_experiment("heavy_hk", ["scheme=dop853", "h=100", "N=3"])
-    run = Run(experiment.top, experiment.method(), experiment.y0, 100.0, 3)
-    for _ in run:
-        pass
-    assert run.ending is not None
+    run = orbit(experiment.top, experiment.method(), experiment.y0, 100.0, 3)
     assert (run.ending.outcome, run.ending.step) == (Outcome.NO_CONVERGENCE, 1)
     assert 3000 <= run.ending.counters["evaluations"] < 3020
-
-
-def test_an_ensemble_is_interrupted_within_a_chunk(impatient: None) -> None:
-    y0 = np.tile(GEN, (40, 1))
-    run = EnsembleRun(
-        Kowalevski(),
-        built("hk"),
-        y0,
-        0.1,
-        10_000,
-        on_piece=lambda piece: int(piece.kept.max()),
-        execution=Execution(AskedAt(3)),
-    )
-    rows = [made for made, _ in run]
-    assert {ending.outcome for ending in run.endings} == {Outcome.INTERRUPTED}
-    assert 0 < run.endings[0].step < 1000
-    assert rows[-1] == run.endings[0].step + 1
-    assert (run.last_n == run.endings[0].step).all()
 
 
 def test_calls_of_any_length_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = load_experiment(ROOT / "configs" / "kowalevski_hk.yaml", ["N=5000", "output.every=7"])
 
-    def rows() -> np.ndarray:
-        run = Run(experiment.top, experiment.method(), experiment.y0, experiment.h, 5000, 7)
-        return run.collect().states
+    def rows() -> tuple[np.ndarray, np.ndarray]:
+        memory, top = Memory(), experiment.top
+        y0 = np.array([experiment.y0, GEN, GEN, GEN])
+        machine = Machine(top, experiment.method())
+        drive(Plan(top, machine, y0, experiment.h, 5000, 7), [memory])
+        return orbit(top, machine, experiment.y0, experiment.h, 5000, 7).states, memory.states
 
-    def many() -> np.ndarray:
-        y0 = np.array([experiment.y0, GEN])
-        pieces = []
-        run = EnsembleRun(
-            experiment.top, experiment.method(), y0, experiment.h, 5000, 7, on_piece=lambda p: p.states.copy()
-        )
-        pieces = [made for made, _ in run]
-        return np.concatenate(pieces, axis=1)
-
-    whole, whole_many = rows(), many()
-    monkeypatch.setattr("topcli.engine.run.FIRST_CALL", 64)
-    monkeypatch.setattr(ensemble, "TILE_FIRST_CALL", 4)
-    monkeypatch.setattr("topcli.engine.run.CALL_SECONDS", 0.0)
-    assert (rows() == whole).all()
-    assert (many() == whole_many).all()
-
-
-def test_a_run_stopped_within_a_chunk_resumes_to_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Stopped with more rows of a chunk than a batch holds: the sums over rows must be cut as if never stopped."""
-    experiment = load_experiment(ROOT / "configs" / "kowalevski_hk.yaml", ["N=20000"])
-    sizes: list[int] = []
-    add = InvariantTally.add
-
-    def recording(self, n, states, values) -> None:
-        sizes.append(len(n))
-        add(self, n, states, values)
-
-    monkeypatch.setattr(InvariantTally, "add", recording)
-    whole = run_experiment(experiment, tmp_path / "whole")
-    expected, sizes = sizes, []
-    with monkeypatch.context() as cut:
-        cut.setattr("topcli.engine.run.CALL_SECONDS", 0.0)
-        cut.setattr("topcli.engine.run.FIRST_CALL", 700)
-        asked = iter([False, False])
-        stopped = run_experiment(experiment, tmp_path / "cut", RunOptions(stop=lambda: next(asked, True)))
-    assert stopped.report["step"] == 701
-    sizes.clear()
-    result = run_experiment(experiment, tmp_path / "cut", RunOptions(resume=True))
-    assert result.status == "resumed"
-    assert sizes == expected
-    series = [(folder.stored.folder / "series.parquet").read_bytes() for folder in (result, whole)]
-    assert series[0] == series[1]
-    assert result.report["invariants"] == whole.report["invariants"]
+    whole = rows()
+    monkeypatch.setattr(integration, "CALL_SECONDS", 0.0)
+    for states, expected in zip(rows(), whole, strict=True):
+        assert (states == expected).all()

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import operator
+from collections.abc import Callable
 from fractions import Fraction
+from itertools import product
 from typing import Any
 
 import mpmath
@@ -14,20 +17,20 @@ from split_motions import bracket_matrix
 from steppers import built
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Method, Stepper, Top
-from topcli.engine.duals import IN_PLACE, RULES, dual, slope_of, value_of
-from topcli.engine.ensemble import EnsembleRun
-from topcli.engine.loop import interpreted, loop_of, state_after
-from topcli.engine.native import native
-from topcli.engine.part_steps import part_steps_of
-from topcli.engine.run import Run
-from topcli.engine.tangent import TangentRun, obstacle, tangent_code
+from topcli.engine.collect import orbit
+from topcli.engine.compile import native
+from topcli.engine.drive import drive as driven
+from topcli.engine.duals import RULES, dual, slope_of, value_of
+from topcli.engine.loops import interpreted, loop_of, part_steps_of
+from topcli.engine.machine import Machine
+from topcli.engine.plan import Plan
+from topcli.engine.tangent import TangentRun, tangent_code
 from topcli.errors import SchemeCodeError, UsageError
 from topcli.field.expression import FUNCTIONS, in_arithmetic
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import NotPolynomialError, decimal, field_of
 from topcli.field.straight_line import function_of
-from topcli.schemes.compose import obstacle as not_composable
-from topcli.schemes.registry import find_scheme, schemes_of
+from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 
 H = 0.1
@@ -64,8 +67,12 @@ def code_of(name: str, form: str, lanes: int = 1, **options: object) -> Any:
 def image(code: Any, y: np.ndarray, v: np.ndarray, h: float, steps: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """States and vectors (m, d) after some steps."""
     run = code.run(h, y, v)
-    run.advance(1, steps, renormalise=False)
-    return run.states, run.vectors
+    run.advance(steps)
+    return run.states, run.images
+
+
+def growth(run: TangentRun) -> np.ndarray:
+    return run.scales * math.log(2.0) + np.log(np.linalg.norm(run.vectors, axis=1))
 
 
 def moved(method: Method, p: np.ndarray, y: np.ndarray, h: float, steps: int) -> np.ndarray:
@@ -107,9 +114,15 @@ CASES = [
     ("hybrid", "kowalevski", {}),
     ("bs", "lagrange/inertial", {}),
     ("bs-implicit", "euler+gamma", {}),
+    ("backlund", "kowalevski", {}),
+    ("bohlin-a", "kowalevski", {}),
+    ("dmv", "heavy", {}),
+    ("splitting+yoshida4", "lagrange", {}),
+    ("hk", "kowalevski", {"project": 1}),
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "form", "options"), CASES)
 def test_images_are_those_of_central_differences(name: str, form: str, options: dict[str, object]) -> None:
     """Over five steps; the states are those of the run, bit for bit where the tangent map is that of its own step."""
@@ -138,33 +151,50 @@ def test_the_tangent_map_of_a_taylor_series_is_that_of_the_flow() -> None:
         assert np.abs(states[i] - reached).max() < 1e-14
     _, near = image(code_of("midpoint", form, 8), y, v, H / 100, 500)
     assert 1e-9 < np.abs(near - vectors).max() < 1e-5
-    run = code.run(H, y, v)
-    run.advance(4, 5)
-    other = code_of("midpoint", form, 8).run(H / 100, y, v)
-    other.advance(40, 50)
-    assert run.growth == pytest.approx(other.growth, abs=1e-5)
-    assert np.linalg.norm(run.vectors, axis=1) == pytest.approx(1.0)
 
 
-def test_one_orbit_and_several_side_by_side_are_the_same() -> None:
-    y, v = states_of("clebsch", 8), states_of("clebsch", 8, seed=6)
-    side_by_side = TangentRun(code_of("hk", "clebsch", 8), H, y, v)
-    side_by_side.advance(20, 16)
+@pytest.mark.parametrize(("name", "form"), [("hk", "clebsch"), ("hybrid", "kowalevski")])
+def test_growth_depends_neither_on_other_orbits_nor_on_the_lengths_of_calls(name: str, form: str) -> None:
+    """To the last bit: vectors are scaled by powers of two."""
+    y, v = states_of(form, 8), states_of(form, 8, seed=6)
+    v[3] *= 1e200
+    together, alone = code_of(name, form, 8).run(H, y, v), code_of(name, form)
+    together.advance(2000)
     for i in range(8):
-        alone = TangentRun(code_of("hk", "clebsch"), H, y[i : i + 1], v[i : i + 1])
-        alone.advance(20, 16)
-        assert np.array_equal(alone.states[0], side_by_side.states[i])
-        assert alone.growth[0] == pytest.approx(side_by_side.growth[i], rel=1e-12)
+        run = alone.run(H, y[i : i + 1], v[i : i + 1])
+        for steps in (1, 300, 1699):
+            run.advance(steps)
+        assert np.array_equal(run.states[0], together.states[i])
+        assert np.array_equal(np.ldexp(run.vectors[0], run.scales[0] - together.scales[i]), together.vectors[i])
 
 
-def test_growth_is_that_of_the_vector() -> None:
-    """The logarithms of renormalised vectors add up to that of one that is not."""
-    code, y, v = code_of("hk", "heavy"), states_of("heavy", 1), states_of("heavy", 1, seed=6)
-    run = TangentRun(code, H, y, v)
-    run.advance(10, 16)
-    _, free = image(code, y, v, H, 160)
-    assert run.growth[0] == pytest.approx(math.log(np.linalg.norm(free)), rel=1e-12)
-    assert np.linalg.norm(run.vectors) == pytest.approx(1.0)
+def stretching(factor: Callable[[float], float]) -> Stepper:
+    """Map of (number of the step, y) near the fixed point y = 1/4 that stretches vectors along y."""
+    return Stepper(lambda s, h, p: (s[0] + 1.0, 0.25 + (s[1] - 0.25) * factor(s[0])), 2)
+
+
+STRETCHES: list[tuple[Callable[[float], float], int, float]] = [
+    (lambda n: 2.0, 5000, 5000 * math.log(2.0)),
+    (lambda n: 1e200, 5000, 5000 * math.log(1e200)),
+    (lambda n: 1e-200, 5000, -5000 * math.log(1e200)),
+    (lambda n: 0.0, 5000, -math.inf),
+    (lambda n: 1.0 if n < 400000.0 else 0.5 if n < 402000.0 else 2.0 if n < 404000.0 else 1.0, 410000, 0.0),
+    (lambda n: 1.0 if n < 400000.0 else 2.0 if n < 402000.0 else 0.5 if n < 404000.0 else 1.0, 410000, 0.0),
+]
+"""Factors in each step, the number of steps, and the growth; the last ones leave the range of doubles in a call."""
+
+
+@pytest.mark.parametrize("lanes", [1, 8])
+@pytest.mark.parametrize(("factor", "steps", "expected"), STRETCHES)
+@pytest.mark.slow
+def test_strong_growth_neither_overflows_nor_vanishes(
+    factor: Callable[[float], float], steps: int, expected: float, lanes: int
+) -> None:
+    code = tangent_code(find_scheme("rk4", "euler"), Pair(), stretching(factor), lanes)
+    run = code.run(H, np.array([[0.0, 0.25]]), np.array([[0.0, 3.0]]))
+    run.advance(steps)
+    with np.errstate(divide="ignore"):
+        assert growth(run)[0] - math.log(3.0) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
 def failing_orbits(name: str, form: str, method: Method, seed: int) -> list[tuple[np.ndarray, float, list[int]]]:
@@ -199,13 +229,13 @@ def test_an_orbit_breaks_off_at_its_first_failed_step(name: str, form: str, lane
     for y, h, failed in failing_orbits(name, form, built(name, TOPS[form].new()), seed=8):
         for i in range(0, len(y), lanes):
             run = code.run(h, y[i : i + lanes], np.ones((lanes, y.shape[1])))
-            run.advance(6, 5)
+            run.advance(30)
             fails = [step > 0 for step in failed[i : i + lanes]]
-            for values in (run.states, run.vectors, run.growth):
+            for values in (run.states, run.vectors, run.images):
                 assert np.isnan(values.reshape(lanes, -1)).all(axis=1).tolist() == fails
                 assert np.isnan(values.reshape(lanes, -1)).any(axis=1).tolist() == fails
-            run.advance(1, 1)
-            assert np.isnan(run.growth)[fails].all()
+            run.advance(1)
+            assert np.isnan(growth(run))[fails].all()
         early += sum(0 < step < 30 for step in failed)
     assert early >= 5  # seen: 5 of the midpoint rule, 47 and 48 of 48 of the others
 
@@ -219,20 +249,7 @@ def test_a_step_that_hides_an_infinity_has_failed(lanes: int) -> None:
     states, vectors = image(tangent_code(find_scheme("rk4", "euler"), top, method, lanes), y, np.ones_like(y), H, 3)
     assert np.isnan([*states[0], *vectors[0]]).all()
     assert lanes == 1 or states[1].tolist() == [0.5, 3.0]
-    assert Run(top, method, y[0], H, 3).collect().ending.step == 1
-
-
-def test_a_part_of_a_step_that_does_not_converge_is_nan() -> None:
-    top = TOPS["kowalevski"].new()
-    method, h, count = built("dmv", top), 6.0, 200
-    y, theta = states_of("kowalevski", count), np.linspace(0.0, 1.0, count)
-    found = part_steps_of(method, top, h)(y, np.zeros(count, dtype=np.int64), y, theta)
-    loop, p = interpreted(method, 6, 1), np.array(top.constants())
-    ends = [state_after(loop, y[i], p, theta[i] * h) for i in range(count)]
-    failed = [end is None for end in ends]
-    assert 10 < sum(failed) < 190
-    assert np.isnan(found).any(axis=1).tolist() == np.isnan(found).all(axis=1).tolist() == failed
-    assert all(np.array_equal(end, row) for end, row in zip(ends, found, strict=True) if end is not None)
+    assert orbit(top, method, y[0], H, 3).ending.step == 1
 
 
 @pytest.mark.parametrize(("name", "bound"), [("splitting", 1e-13), ("backlund", 1e-12), ("hk", None), ("rk4", None)])
@@ -246,60 +263,51 @@ def test_canonical_steps_have_a_poisson_tangent_map(name: str, bound: float | No
     assert defect < bound if bound else defect > 1e-9
 
 
-def rule_cases() -> list[object]:
-    return [function for function in RULES if function not in IN_PLACE]
-
-
-@pytest.mark.parametrize("function", rule_cases(), ids=lambda f: f.__name__)
-def test_rules_of_dual_numbers(function) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("functions", RULES, ids=lambda functions: functions[0].__name__)
+def test_rules_of_dual_numbers(functions: tuple[Callable[..., Any], ...]) -> None:
     """Each against mpmath, for all combinations of dual numbers and plain ones."""
-    count = RULES[function][0]
-    a, b, da, db = -0.3, 0.7, 0.4, -1.1
-    if count == 1:
-        a = -a
+    function, count = functions[0], len(RULES[functions]) - 1
+    x, dx = (0.3, 0.7, -1.3)[:count], (0.4, -1.1, 0.6)[:count]
+    combinations = [one for one in product((True, False), repeat=count) if any(one)]
+    arguments = [
+        ", ".join(f"dual(x[{i}], dx[{i}])" if moves else f"x[{i}]" for i, moves in enumerate(one))
+        for one in combinations
+    ]
+    calls = "".join(
+        f"    s = function({text})\n    out[{2 * k}] = value_of(s)\n    out[{2 * k + 1}] = slope_of(s)\n"
+        for k, text in enumerate(arguments)
+    )
+    scope: dict[str, Any] = {"function": function, "dual": dual, "value_of": value_of, "slope_of": slope_of}
+    exec(f"def drive(x, dx, out):\n{calls}    return 1", scope)
+    out = np.zeros(2 * len(combinations))
+    native(scope["drive"], "ppp", duals=True)(np.array(x), np.array(dx), out)
+    exact = EXACT.get(function) or getattr(mpmath, function.__name__)
+    for one, (value, slope) in zip(combinations, out.reshape(-1, 2), strict=True):
+        moved = [d if moves else 0.0 for d, moves in zip(dx, one, strict=True)]
+        line = lambda t, moved=moved: exact(*(a + t * d for a, d in zip(x, moved, strict=True)))  # noqa: E731
+        assert value == function(*x)
+        assert slope == pytest.approx(float(mpmath.diff(line, 0)), rel=1e-14)
 
-        def drive(work, out):
-            s = function(dual(work[0], work[2]))
-            out[0] = value_of(s)
-            out[1] = slope_of(s)
-            return 0
-    else:
 
-        def drive(work, out):
-            x, y = dual(work[0], work[2]), dual(work[1], work[3])
-            s, t, u = function(x, y), function(work[0], y), function(x, work[1])
-            out[0] = value_of(s)
-            out[1] = slope_of(s)
-            out[2] = slope_of(t)
-            out[3] = slope_of(u)
-            return 0
-
-    out = np.zeros(4)
-    native(drive, "pp", duals=True)(np.array([a, b, da, db]), out)
-    names = {"neg": lambda x: -x, "pos": lambda x: x, "abs": abs, "fabs": abs, "copysign": lambda x, y: abs(x)}
-    names |= {
-        "add": lambda x, y: x + y,
-        "sub": lambda x, y: x - y,
-        "mul": lambda x, y: x * y,
-        "truediv": lambda x, y: x / y,
-    }
-    names |= {"min": min, "max": max}
-    exact = names.get(function.__name__) or getattr(mpmath, function.__name__)
-
-    def slope(one: float, other: float) -> float:
-        if count == 1:
-            return float(mpmath.diff(lambda t: exact(a + t * one), 0))
-        return float(mpmath.diff(lambda t: exact(a + t * one, b + t * other), 0))
-
-    arguments = (a, b)[:count]
-    assert out[0] == function(*arguments)
-    assert out[1] == pytest.approx(slope(da, db), rel=1e-14)
-    if count == 2:
-        assert out[2:] == pytest.approx([slope(0.0, db), slope(da, 0.0)], rel=1e-14)
+EXACT: dict[Any, Callable[..., Any]] = {
+    operator.add: operator.add,
+    operator.sub: operator.sub,
+    operator.mul: operator.mul,
+    operator.truediv: operator.truediv,
+    operator.neg: operator.neg,
+    operator.pos: operator.pos,
+    abs: abs,
+    min: min,
+    max: max,
+    fma: lambda x, y, z: x * y + z,
+    math.copysign: lambda x, y: -abs(x) if y < 0 else abs(x),
+}
 
 
 def test_every_function_of_a_formula_is_differentiated() -> None:
-    assert {abs if name == "abs" else getattr(math, name) for name in FUNCTIONS} <= RULES.keys()
+    known = {function for functions in RULES for function in functions}
+    assert {abs if name == "abs" else getattr(math, name) for name in FUNCTIONS} <= known
 
 
 def test_dual_numbers_in_branches_loops_and_powers() -> None:
@@ -350,8 +358,8 @@ def test_machine_code_that_raises_is_an_error(lanes: int) -> None:
     """Never arrays that it has not written: numba prints the exception and returns 0."""
     y, top, h = np.array([[0.5, 1.0], [0.5, 2.0]]), Pair(), 0.5
     calls = {
-        "run": lambda: Run(top, RAISING, y[-1], h, 3).collect(),
-        "ensemble": lambda: list(EnsembleRun(top, RAISING, y, h, 3, on_piece=lambda piece: None)),
+        "run": lambda: orbit(top, RAISING, y[-1], h, 3),
+        "batch": lambda: driven(Plan(top, Machine(top, RAISING), np.tile(y, (2, 1)), h, 3)),
         "tangent": lambda: image(
             tangent_code(find_scheme("rk4", "euler"), top, RAISING, lanes), y[-lanes:], y[-lanes:], h
         ),
@@ -372,33 +380,3 @@ def test_machine_code_that_raises_is_an_error(lanes: int) -> None:
 def test_schemes_without_a_tangent_map_are_refused_by_name(name: str, form: str, words: str) -> None:
     with pytest.raises(UsageError, match=rf"scheme '{name}' {words}.*; use a scheme"):
         code_of(name, form)
-
-
-def every_step() -> list[tuple[str, str]]:
-    """Top and scheme, composed if it can be: for every top one in turn, one of each kind of each module."""
-    found, covered = [("euler", "midpoint+yoshida4")], set()
-    for k, form in enumerate(TOPS):
-        top, names = TOPS[form].new(), []
-        for scheme in schemes_of(form):
-            composed = scheme if not_composable(scheme) else find_scheme(f"{scheme.name}+yoshida4", form)
-            method = composed.build(top, composed.options())
-            if not obstacle(method):
-                names.append(composed.name)
-                kind = scheme.build.__module__, getattr(method, "iterative", False)
-                found += [] if kind in covered else [(form, composed.name)]
-                covered.add(kind)
-        found.append((form, names[k % len(names)]))
-    return sorted(set(found))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("form", "name"), every_step())
-def test_the_tangent_map_of_every_step_is_that_of_central_differences(form: str, name: str) -> None:
-    """A composition contains its base scheme. Differences of the interpreted steps are off by 1e-9 at worst."""
-    top, nudge = TOPS[form].new(), 1e-5
-    method, p = built(name, top), np.array(top.constants())
-    y, v = 0.5 * states_of(form, 1), states_of(form, 1, seed=6)
-    states, vectors = image(code_of(name, form), y, v, H, 2)
-    reached, up, down = (moved(method, p, y[0] + s * nudge * v[0], H, 2) for s in (0, 1, -1))
-    assert np.abs((up - down) / (2 * nudge) - vectors[0]).max() < 1e-7 * np.abs(vectors).max()
-    assert np.abs(states[0] - reached).max() < 1e-14

@@ -15,12 +15,11 @@ import pytest
 
 import golden
 import topcli
+from made_up import report_on
 from test_golden_tables import measured
 from topcli.analysis.order import convergence
 from topcli.analysis.roundoff import growth
 from topcli.analysis.swings import first_swing_spacing, minima_times
-from topcli.analysis.tally import InvariantTally
-from topcli.contracts import Invariant
 from topcli.studies import STUDIES
 
 UNREPEATABLE = (
@@ -100,10 +99,8 @@ SERIES = {
 def test_drift(h: float) -> None:
     reports = {}
     for name, values in SERIES.items():
-        tally = InvariantTally((Invariant("x", "x", "x", "x", np.empty, lambda y: np.full(len(y), 3.0)),), h)
-        n = np.arange(len(values))
-        tally.add(n, np.cos(2 * np.pi * 30 * T[: len(n), None] / T[-1]), {"x": 1.0 + values})
-        reports[name] = repeatable(tally.report()[0].as_dict())
+        motion = np.cos(2 * np.pi * 30 * T[: len(values)] / T[-1])
+        reports[name] = repeatable(report_on(1.0 + values, motion, h, np.full(len(values), 3.0)).as_dict())
     golden.check(f"drift_{h}", reports, rel=1e-5)
 
 

@@ -12,8 +12,8 @@ from conformance import choices
 from conftest import PAPER, random_states
 from declared import TRIALS, gen
 from topcli.contracts import Scheme, Stepper, Top
-from topcli.engine.loop import plain_loop
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
+from topcli.engine.loops import interpreted
 from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS
 from topcli.tops.bodies import moment_warnings
@@ -25,12 +25,12 @@ def state_after(top: Top, scheme: Scheme, options: Any, y0: Any, h: float) -> di
     """State after some steps: of plain Python, or of a closed form or a series."""
     method, y0 = scheme.build(top, options), np.asarray(y0, dtype=float)
     if not isinstance(method, Stepper):
-        return {"state": Run(top, method, y0, h, STEPS, STEPS).collect().states[-1].tolist()}
+        return {"state": orbit(top, method, y0, h, STEPS, STEPS).states[-1].tolist()}
     p = np.array(method.parameters(top))
-    enter, drive = plain_loop(method, len(y0), len(p))
+    loop = interpreted(method, len(y0), len(p))
     work, out = np.zeros(method.width), np.zeros(STEPS * len(y0))
-    enter(y0, work, p, h)
-    taken = drive(work, out, p, h, STEPS, 1, 1)
+    loop.enter(y0, work, p, h)
+    taken = loop.drive(work, out, p, h, STEPS, 1, 1)
     counts = dict(zip(method.counters, work[len(work) - len(method.counters) :].tolist(), strict=True))
     return {"taken": int(taken), "state": out.reshape(STEPS, -1)[max(taken, 1) - 1].tolist(), "counts": counts}
 

@@ -15,7 +15,7 @@ from stored_results import BASE
 from topcli.cli.output import table_lines
 from topcli.pages.page import rendered
 from topcli.pages.studies import study_chapter
-from topcli.runs.report import ENSEMBLE, INVARIANTS, report_markdown
+from topcli.runs.report import ENSEMBLE, INVARIANTS
 from topcli.studies import STUDIES, find_study
 from topcli.studies.study import Result
 
@@ -106,8 +106,7 @@ def test_study(name: str, tmp_path: Path) -> None:
 def test_report(name: str, tmp_path: Path) -> None:
     data = recorded(name, tmp_path)
     data = data.get("report", data)
-    text: dict[str, Any] = {"tables": shown_text([INVARIANTS if name == "run" else ENSEMBLE], data)}
-    golden.check(f"report_{name}", text | ({"markdown": report_markdown(data).splitlines()} if name == "run" else {}))
+    golden.check(f"report_{name}", {"tables": shown_text([INVARIANTS if name == "run" else ENSEMBLE], data)})
 
 
 @pytest.mark.parametrize("name", [*STUDIES, "run", "ensemble"])

@@ -13,12 +13,13 @@ from conftest import random_states
 from resuming import after
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Stepper
-from topcli.engine.ensemble import EnsembleRun
-from topcli.engine.loop import plain_loop
-from topcli.engine.run import Run
-from topcli.runs.decision import RunOptions
-from topcli.runs.run import run_experiment
+from topcli.contracts import Outcome, Stepper
+from topcli.engine.collect import Memory, orbit
+from topcli.engine.drive import drive
+from topcli.engine.loops import interpreted
+from topcli.engine.machine import Machine
+from topcli.engine.plan import Plan
+from topcli.runs.run import RunOptions, run_experiment
 from topcli.store.series import read_series
 
 N = 97
@@ -49,16 +50,15 @@ def in_python(one: Experiment, tmp: Path) -> Rows:
     if not isinstance(method, Stepper):
         return {}
     p = np.array(one.top.constants())
-    enter, drive = plain_loop(method, d, len(p))
+    loop = interpreted(method, d, len(p))
     work, out = np.zeros(method.width), np.empty(N * d)
-    enter(np.array(one.y0), work, p, one.h)
-    drive(work, out, p, one.h, N, 1, 1)
+    loop.enter(np.array(one.y0), work, p, one.h)
+    loop.drive(work, out, p, one.h, N, 1, 1)
     return rows_of(range(1, N + 1), out.reshape(N, d))
 
 
 def sparse(one: Experiment, tmp: Path) -> Rows:
-    run = Run(one.top, one.method(), one.y0, one.h, N, 7)
-    n, states, _ = run.collect()
+    n, states, _ = orbit(one.top, one.method(), one.y0, one.h, N, 7)
     assert n.tolist() == list(range(0, N + 1, 7))
     return rows_of(n, states)
 
@@ -73,26 +73,19 @@ def stored(one: Experiment, tmp: Path, options: Callable[[], RunOptions] = RunOp
 
 def resumed(one: Experiment, tmp: Path) -> Rows:
     for chunks in (1, 2):
-        run_experiment(one, tmp, RunOptions(checkpoint_every=0.0, stop=after(chunks), resume=True))
-    result = run_experiment(one, tmp, RunOptions(checkpoint_every=0.0, resume=True))
-    assert result.status in ("resumed", "up to date")
+        run_experiment(one, tmp, RunOptions(checkpoint_every=0.0, stop=after(chunks)))
+    result = run_experiment(one, tmp, RunOptions(checkpoint_every=0.0))
+    assert result.status in ("continued", "up to date")
     return stored(one, tmp)
 
 
 def in_a_batch(one: Experiment, tmp: Path) -> Rows:
-    d, found = len(one.top.components), []
+    d = len(one.top.components)
     others = random_states(66, seed=2)[:, :d] if d <= 6 else np.tile(one.y0, (66, 1))
     others[40] = one.y0
-    keep = lambda piece: found.append((piece.first, piece.n.copy(), piece.states.copy()))  # noqa: E731
-    run = EnsembleRun(one.top, one.method(), others, one.h, N, 3, on_piece=keep)
-    for _ in run:
-        pass
-    rows: Rows = {}
-    for first, n, states in found:
-        if first <= 40 < first + len(states):
-            rows |= rows_of(n, states[40 - first])
-    assert run.last[40].tobytes() == rows_of([N], [run.last[40]])[N]
-    return rows | rows_of([N], [run.last[40]])
+    memory = Memory()
+    run = drive(Plan(one.top, Machine(one.top, one.method()), others, one.h, N, 3), [memory])
+    return rows_of(memory.n, memory.states[40]) | rows_of([N], [run.last[40]])
 
 
 WAYS = {"python": in_python, "sparse": sparse, "stored": stored, "resumed": resumed, "batch": in_a_batch}
@@ -103,10 +96,10 @@ WAYS = {"python": in_python, "sparse": sparse, "stored": stored, "resumed": resu
 def test_same_bits(form: str, scheme: Any, tmp_path: Path) -> None:
     base = load_experiment({"kowalevski": "kowalevski_generic_hk", "clebsch": "clebsch_gentle"}.get(form, f"{form}_hk"))
     one = load_experiment({**base.resolved(), "scheme": scheme, "h": 0.03, "N": N, "name": "one", "output": {}})
-    n, states, ending = Run(one.top, one.method(), one.y0, one.h, N).collect()
+    n, states, ending = orbit(one.top, one.method(), one.y0, one.h, N)
     whole = rows_of(n, states)
     assert len(whole) == N + 1
-    assert ending.outcome.value == "completed" if hasattr(ending, "outcome") else True
+    assert ending.outcome is Outcome.COMPLETED
     for name, way in WAYS.items():
         found = way(one, tmp_path / name)
         assert {k: v for k, v in found.items() if whole[k] != v} == {}, name

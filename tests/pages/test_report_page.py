@@ -26,15 +26,13 @@ from stored_results import (
     store_stress,
     store_sweep,
 )
-from topcli.config.load import load_experiment
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.figures.picture import Panel
 from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures, Text
 from topcli.pages.page import all_chapters, rendered, report_page
 from topcli.pages.pictures import before_explosion, deviations
-from topcli.runs.decision import RunOptions
 from topcli.runs.report import ENSEMBLE, INVARIANTS
-from topcli.runs.run import run_experiment
+from topcli.runs.run import RunOptions, run_experiment
 from topcli.store.files import SEAL, write_study
 
 HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
@@ -258,12 +256,12 @@ def _tamper(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (_damage_series, "series.parquet: damaged: 104 bytes, not"),
+        (_damage_series, "series.parquet: damaged: its SHA-256 differs"),
         (_drop("series.parquet"), "series.parquet: damaged: missing"),
         (_drop("report.json"), "report.json: damaged: missing"),
         (_drop("manifest.json"), "no run is stored here (manifest.json is missing)"),
-        (_damage_manifest, "manifest.json: not JSON"),
-        (_tamper, "manifest.json: damaged: its SHA-256 differs"),
+        (_damage_manifest, "manifest.json: damaged (Expecting property name"),
+        (_tamper, "manifest.json: damaged (its text has changed"),
         (_flip_report, "report.json: damaged: its SHA-256 differs"),
     ],
 )
@@ -332,28 +330,17 @@ def test_studies_of_another_form_are_refused(copied: Path, name: str) -> None:
             shown(copied, name)
 
 
-@pytest.mark.parametrize("name", ["config.yaml", "report.json", "series.parquet", "manifest.json"])
-def test_a_page_shows_nothing_through_a_link(tmp_path: Path, name: str) -> None:
-    folder = run_experiment(load_experiment("kowalevski_hk", ["N=20"]), tmp_path).stored.folder
-    secret = tmp_path / "secret"
-    (folder / name).rename(secret)
-    (folder / name).symlink_to(secret)
-    with pytest.raises(UsageError, match=f"{name}: is not a regular file"):
-        all_chapters([str(folder)], tmp_path)
-
-
 def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
     from topcli.studies.health import check_all
 
     path = write_study(tmp_path / "comparison.json", {"command": "compare", "x": 0.375})
-    assert not check_all(str(path), tmp_path)[0].damaged
+    assert not check_all(str(path), tmp_path).damage
     whole = path.read_bytes()
     for place in range(len(whole)):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
-        (checked,) = check_all(str(path), tmp_path)
-        assert checked.files[0].damaged, place
+        assert list(check_all(str(path), tmp_path).damage) == [path.name], place
     path.write_bytes(whole.replace(b"0.375", b"3.75E-1"))  # the same number
-    assert check_all(str(path), tmp_path)[0].files[0].reason == "its text has changed since it was written"
+    assert check_all(str(path), tmp_path).damage == {path.name: "its text has changed since it was written"}
     path.write_bytes(whole.replace(b"0.375", b"0.625"))
     with pytest.raises(RunError, match=r"comparison.json: damaged: its SHA-256 differs from the one stored in it"):
         all_chapters([str(path)], tmp_path)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from topcli.arithmetic.elimination import linear_solution, row_reduced
 from topcli.errors import RunError
 from topcli.paper import identities, printed
-from topcli.paper.algebra import DRAWN, I_UNIT, Draws, Dual, Gauss, arguments, commutator, cross, exact, rank
+from topcli.paper.algebra import DRAWN, I_UNIT, Draws, Dual, Gauss, arguments, commutator, cross, exact
 from topcli.paper.exact_checks import conservation
 from topcli.paper.scenes import LedgerScene
 
@@ -60,9 +61,11 @@ def test_tops_are_drawn_with_many_moments(name: str) -> None:
 
 
 def test_rank_of_rational_matrices() -> None:
-    assert rank([[1, 2, 3], [2, 4, 6]]) == 1
-    assert rank([[0, 1, 0], [1, 0, 0], [0, 0, 1]]) == 3
-    assert rank([[0, 0], [0, 0]]) == 0
+    assert row_reduced([[1, 2, 3], [2, 4, 6]]) == ([[1, 2, 3]], [0])
+    assert row_reduced([[0, 2, 0], [1, 0, 3]]) == ([[1, 0, 3], [0, 1, 0]], [0, 1])
+    assert row_reduced([[0, 0], [0, 0]]) == ([], [])
+    assert linear_solution([[0, 2, 1], [3, 1, 1]]) == [Fraction(1, 6), Fraction(1, 2)]
+    assert linear_solution([[1, 2, 1], [2, 4, 3]]) is None
 
 
 def test_the_hat_has_the_sign_of_the_paper() -> None:

@@ -13,12 +13,31 @@ from conftest import ROOT, Said
 from documentation import read_page
 from scheme_files import loaded_file
 from topcli.config.load import load_experiment
-from topcli.engine.fingerprint import own_code
+from topcli.schemes.plugins import own_sources
 from topcli.schemes.registry import all_schemes, find_scheme, scheme
 from topcli.sweeps.row_results import forget
 from topcli.tops import TOPS
 
 FILES = read_page(ROOT / "docs" / "own-scheme.md").files()
+
+
+HELPED = "from turning import field\n" + FILES["gyrostat.py"].replace("field = Gyrostat.field", "")
+"""The file of the page, with the field in a package beside it."""
+
+
+def write_helped(folder: Path) -> dict[str, str]:
+    """Write the file and its package; their texts by the names of the copies in a run folder."""
+    equations = FILES["gyrostat.py"].partition("def field")[2].partition("integrals =")[0]
+    texts = {
+        "gyrostat.py": HELPED,
+        "turning/__init__.py": "from turning.equations import field\n",
+        "turning/equations.py": "def field" + equations.replace("\n    ", "\n"),
+        "turning/late.py": "x = 1.0\n",
+    }
+    (folder / "turning").mkdir()
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return {f"source.{name.replace('/', '.')}": text for name, text in texts.items()}
 
 
 FIELD = ("(A - B) * w1 * w2 / C", "(A - B) * w2 * w1 / C")
@@ -65,30 +84,32 @@ def digests(path: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "changed"),
+    ("file", "old", "new"),
     [
-        (*FIELD, {"heun", "rk4"}),
-        ("A, B, C, b = p", "A, B, C = p[0], p[1], p[2]; b = p[3]", {"heun", "rk4"}),
-        (*ENERGY, {"heun", "rk4"}),
-        ('citation = "Volterra 1899"', 'citation = "Volterra 1899"; swing = "w2"', {"heun", "rk4"}),
-        ("b: float = 0.5", "b: float = 0.6", set()),  # the config gives b
-        ("d = 0.5 * h", "d = 0.25 * h", {"heun"}),
-        ("return Stepper(heun, 3)", "return Stepper(heun, 3, checked=2)", {"heun"}),
-        ("d = 0.5 * h", "d = 0.5 * h  # half", set()),
-        ("d = 0.5 * h\n", "\n    d = 0.5 * h\n", set()),
+        ("gyrostat.py", *FIELD),
+        ("gyrostat.py", *ENERGY),
+        ("gyrostat.py", "d = 0.5 * h", "d = 0.5 * h  # half"),
+        ("turning/equations.py", "def field", "def  field"),
+        ("turning/late.py", "1.0", "2.0"),
+        ("beside.py", "1.0", "1.0"),
     ],
 )
-def test_an_edit_of_used_code_is_another_experiment(folder: Path, old: str, new: str, changed: set[str]) -> None:
+def test_an_edit_of_a_file_or_of_what_it_imports_is_another_experiment(
+    folder: Path, file: str, old: str, new: str
+) -> None:
+    """Also of what is imported later; but not of a file that is not imported."""
+    (folder / "beside.py").write_text("x = 1.0\n")
+    write_helped(folder)
     before = digests(folder / "gyrostat.py")
-    edit(folder / "gyrostat.py", old, new)
+    edit(folder / file, old, new)
     after = digests(folder / "gyrostat.py")
-    assert {name for name in before if before[name] != after[name]} == changed
+    assert [before[name] != after[name] for name in before] == [old != new] * 2
 
 
 def test_the_place_of_a_file_changes_no_digest(folder: Path) -> None:
     (folder / "other").mkdir()
     copy = folder / "other" / "copied.py"
-    copy.write_text("# a copy\n" + FILES["gyrostat.py"])
+    copy.write_text(FILES["gyrostat.py"])
     assert digests(copy) == digests(folder / "gyrostat.py")
 
 
@@ -97,12 +118,13 @@ def test_code_of_a_composed_scheme_counts(folder: Path) -> None:
     for factor in ("1.0 * h", "1.5 * h"):
         (folder / "own.py").write_text(COMPOSED.replace("1.0 * h", factor))
         with loaded_file(folder / "own.py"):
-            found.append(own_code(TOPS["kowalevski"], find_scheme("own-hk+suzuki4", "kowalevski")))
-    assert len({"", *found}) == 3
+            found.append(own_sources(TOPS["kowalevski"], find_scheme("own-hk+suzuki4", "kowalevski")))
+    assert [list(sources) for sources in found] == [["source.own.py"]] * 2
+    assert found[0] != found[1]
 
 
 def test_an_experiment_of_topcli_is_its_config() -> None:
-    assert {own_code(TOPS[one.top], one) for one in all_schemes() if one.origin == "topcli"} == {""}
+    assert not any(own_sources(TOPS[one.top], one) for one in all_schemes() if one.origin == "topcli")
     experiment = load_experiment("kowalevski_hk")
     plain = experiment.resolved()
     del plain["name"], plain["output"]["format"]
@@ -112,27 +134,17 @@ def test_an_experiment_of_topcli_is_its_config() -> None:
 
 @pytest.mark.parametrize("name", ["heun", "rk4"])
 def test_an_edited_file_does_not_replace_the_earlier_run(cli: Callable[..., Said], folder: Path, name: str) -> None:
-    """Under rk4 alike, although that is topcli's own scheme; with --force the earlier run is renamed, and said so."""
+    """Under rk4 alike, although that is topcli's own scheme; the earlier run is renamed, and said so."""
     command = ("run", "rotor.yaml", "--plugin", "gyrostat.py", "--set", f"scheme={name}", "--set", "name=rotor")
     assert cli(*command).code == 0
     manifest = json.loads(Path("results/rotor/manifest.json").read_text())
     assert manifest["top_origin"] == "gyrostat.py"
     assert manifest["scheme_origin"] == ("gyrostat.py" if name == "heun" else "topcli")
     edit(folder / "gyrostat.py", *FIELD)
-    refused = cli(*command)
-    assert refused.code == 2
-    first, second = refused.err.splitlines()
-    assert first.startswith(
-        "error: results/rotor: holds this experiment as computed by other code of gyrostat.py (digest"
-    )
-    assert "--force, which renames" in second
-    assert json.loads(Path("results/rotor/manifest.json").read_text()) == manifest
-    assert [path.name for path in Path("results").iterdir()] == ["rotor"]
-    forced = cli(*command, "--force")
-    earlier = f"rotor.{manifest['digest'][:8]}"
-    assert forced.code == 0
-    assert f"renamed the earlier, different run to results/{earlier}" in forced.err
-    assert sorted(path.name for path in Path("results").iterdir()) == ["rotor", earlier]
+    again, earlier = cli(*command), Path(f"results/rotor-{manifest['key']}")
+    assert again.code == 0
+    assert f"renamed the earlier result to {earlier}" in again.err
+    assert json.loads((earlier / "manifest.json").read_text()) == manifest
     new = json.loads(Path("results/rotor/manifest.json").read_text())
     assert (new["digest"] != manifest["digest"], new["config"] == manifest["config"]) == (True, True)
 
@@ -161,26 +173,14 @@ def test_a_scheme_of_a_script_names_the_script(own_registry: None) -> None:
     assert find_scheme("scripted", "euler").origin == __file__
 
 
-HELPED = "from turning import field\n" + FILES["gyrostat.py"].replace("field = Gyrostat.field", "")
-"""The file of the page, with the field in a module beside it."""
-
-
 @pytest.mark.parametrize(("scheme", "N"), [("heun", 20), ("hk+suzuki4", 20), ("rk4", 20)])
 def test_a_run_keeps_the_source_of_own_code(cli: Callable[..., Said], folder: Path, scheme: str, N: int) -> None:
     """Also of modules beside the file; a run of topcli's own parts keeps none."""
-    (folder / "turning").mkdir()
-    (folder / "turning" / "__init__.py").write_text("from turning.equations import field\n")
-    equations = FILES["gyrostat.py"].partition("def field")[2].partition("integrals =")[0]
-    (folder / "turning" / "equations.py").write_text("def field" + equations.replace("\n    ", "\n"))
-    (folder / "gyrostat.py").write_text(HELPED)
+    texts = write_helped(folder)
     settings = ("--set", f"scheme={scheme}", "--set", f"N={N}", "--set", "T=null")
     assert cli("run", "rotor.yaml", "--plugin", "gyrostat.py", *settings, "--set", "name=kept").code == 0
     kept = {path.name: path.read_text() for path in Path("results/kept").glob("source.*")}
-    assert kept == {
-        "source.gyrostat.py": HELPED,
-        "source.turning.__init__.py": (folder / "turning" / "__init__.py").read_text(),
-        "source.turning.equations.py": (folder / "turning" / "equations.py").read_text(),
-    }
+    assert kept == texts
     manifest = json.loads(Path("results/kept/manifest.json").read_text())
     digest = hashlib.sha256(HELPED.encode()).hexdigest()
     assert manifest["files"]["source.gyrostat.py"]["sha256"] == digest

@@ -10,12 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 import topcli
-from support.resuming import killed
 from topcli.analysis.crossings import roots
 from topcli.config.load import load, load_experiment
 from topcli.contracts import Stepper, same_state
 from topcli.errors import ConfigError, UsageError
-from topcli.runs.decision import RunOptions
 from topcli.runs.run import run_experiment
 
 KOWALEVSKI: dict[str, Any] = {
@@ -184,7 +182,7 @@ def figures(values: NDArray[Any]) -> dict[str, float]:
     }
 
 
-def test_a_run_records_crossings_alone_and_resumes_to_the_same(tmp_path: Path) -> None:
+def test_a_run_records_crossings_alone(tmp_path: Path) -> None:
     observed = {**RUN, "output": {"quantities": {"q": "t*omega1", "g": "gamma2"}}}
     whole = run_experiment(load(observed), tmp_path / "whole")
     rows = pd.read_parquet(whole.stored.series)
@@ -200,14 +198,6 @@ def test_a_run_records_crossings_alone_and_resumes_to_the_same(tmp_path: Path) -
         assert {name: row[name] for name in ("first", "last", "min", "max", "mean")} == pytest.approx(
             figures(rows[row["name"]].to_numpy()), rel=1e-12, abs=1e-25
         )
-    killed(tmp_path / "killed", load_experiment(observed, crossings=True), 3)
-    resumed = run_experiment(load(observed), tmp_path / "killed", RunOptions(resume=True))
-    assert resumed.status == "resumed"
-    assert pd.read_parquet(resumed.stored.series).equals(rows)
-    times = ("seconds", "digest")
-    assert {k: v for k, v in resumed.report.items() if k not in times} == {
-        k: v for k, v in whole.report.items() if k not in times
-    }
 
 
 def test_an_ensemble_records_the_crossings_of_each_trajectory(tmp_path: Path) -> None:
@@ -266,10 +256,10 @@ def test_a_section_that_is_never_crossed_is_reported(tmp_path: Path) -> None:
 
 def test_what_records_no_crossings_refuses_a_section(tmp_path: Path) -> None:
     drawn = {"random": {"count": 3, "gamma": "sphere"}}
-    with pytest.raises(ConfigError, match=r"ensemble\.store: .*final"):
+    with pytest.raises(ConfigError, match=r"ensemble\.store: a section records"):
         load({**RUN, "ensemble": {**drawn, "store": "final"}})
     with pytest.raises(UsageError, match="topcli run"):
-        topcli.simulate_ensemble(RUN, ensemble=drawn)
+        topcli.simulate(RUN, ensemble=drawn)
     with pytest.raises(ConfigError, match=r"base\.section: .*topcli run"):
         topcli.sweep({"base": {k: v for k, v in RUN.items() if k != "name"}, "grid": {"h": [0.1]}})
 

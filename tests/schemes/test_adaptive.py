@@ -16,10 +16,9 @@ from topcli.analysis.order import observed_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Block, Outcome, Scheme, Stepper, Top
-from topcli.engine import native
-from topcli.engine.loop import Loop, loop_of
-from topcli.engine.part_steps import part_steps_of
-from topcli.engine.run import Run
+from topcli.engine import compile, machine
+from topcli.engine.collect import orbit
+from topcli.engine.loops import Loop, loop_of, part_steps_of
 from topcli.engine.tangent import tangent_code
 from topcli.errors import UsageError
 from topcli.field.polynomial import field_of
@@ -27,8 +26,7 @@ from topcli.schemes.any_top import taylor as loop_text
 from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, extended_precision, order_for
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of
 from topcli.schemes.registry import find_scheme
-from topcli.sweeps import batch_run
-from topcli.sweeps.batch_run import BatchRun
+from topcli.sweeps.batch import Measuring
 from topcli.sweeps.measures import resolve_measures
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
@@ -54,13 +52,9 @@ def gen(top: Top) -> np.ndarray:
     return np.array(GEN[: len(top.components)])
 
 
-def states(run: Run) -> np.ndarray:
-    return run.collect().states
-
-
 def after(top: Top, y0, h: float, N: int, every: int = 1, tol: float = 1e-17) -> np.ndarray:
     """The recorded states, the first one left out."""
-    return states(Run(top, taylor(top, tol), y0, h, N, every))[1:]
+    return orbit(top, taylor(top, tol), y0, h, N, every).states[1:]
 
 
 def prepared(top: Top, y0, h: float, tol: float = 1e-17) -> tuple[Loop, np.ndarray, np.ndarray]:
@@ -127,13 +121,13 @@ def test_other_processors_give_the_same_bits(cpu: str, fuse: bool, top: Top, mon
     needs = {"x86-64": (), "x86-64-v3": ("avx2", "fma"), "x86-64-v4": ("avx512f", "avx512dq", "avx512vl")}[cpu]
     if not llvm.get_process_triple().startswith("x86_64") or not all(features.get(word) for word in needs):
         pytest.skip(f"this processor does not run code for {cpu}")
-    native._machine()
+    compile._llvm()
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=cpu, opt=3, jit=True, reloc="static", codemodel="jitdefault"
     )
-    monkeypatch.setattr(native, "_target_machine", lambda: machine)
-    monkeypatch.setattr(native, "stored_code", lambda words, signature: None)
-    monkeypatch.setattr(native, "store_code", lambda *stored: None)
+    monkeypatch.setattr(compile, "_target", lambda: machine)
+    monkeypatch.setattr(compile, "stored_code", lambda name: None)
+    monkeypatch.setattr(compile, "store_code", lambda *stored: None)
     y0, h = gen(top), 0.4
     loop, work, p = prepared(top, y0, h, 1e-9)
     mine, d = work.copy(), len(y0)
@@ -187,10 +181,7 @@ def test_the_error_follows_the_tolerance(top: Top) -> None:
     assert 5e-5 < errors[0] < 0.0012  # a loose one is made use of
     counts = []
     for tol in tolerances:
-        run = Run(top, taylor(top, tol), y0, 5.0, 1)
-        list(run)
-        assert run.ending is not None
-        counts.append(run.ending.counters["expansions"])
+        counts.append(orbit(top, taylor(top, tol), y0, 5.0, 1).ending.counters["expansions"])
     assert counts[-1] < 50
     per_order = [counts[i] for i in range(len(counts)) if order_for(tolerances[i]) == ORDERS[0]]
     assert sorted(per_order) == per_order
@@ -217,7 +208,7 @@ def test_a_long_step_is_left_and_taken_up(monkeypatch: pytest.MonkeyPatch) -> No
         returned.append(loop.drive(work, part, p, h, 1, 1, 1))
     assert len(returned) > 5
     assert (part == whole[:6]).all()
-    assert np.array_equal(states(Run(top, taylor(top), GEN, h, 2))[1:].ravel(), whole)
+    assert np.array_equal(after(top, GEN, h, 2).ravel(), whole)
 
 
 def tangent_images() -> np.ndarray:
@@ -228,8 +219,8 @@ def tangent_images() -> np.ndarray:
 def grown() -> np.ndarray:
     top = Kowalevski()
     run = tangent_code(find_scheme("taylor", top.form), top, taylor(top), 8).run(20.0, np.array([GEN]), np.ones((1, 6)))
-    run.advance(2, 2)
-    return run.growth
+    run.advance(4)
+    return run.images
 
 
 def parts() -> np.ndarray:
@@ -241,9 +232,9 @@ def parts() -> np.ndarray:
 
 def one_step() -> np.ndarray:
     experiment = load_experiment("kowalevski_generic_hk", ["scheme=taylor", "N=10"])
-    return BatchRun(experiment, resolve_measures(["reversal_defect"], experiment.top, experiment.scheme)).one_step(
-        random_states(3, seed=4), 20.0
-    )
+    measuring = Measuring(experiment, resolve_measures(["reversal_defect"], experiment.top, experiment.scheme))
+    states = random_states(3, seed=4)
+    return measuring.finished(states).one_step(states, 20.0)
 
 
 LONG_STEPS = {
@@ -262,7 +253,7 @@ def test_no_caller_takes_an_unfinished_step_for_done(name: str, monkeypatch: pyt
     """Whoever drives a block goes on until its step is done: no result depends on the number of series per call."""
     whole = LONG_STEPS[name]()
     monkeypatch.setattr(loop_text, "MAX_EXPANSIONS", 5)
-    monkeypatch.setattr(batch_run, "_codes", {})
+    monkeypatch.setattr(machine, "_machines", {})
     assert np.isfinite(whole).all()
     assert np.array_equal(LONG_STEPS[name](), whole)
 
@@ -321,9 +312,7 @@ def test_equilibria_rest() -> None:
 
 
 def ending(top: Top, y0, h: float, N: int):
-    run = Run(top, taylor(top), y0, h, N)
-    list(run)
-    return run.ending
+    return orbit(top, taylor(top), y0, h, N).ending
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -352,7 +341,7 @@ LOOSE = {"rtol": 1e6, "atol": 1e6}
 
 
 def last_state(top: Top, made: Stepper, y0, h: float, N: int) -> np.ndarray:
-    return Run(top, made, y0, h, N, N).collect().states[-1]
+    return orbit(top, made, y0, h, N, N).states[-1]
 
 
 @adaptive
@@ -370,7 +359,7 @@ def test_order_of_an_adaptive_formula(scheme: Scheme) -> None:
     assert order > scheme.order - 0.1
     if top.form in ("heavy", "kowalevski"):  # the others, integrable by quadratures, are often solved with one more
         assert order == pytest.approx(scheme.order, abs=0.1)
-    counted = [Run(top, made, y0, 0.1, N).collect().ending.counters["evaluations"] for N in (20, 40)]
+    counted = [orbit(top, made, y0, 0.1, N).ending.counters["evaluations"] for N in (20, 40)]
     assert counted[1] - counted[0] == 20 * 13  # 12 stages, and one to begin with: a single step each
 
 

@@ -384,7 +384,7 @@ def test_members_of_an_ensemble() -> None:
     states = np.vstack([random_states(5, seed=85), [(4.0, -2.0, 3.0, 0.6, 0.48, 0.64)]])
     h = 1.3
     assert {forward_steps(tuple(y), h) for y in states[:5]} == {3.0, 4.0}
-    ensemble = topcli.simulate_ensemble(top="kowalevski", states=states, scheme=EXACT, h=h, N=40)
+    ensemble = topcli.simulate(top="kowalevski", states=states, scheme=EXACT, h=h, N=40)
     for i in range(5):
         initial = {"omega": states[i, :3].tolist(), "gamma": states[i, 3:].tolist()}
         alone = simulated(EXACT, h, 40, initial=initial)
@@ -396,7 +396,7 @@ def test_members_of_an_ensemble() -> None:
     ("scheme", "others", "reason"),
     [
         ({**EXACT, "compose": "suzuki4"}, {}, "cannot be composed"),
-        (EXACT, {"precision": 40}, "computes in doubles; use nodes: plain"),
+        (EXACT, {"precision": 40}, "uses math.fsum"),
     ],
 )
 def test_options_that_do_not_go_together(scheme: dict[str, Any], others: dict[str, Any], reason: str) -> None:

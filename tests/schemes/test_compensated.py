@@ -15,8 +15,8 @@ from declared import TRIALS, gen
 from stepping import made, ran
 from topcli.arithmetic.fused import compensated_sum
 from topcli.contracts import Outcome, Top
-from topcli.engine.loop import loop_of
-from topcli.engine.precise_numbers import Floating
+from topcli.engine.loops import loop_of
+from topcli.engine.numbers import floating
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
@@ -72,7 +72,7 @@ def test_hk_against_forty_digits(form: str) -> None:
     """After 150 steps the plain form is off by many ulp, the compensated one by hardly more than its rounding."""
     scheme, h, n, ratios = find_scheme("hk", form), 0.01, 150, []
     for top in TRIALS[form][:2]:
-        precise = ExactStep(Subject(scheme, top, scheme.options()), Floating(133))
+        precise = ExactStep(Subject(scheme, top, scheme.options()), floating(133))
         for y0 in [gen(top), tuple(random_states(1, seed=8)[0, : len(top.components)].tolist())]:
             plain, better = errors("hk", top, y0, h, precise(y0, *[h] * n), n)
             assert better < 3.0, (top, y0)
@@ -83,7 +83,7 @@ def test_hk_against_forty_digits(form: str) -> None:
 def test_composed_hk_against_forty_digits() -> None:
     """A compensated base composes: the stages hand on what was lost."""
     hk, top, h, n = find_scheme("hk", "kowalevski"), Kowalevski(), 0.1, 3
-    precise = ExactStep(Subject(hk, top, hk.options()), Floating(133))
+    precise = ExactStep(Subject(hk, top, hk.options()), floating(133))
     exact = precise(GEN, *[weight * h for weight in COMPOSITIONS["kahan-li8"].weights] * n)
     plain, better = errors("hk+kahan-li8", top, GEN, h, exact, n)
     assert better < 10.0

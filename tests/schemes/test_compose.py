@@ -14,7 +14,7 @@ from conftest import GEN
 from declared import SCHEMES
 from kick_turn import KICK_TURN, SPLIT
 from topcli.contracts import Outcome, Sampler, Scheme, Stepper
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, obstacle, palindrome
 from topcli.schemes.registry import find_scheme
@@ -27,10 +27,6 @@ by_composition = pytest.mark.parametrize("name", COMPOSITIONS)
 
 
 # What composed schemes declare
-
-
-def states_of(run: Run) -> np.ndarray:
-    return run.collect().states
 
 
 # How stages are put together
@@ -52,14 +48,13 @@ def test_stages_are_steps_of_the_base(base: Scheme, name: str) -> None:
     carried = method.width - len(y0) - len(method.counters)
     for _ in range(10):
         for c in COMPOSITIONS[name].weights:
-            state = states_of(Run(top, method, state, c * h, 1))[-1]
-    run = Run(top, compose(base, COMPOSITIONS[name]).build(top, base.options()), y0, h, 10)
-    composed = states_of(run)[-1]
+            state = orbit(top, method, state, c * h, 1).states[-1]
+    _, states, ending = orbit(top, compose(base, COMPOSITIONS[name]).build(top, base.options()), y0, h, 10)
+    composed = states[-1]
     assert np.array_equal(composed, state) or (carried and np.abs(composed - state).max() < 1e-13)
-    assert run.ending is not None
-    assert run.ending.outcome is Outcome.COMPLETED
+    assert ending.outcome is Outcome.COMPLETED
     if base is SPLIT:
-        assert run.ending.counters == {"stages": 10 * COMPOSITIONS[name].stages}
+        assert ending.counters == {"stages": 10 * COMPOSITIONS[name].stages}
 
 
 def unsettled_step(s, h, p):
@@ -70,10 +65,10 @@ def unsettled_step(s, h, p):
 
 def test_a_stage_that_fails_is_not_hidden_by_the_next() -> None:
     base = replace(SPLIT, build=lambda *_: replace(KICK_TURN, step=unsettled_step, counters=(), iterative=True))
-    run = Run(Kowalevski(), compose(base, COMPOSITIONS["suzuki4"]).build(Kowalevski(), None), GEN, 0.1, 10)
-    assert len(states_of(run)) == 1
-    assert run.ending is not None
-    assert (run.ending.outcome, run.ending.step) == (Outcome.NO_CONVERGENCE, 1)
+    method = compose(base, COMPOSITIONS["suzuki4"]).build(Kowalevski(), None)
+    _, states, ending = orbit(Kowalevski(), method, GEN, 0.1, 10)
+    assert len(states) == 1
+    assert (ending.outcome, ending.step) == (Outcome.NO_CONVERGENCE, 1)
 
 
 # What cannot be composed

@@ -29,7 +29,7 @@ from stepping import states_of
 from topcli.analysis.conformance import exactness, reversal_defect, working_states
 from topcli.analysis.order import reversal
 from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.schemes.compose import COMPOSITIONS, composed_step
 from topcli.schemes.limits import polynomial_invariants
 from topcli.schemes.registry import find_scheme
@@ -213,7 +213,7 @@ def test_machine_code_is_the_step(subject: Subject) -> None:
     assert isinstance(method, Stepper)
     plain, compiled, states = working_states(subject.top, method, gen(subject.top), 0.02, N)
     assert compiled == plain
-    n, recorded, _ = Run(subject.top, method, gen(subject.top), 0.02, N).collect()
+    n, recorded, _ = orbit(subject.top, method, gen(subject.top), 0.02, N)
     assert n.tolist() == list(range(N + 1))
     assert np.array_equal(recorded, [gen(subject.top), *states])
 

@@ -15,8 +15,8 @@ from conftest import GEN, PAPER, Said
 from declared import SCHEMES
 from steppers import RK2
 from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
-from topcli.engine.loop import plain_loop
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
+from topcli.engine.loops import interpreted
 from topcli.errors import RunError
 from topcli.runs.report import warning_of
 from topcli.schemes.any_top.hk import NEAR_SINGULAR
@@ -31,7 +31,7 @@ from topcli.tops.lagrange import Lagrange
 
 def carried_out(top: Top, name: str, y0: Floats, h: float, N: int) -> tuple[np.ndarray, Ending]:
     scheme = find_scheme(name, top.form)
-    _, states, ending = Run(top, scheme.build(top, scheme.options()), y0[: len(top.components)], h, N).collect()
+    _, states, ending = orbit(top, scheme.build(top, scheme.options()), y0[: len(top.components)], h, N)
     return states, ending
 
 
@@ -71,7 +71,7 @@ def test_a_singular_step_of_a_top_without_an_energy_is_counted(own_registry: Non
     assert carried_out(top, "hk", y0, 0.05, 1000)[1].counters == {NEAR_SINGULAR: 0}
     method = find_scheme("hk", "no-energy")
     for compensated in (False, True):
-        run = Run(top, method.build(top, method.options(compensated=compensated)), y0, h, 1).collect()
+        run = orbit(top, method.build(top, method.options(compensated=compensated)), y0, h, 1)
         assert run.ending.counters == {NEAR_SINGULAR: 1}
 
 
@@ -152,16 +152,16 @@ def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
     assert ending.counters["iterations"] == 57  # 32 in two steps, and 25 in the third
     assert ending.message.startswith("did not converge at step 3")
     p = np.array(method.parameters(top))
-    enter, drive = plain_loop(method, 6, len(p))
+    loop = interpreted(method, 6, len(p))
     work, out = np.zeros(method.width), np.zeros(6000)
-    enter(np.array(y0), work, p, h)
-    assert drive(work, out, p, h, 1000, 1, 1) == -3
+    loop.enter(np.array(y0), work, p, h)
+    assert loop.drive(work, out, p, h, 1000, 1, 1) == -3
     assert math.isnan(work[method.width - 2])
 
 
 def test_blow_up_is_not_reported_as_no_convergence() -> None:
-    run = Run(Kowalevski(), RK2, (1e200, 1e200, 0.0, 0.6, 0.48, 0.64), 1.0, 10)
-    assert run.collect().ending.outcome is Outcome.BLEW_UP
+    run = orbit(Kowalevski(), RK2, (1e200, 1e200, 0.0, 0.6, 0.48, 0.64), 1.0, 10)
+    assert run.ending.outcome is Outcome.BLEW_UP
 
 
 # states that the texts of limits name

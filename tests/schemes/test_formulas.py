@@ -20,9 +20,9 @@ from declared import BODIES, SCHEMES, TRIALS
 from split_motions import axes, closed, kicked, moser_veselov, poisson_defect
 from stepping import gradients, states_of
 from topcli.contracts import Top
-from topcli.engine.precise import prepared
-from topcli.engine.precise_numbers import RATIONAL, Rational
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
+from topcli.engine.machine import Machine
+from topcli.engine.numbers import RATIONAL, Rational, prepared
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy
@@ -207,7 +207,8 @@ def test_a_rational_step_satisfies_its_formula_exactly(subject: Subject, h: Frac
     parameters = {name: Fraction(str(value)) for name, value in top.model_dump().items() if isinstance(value, float)}
     y0 = tuple(map(Fraction, ("3/2", "2/5", "-7/10", "2/7", "3/7", "6/7")))[:d]
     made = prepared(subject.scheme, top, subject.options, RATIONAL, (h, parameters, y0), 10_000)
-    old, new, newer = map(padded, Run(made.top, made.loop, made.y0, made.h, 2).collect().states)
+    machine = Machine(made.top, subject.method, made.loop)
+    old, new, newer = map(padded, orbit(made.top, machine, made.y0, made.h, 2).states)
     exact = Subject(subject.scheme, made.top, subject.options)
     assert formula_of(subject)(exact, old, new, made.h) == 0
     assert formula_of(subject)(exact, old, newer, made.h) > 1e-3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.errors import TopcliError, UsageError
 from topcli.schemes.plugins import load_plugin_file
 from topcli.schemes.registry import find_scheme, names_for
@@ -69,7 +69,7 @@ def tops(own_registry: None, tmp_path: Path) -> None:
 def end(name: str, kind: str, h: float, N: int, **options: bool) -> np.ndarray:
     scheme, top = find_scheme(name, kind), TOPS[kind].new()
     y0 = np.array(START[: len(top.components)])
-    return Run(top.new(), scheme.build(top, scheme.options(**options)), y0, h, N, every=N).collect()[1][-1]
+    return orbit(top.new(), scheme.build(top, scheme.options(**options)), y0, h, N, every=N)[1][-1]
 
 
 @pytest.mark.slow
@@ -85,8 +85,8 @@ def test_tops_of_a_file_have_generated_schemes(tops: None, name: str, kind: str,
     exact = solve_ivp(lambda t, y: top.field(tuple(y), p), (0.0, 1.0), y0, "DOP853", rtol=1e-13, atol=1e-14)
     errors = [np.linalg.norm(end(name, kind, 1.0 / N, N, compensated=compensated) - exact.y[:, -1]) for N in (100, 200)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
-    there = Run(top.new(), scheme.build(top, scheme.options()), y0, 0.05, 1).collect()[1][-1]
-    back = Run(top.new(), scheme.build(top, scheme.options()), there, -0.05, 1).collect()[1][-1]
+    there = orbit(top.new(), scheme.build(top, scheme.options()), y0, 0.05, 1)[1][-1]
+    back = orbit(top.new(), scheme.build(top, scheme.options()), there, -0.05, 1)[1][-1]
     assert back == pytest.approx(y0, abs=1e-15)
 
 
@@ -141,5 +141,5 @@ def test_near_singular_solves_of_a_top_without_an_energy_are_counted(factor: flo
     top = custom_class({"components": ["x"], "field": {"x": "x**2"}})
     TOPS.declared[top.form] = top
     scheme, x = find_scheme("hk", top.form), 8.0 * (1.0 - factor * 2.0**-10)
-    ending = Run(top.new(), scheme.build(top.new(), scheme.options()), (x,), 0.125, 1).collect().ending
+    ending = orbit(top.new(), scheme.build(top.new(), scheme.options()), (x,), 0.125, 1).ending
     assert ending.counters == {"near_singular_solves": counted}

@@ -9,9 +9,10 @@ import pytest
 
 from conftest import GEN, PAPER, random_states
 from stepping import deviations, error_at, ran, stepper
-from topcli.analysis.tally import InvariantRow, InvariantTally
+from topcli.analysis.series_report import invariant_report
+from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Floats, Outcome
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.schemes.kowalevski.hybrid import enter_carried
 from topcli.tops.kowalevski import Kowalevski
 
@@ -74,10 +75,9 @@ def test_hybrids_have_order_two_like_hk() -> None:
 
 def drifts(name: str, h: float = 0.05, t: float = 1e5) -> tuple[dict[str, InvariantRow], dict[str, float]]:
     """The report on all integrals over the time ``t``, and their slopes in standard errors."""
-    tally = InvariantTally(Kowalevski().invariants(), h)
-    for chunk in Run(Kowalevski(), stepper(name), GEN, h, round(t / h), 20):
-        tally.add(chunk.n, chunk.states)
-    rows = {row.name: row for row in tally.report()}
+    top = Kowalevski()
+    n, states, _ = orbit(top, stepper(name), GEN, h, round(t / h), 20)
+    rows = {row.name: row for row in invariant_report(top, top.invariants(), n, h, states)[0]}
     return rows, {name: abs(row.drift or 0.0) / (row.drift_error or math.nan) for name, row in rows.items()}
 
 

@@ -13,7 +13,7 @@ import topcli
 from fields import random_state
 from steppers import built, physical
 from topcli.contracts import Outcome, Top
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.field.expression import in_arithmetic
 from topcli.tops import TOPS
 from topcli.tops.declared import custom_class
@@ -70,7 +70,7 @@ def test_a_state_of_many_components_is_compiled() -> None:
     """Lorenz's ring of 1996; numba refuses more than 30 items for a variable with several values."""
     top = top_of({f"x{i}": f"(x{(i + 1) % 33} - x{(i - 2) % 33})*x{(i - 1) % 33} - x{i} + 8" for i in range(33)})
     y = tuple(8.0 + 0.01 * i for i in range(33))
-    new = Run(top, built("midpoint", top), y, 0.01, 1).collect().states[-1]
+    new = orbit(top, built("midpoint", top), y, 0.01, 1).states[-1]
     assert residual(top, y, new, 0.01) < 10.0
 
 

@@ -16,7 +16,7 @@ from declared import TRIALS
 from stepping import deviations, made, ran
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Floats, Outcome, Top
-from topcli.engine.precise import prepared
+from topcli.engine.numbers import prepared
 from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme, schemes_of
 from topcli.tops import TOPS

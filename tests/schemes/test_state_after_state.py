@@ -10,8 +10,8 @@ import pytest
 
 from steppers import built
 from topcli.contracts import Scheme
-from topcli.engine.loop import loop_of
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
+from topcli.engine.machine import Machine
 from topcli.errors import TopcliError
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import TOPS
@@ -37,10 +37,10 @@ def states_with_zeros(d: int, seed: int) -> np.ndarray:
     return y
 
 
-def image(scheme: Scheme, loop, y: np.ndarray) -> bytes:
+def image(scheme: Scheme, machine: Machine, y: np.ndarray) -> bytes:
     """Recorded states and outcome of a run from ``y``, or the reason why there is none."""
     try:
-        _, states, ending = Run(TOPS[scheme.top].new(), loop, y, H, N).collect()
+        _, states, ending = orbit(TOPS[scheme.top].new(), machine, y, H, N)
     except TopcliError as error:
         return str(error).encode()
     return states.tobytes() + ending.outcome.encode()
@@ -48,19 +48,14 @@ def image(scheme: Scheme, loop, y: np.ndarray) -> bytes:
 
 def check_states_in_turn(scheme: Scheme, seed: int) -> None:
     top = TOPS[scheme.top].new()
-    d, constants = len(top.components), len(top.constants())
-
-    def loop():
-        return loop_of(built(scheme.name, top), d, constants)
-
-    y = states_with_zeros(d, seed)
+    y = states_with_zeros(len(top.components), seed)
     forget()
     with np.errstate(all="ignore"):
-        shared = loop()
+        shared = Machine(top, built(scheme.name, top))
         in_turn = [image(scheme, shared, state) for state in y]
         for state, earlier in zip(y[::-1], in_turn[::-1], strict=True):
             forget()
-            assert image(scheme, loop(), state) == earlier, state
+            assert image(scheme, Machine(top, built(scheme.name, top)), state) == earlier, state
 
 
 def test_a_series_does_not_depend_on_earlier_states() -> None:

@@ -49,7 +49,7 @@ def test_overrides_by_position_are_those_by_name(name: str) -> None:
 
 def test_overrides_by_position_of_a_run_in_memory() -> None:
     assert topcli.simulate("euler_hk", ["N=7"]).n[-1] == 7
-    assert len(topcli.simulate_ensemble("euler_hk", ["N=7"], states=[[1.0, 0.2, 0.3]]).n) == 8
+    assert len(topcli.simulate("euler_hk", ["N=7"], states=[[1.0, 0.2, 0.3]]).n) == 8
     assert topcli.motion("euler_hk", ["initial.omega=[0, 0, 2]"]).experiment.y0 == (0.0, 0.0, 2.0)
     assert topcli.step("euler_hk", ["h=0.25"]).h == 0.25
 

@@ -208,7 +208,7 @@ def test_wrong_columns_and_rows_are_named(tmp_path: Path) -> None:
         "1 row; a series needs at least 2"
     )
     assert refusal(tmp_path, {**data, "omega2": np.where(EVEN == 0.02, np.nan, EVEN)}) == (
-        "row 3: omega2 is not finite (nan)"
+        "row 3: omega2 is not a finite number: 'nan'"
     )
     renamed = {"t": data["t"], "omega1": data["omega1"], "omega_2": data["omega2"], "x": data["omega3"]}
     assert refusal(tmp_path, renamed) == (

@@ -19,7 +19,7 @@ from pydantic import BaseModel
 from cases import table_of
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Scheme, Stepper
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.bench.contest import (
@@ -135,20 +135,14 @@ def test_errors_fall_as_the_order_says(short: Problem, name: str, order: int) ->
 
 
 def test_a_run_of_the_bench_is_a_run_of_the_engine(short: Problem) -> None:
-    """The states that errors are taken from are, bit for bit, those that ``Run`` records."""
+    """The states that errors are taken from are, bit for bit, those that ``orbit`` records."""
     scheme = find_scheme("hybrid", "kowalevski")
     mine = SchemeCompetitor(scheme, short)
     rung = next(rung for rung in mine.rungs() if rung.steps >= 8)
     states = mine.run(rung).states
-    run = Run(
-        short.top,
-        scheme.build(short.top, scheme.options()),
-        short.experiment.y0,
-        short.interval / rung.steps,
-        rung.steps * short.intervals,
-        rung.steps,
-    )
-    assert (states == run.collect().states).all()
+    method, h = scheme.build(short.top, scheme.options()), short.interval / rung.steps
+    run = orbit(short.top, method, short.experiment.y0, h, rung.steps * short.intervals, rung.steps)
+    assert (states == run.states).all()
 
 
 def test_a_block_that_returns_early_is_no_result(monkeypatch: pytest.MonkeyPatch) -> None:

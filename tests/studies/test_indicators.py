@@ -29,7 +29,7 @@ def verdicts(top: str, h: float, steps: int, y: NDArray[np.float64]) -> NDArray[
 
 
 def fewest_digits(top: str, h: float, y: NDArray[np.float64]) -> NDArray[np.float64]:
-    orbits = topcli.simulate_ensemble({**CONFIG, "top": top, "h": h, "output": {"every": 1}}, states=y)
+    orbits = topcli.simulate({**CONFIG, "top": top, "h": h, "output": {"every": 1}}, states=y)
     return agreement_digits(np.moveaxis(orbits.states, 2, 1)).min(axis=1)
 
 

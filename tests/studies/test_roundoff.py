@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from cases import table_of
-from topcli.analysis.roundoff import BlockMeans, block_weights, doubling_lags, growth, structure
+from topcli.analysis.roundoff import BlockMeans, block_weights, growth
 from topcli.config.models import Experiment
 from topcli.contracts import Ending, Floats, Invariant, Outcome, StepFunction, Stepper
 from topcli.errors import UsageError
@@ -29,30 +29,30 @@ def noise(seed: int, copies: int = 8, blocks: int = 256) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_random_walk_has_exponent_one_half() -> None:
-    """Exponents about 1/2, with the spread that is reported; never taken for a bias."""
-    found = [growth(walks(seed), 100, 1.0) for seed in range(60)]
-    exponents = np.array([one.exponent for one in found])
-    stated = np.array([one.exponent_error for one in found])
-    assert abs(exponents.mean() - 0.5) < 0.02
-    assert 0.6 < exponents.std() / stated.mean() < 1.6
-    assert {one.verdict for one in found} == {"random walk"}
-    assert np.mean([abs(one.bias) < 3.0 * one.bias_error for one in found]) > 0.9
-    biases, errors = np.array([(one.bias, one.bias_error) for one in found]).T
-    assert biases.std() == pytest.approx(errors.mean(), rel=0.3, abs=0.0)  # 60 of them: one standard error is 9 %
-    assert found[0].steps == tuple(int(lag) * 100 for lag in doubling_lags(256))
-    np.testing.assert_allclose(found[0].rms[0], SIZE * np.sqrt(2.0), rtol=0.1)
+@pytest.mark.parametrize("copies", [2, 8])
+def test_random_walk_has_exponent_one_half(copies: int) -> None:
+    """Exponents about 1/2, within the errors that are reported; never taken for a bias."""
+    fits = [growth(walks(seed, copies), 100, 1.0) for seed in range(60)]
+    exponents, errors, biases, bias_errors = np.array(
+        [(fit.exponent, fit.exponent_error, fit.bias, fit.bias_error) for fit in fits]
+    ).T
+    assert abs(exponents.mean() - 0.5) < 0.03
+    assert np.mean(abs(exponents - exponents.mean()) < errors) > 0.85
+    assert np.mean(abs(biases) < bias_errors) > 0.85
+    assert "biased" not in {fit.verdict for fit in fits}
+    assert fits[0].steps == [200, 400, 800, 1600, 3200, 6400, 12800]
+    np.testing.assert_allclose(fits[0].rms[0], SIZE * np.sqrt(2.0), rtol=0.2)
 
 
 @pytest.mark.parametrize("bias", [0.3, -0.5, 3.0])
 def test_bias_has_exponent_one(bias: float) -> None:
     """A mean that a walk hides at first and that wins in the end; its size is found."""
     trend = SIZE * bias * np.arange(256)
-    found = growth(walks(1) + trend, 100, 1.0)
-    assert found.verdict == "biased"
-    assert found.exponent is not None
-    assert 0.6 < found.exponent < 1.02
-    assert abs(found.bias - SIZE * bias / 100) < 4.0 * found.bias_error
+    fit = growth(walks(1) + trend, 100, 1.0)
+    assert fit.verdict == "biased"
+    assert fit.exponent is not None
+    assert 0.6 < fit.exponent < 1.02
+    assert abs(fit.bias - SIZE * bias / 100) < 2.0 * fit.bias_error
     pure = growth(noise(1) + 100.0 * trend, 100, 1.0)
     assert pure.exponent == pytest.approx(1.0, abs=0.01)
 
@@ -63,13 +63,9 @@ def test_growth_of_noise_is_flat() -> None:
     still = growth(np.zeros((4, 64)), 100, 1.0)
     assert (still.verdict, still.exponent, still.bias) == ("flat", None, 0.0)
     assert growth(1e6 * noise(3), 100, 1.0).verdict == "moves"
-    with pytest.raises(ValueError, match="15 blocks are too few"):
-        growth(np.zeros((4, 15)), 100, 1.0)
-
-
-def test_structure_of_a_line() -> None:
-    lags = np.array([1, 2, 4])
-    np.testing.assert_allclose(structure(np.arange(32.0)[None, :], lags), [1.0, 2.0, 4.0])
+    for shape in ((4, 15), (1, 64)):
+        with pytest.raises(ValueError, match=f"{shape[1]} blocks of {shape[0]} copies"):
+            growth(np.zeros(shape), 100, 1.0)
 
 
 def made_of(function) -> Invariant:
@@ -148,17 +144,18 @@ def test_hk_of_kowalevski_by_long_windows() -> None:
 
 
 def test_drifts_are_root_mean_squares_and_maxima_over_the_copies() -> None:
-    """Of an exact invariant from its first value, of others from the mean of the copies, of which there are two."""
-    means = np.zeros((1, 2, 16))
+    """Of an exact invariant from its first value, of others from the mean of the copies."""
+    means = np.zeros((1, 3, 16))
     means[0, 0, -1], means[0, 1, -1], means[0, 1, 5] = 3e-16, -1e-16, -7e-16
     copies = Copies(Ending(Outcome.COMPLETED, 1, 1.0), means, np.array([9e-16]), np.array([2.0]))
     (row,) = _rows([made_of(lambda y: y[:, 0])], True, Sampling(16, 4, 5), copies, np.zeros((1, 16)))
-    assert row["drift"] == pytest.approx(math.sqrt((9.0 + 1.0) / 2.0) * 1e-16, rel=1e-12, abs=0.0)
+    assert row["drift"] == pytest.approx(math.sqrt((9.0 + 1.0) / 3.0) * 1e-16, rel=1e-12, abs=0.0)
     assert (row["max_drift"], row["max_deviation"], row["scale"]) == (7e-16, 9e-16, 2.0)
-    assert row["bias"] == pytest.approx((3e-16 - 1e-16) / 2.0 / 15.0 / 20.0, rel=1e-12, abs=0.0)
+    assert row["bias"] == pytest.approx((3e-16 - 1e-16) / 3.0 / 15.0 / 20.0, rel=1e-12, abs=0.0)
     assert row["steps"] == [40, 80, 160]
     (row,) = _rows([made_of(lambda y: y[:, 0])], False, Sampling(16, 4, 5), copies, means.mean(axis=1))
-    assert row["drift"] == pytest.approx(2e-16 * math.sqrt(2.0), rel=1e-12, abs=0.0)  # one degree of freedom
+    spread = float(np.std([3e-16, -1e-16, 0.0], ddof=1))
+    assert row["drift"] == pytest.approx(spread, rel=1e-12, abs=0.0)
     assert row["bias"] is None
 
 
@@ -176,9 +173,9 @@ def test_experiments_are_chosen() -> None:
     table_of("""
 exact   10_000      2  closed form
 hybrid  100         2  --steps 100: too few for a fit of the growth; give at least 256
-hk      100_000     2  windows of length 4000 need at least 6400000 steps at h = 0.01
-hybrid  10_000      0  --copies 0: must be at least 1
-hk      10_000_000  1  --copies 1: must be at least 2
+hk      100_000     3  windows of length 4000 need at least 6400000 steps at h = 0.01
+hybrid  10_000      1  --copies 1: must be at least 2
+hk      10_000_000  2  --copies 2: must be at least 3
 """),
 )
 def test_unsuitable_experiments_are_refused(scheme: str, steps: int, copies: int, message: str) -> None:
@@ -221,7 +218,6 @@ def test_tolerances_judge_the_compensated_form(cli) -> None:
     code, violations, forms = judged("--max-drift", "5e-15", "--max-exponent", "0.3")
     plain, better = forms["plain"], forms["compensated"]
     assert min(row["max_drift"] for row in plain.values()) > 5e-15 > max(row["max_drift"] for row in better.values())
-    assert min(row["exponent"] - 2.0 * row["exponent_error"] for row in plain.values()) > 0.3
     assert (code, violations) == (0, [])
     ordered = sorted(row["max_drift"] for row in better.values())
     limit = math.sqrt(ordered[1] * ordered[2])
@@ -240,22 +236,10 @@ def test_tolerances_judge_the_compensated_form(cli) -> None:
 hybird                2  did you mean 'hybrid'
 hybrid --steps 0      2  --steps 0: must be a whole number
 hybrid --steps 1.5e0  2  --steps 1.5e0: must be a whole number
-rk4 --config heavy_hk --set h=4 --steps 1e6 --copies 2  1  error: rk4 with plain sums: blew up at step
+rk4 --config heavy_hk --set h=4 --steps 1e6 --copies 3  1  error: rk4 with plain sums: blew up at step
 """),
 )
 def test_command_names_what_is_wrong(cli, arguments: str, code: int, message: str) -> None:
     said = cli("roundoff", *arguments.split())
     assert said.code == code
     assert message in said.err
-
-
-@pytest.mark.slow
-def test_compensation_of_an_iteration_has_no_bias() -> None:
-    """With only the errors of the changes left, an iteration that stops early would show.
-
-    The random walks of eight copies reach 3e-14; a bias of 1e-19 a step would be 1e-13.
-    """
-    study = roundoff_study(roundoff_experiment("midpoint", "euler_gamma_hk"), 1_000_000, 2)
-    better = study["forms"][1]["invariants"]
-    assert {row["verdict"] for row in better} <= {"flat", "random walk"}
-    assert max(row["max_drift"] / row["scale"] for row in better) < 4e-14

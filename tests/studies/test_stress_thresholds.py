@@ -11,9 +11,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from topcli.analysis.tally import invariant_report
+from topcli.analysis.series_report import invariant_report
 from topcli.analysis.trajectory import Trajectory
-from topcli.contracts import Array, Ending, Invariant, Outcome
+from topcli.contracts import Array, Invariant, Outcome
+from topcli.engine.endings import Endings
+from topcli.engine.plan import Plan
+from topcli.engine.rows import Rows
 from topcli.studies.stress.checks import (
     Check,
     Trial,
@@ -41,7 +44,7 @@ class MadeUp:
     self_adjoint: bool = True
     claims: tuple[Invariant, ...] = ()
     y0: tuple[float, ...] = (1.0, 0.0, 0.0)
-    top: Any = field(default_factory=lambda: SimpleNamespace(components=("a", "b", "c"), swing="a"))
+    top: Any = field(default_factory=lambda: SimpleNamespace(components=("a", "b", "c"), swing="a", energy="energy"))
     plain: bool = False
     claim_ulps: float = 50.0
     closed: Any = None
@@ -57,7 +60,10 @@ class MadeUp:
     def run(self, h: float | None = None, N: int | None = None, every: int = 1, y0: Any = None) -> Trajectory:
         h, N = h or self.h, N or self.N
         n = np.arange(0, N + 1, every, dtype=np.int64)
-        return Trajectory(self.top, "made up", h, n, self.moves(n, h), Ending(Outcome.COMPLETED, N, N * h), 0.0, 0.0)
+        states, endings = self.moves(n, h), Endings.of_none(1, h)
+        endings.put(0, Outcome.COMPLETED, N, ())
+        rows = Rows(Plan(self.top, None, states[:1], h, N, every, invariants=self.claims), n, states)
+        return Trajectory(rows, "made up", endings, states[-1], n[-1], {})
 
     def reference(self, times: Array) -> Array:
         return self.exact(times)
@@ -115,7 +121,7 @@ def not_quite_back(missed: float, self_adjoint: bool = True) -> MadeUp:
 
 
 def series(terms: float) -> Invariant:
-    return Invariant("a", "a", "a", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), terms))
+    return Invariant("x", "x", "x", "a series", lambda y: y[:, 0], lambda y: np.full(len(y), terms))
 
 
 def moved_in_ulp(slope: float) -> MadeUp:
@@ -137,7 +143,8 @@ def moved_in_errors(errors: float) -> MadeUp:
     """
     N, h, size = 8192, 0.1, 32.0
     noise = np.repeat(np.random.default_rng(4).normal(size=N // 64 + 1), 64)[: N + 1]
-    (plain,) = invariant_report([series(size)], np.arange(N + 1), h, np.repeat(noise[:, None], 3, axis=1))
+    states = np.repeat(noise[:, None], 3, axis=1)
+    ((plain,), _) = invariant_report(MadeUp(None).top, [series(size)], np.arange(N + 1), h, states)
     assert plain.drift is not None
     assert plain.drift_error is not None
     assert plain.model == "linear trend"
@@ -221,7 +228,7 @@ def test_a_claimed_invariant_with_a_slope_breaks(factor: float, found: str) -> N
     result = does_not_drift(cast(Trial, MadeUp(moves, N=20_000, claims=(series(1.0),), claim_ulps=1e9)))
     assert result.result.value == found
     if found == "broke":
-        slope = result.why.removeprefix("drifts: a ").split()[0]
+        slope = result.why.removeprefix("drifts: x ").split()[0]
         assert float(slope) == pytest.approx(factor * 20_000 * EPS, rel=0.05)
         assert result.step == 20_000
 

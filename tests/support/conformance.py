@@ -18,9 +18,8 @@ from steppers import physical
 from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
-from topcli.engine.precise import Rebuilder, precise_top
-from topcli.engine.precise_numbers import Arithmetic, Rationals
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
+from topcli.engine.numbers import Numbers, precise_top, rationals
 from topcli.errors import UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, obstacle
 
@@ -93,7 +92,7 @@ def errors_after(top: Top, method: Method, duration: float, counts: Sequence[int
     """Errors after ``duration`` of as many steps as ``counts`` say, each."""
     y0 = GEN[: len(top.components)] if y0 is None else y0
     exact = reference_states(top, y0, np.array([duration]))[0]
-    ends = [Run(top, method, y0, duration / N, int(N), int(N)).collect().states[-1] for N in counts]
+    ends = [orbit(top, method, y0, duration / N, int(N), int(N)).states[-1] for N in counts]
     return [float(np.linalg.norm(end - exact)) for end in ends]
 
 
@@ -137,8 +136,8 @@ class ExactStep:
     ``top`` has the exact parameters.
     """
 
-    def __init__(self, subject: Subject, arithmetic: Arithmetic | None = None) -> None:
-        self.arithmetic = arithmetic or Rationals()
+    def __init__(self, subject: Subject, arithmetic: Numbers | None = None) -> None:
+        self.arithmetic = arithmetic or rationals()
         parameters = {name: x for name, x in subject.top.model_dump().items() if isinstance(x, float)}
         numbers = dict(zip(parameters, self.numbers(*parameters.values()), strict=True))
         self.top = precise_top(subject.top, numbers)
@@ -146,7 +145,7 @@ class ExactStep:
         self.method = subject.scheme.build(precise_top(subject.top, fractions), subject.options)
         assert isinstance(self.method, Stepper)
         self.constants = (*subject.top.constants(), *self.method.constants)
-        self.step = Rebuilder(self.arithmetic).function(self.method.step)
+        self.step = self.arithmetic.rebuilt(self.method.step)
 
     def numbers(self, *values: Any) -> tuple[Any, ...]:
         return tuple(self.arithmetic.number(Fraction(x)) for x in values)

@@ -1,56 +1,65 @@
-"""Small runs that are cut short, for the tests of ``--resume``."""
+"""Small runs that are stopped or killed on their way."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from conftest import ROOT
+from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.runs.decision import RunOptions
-from topcli.runs.run import run_experiment
+from topcli.runs.run import RunOptions, RunResult, run_experiment
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 NAME = "kowalevski_hk"
-FILES = ["config.yaml", "manifest.json", "report.json", "report.md"]
+FILES = ["config.yaml", "manifest.json", "report.json"]
+TIMES = ("run", "started", "ended", "continued", "seconds", "files", "manifest_sha256")
+"""Entries of a manifest that differ from run to run."""
+
+
+class Killed(BaseException):
+    """The end of a process, which nothing catches."""
 
 
 def small(*overrides: str) -> Experiment:
     return load_experiment(HK, ["N=300", *overrides])
 
 
+def life(experiment: Experiment | EnsembleExperiment, out: Path, chunks: int = 10**9, kill: bool = False) -> RunResult:
+    """Run until ``chunks`` chunks are done, with a checkpoint after each; then stop, or raise Killed."""
+    done = [0]
+
+    def on_progress(steps: int, total: int) -> None:
+        done[0] += 1
+        if kill and done[0] >= chunks:
+            raise Killed
+
+    stop = (lambda: False) if kill else (lambda: done[0] >= chunks)
+    return run_experiment(experiment, out, RunOptions(checkpoint_every=0.0, stop=stop, on_progress=on_progress))
+
+
 def after(chunks: int) -> Callable[[], bool]:
-    """A ``stop`` that returns True after a number of chunks."""
+    """A ``stop`` that returns True after being asked a number of times."""
     asked = iter(range(10**6))
     return lambda: next(asked) >= chunks
 
 
-def content(folder: Path) -> dict[str, object]:
-    """Everything a run folder says apart from times."""
-    report = json.loads((folder / "report.json").read_text())
-    del report["seconds"]
-    (path,) = folder.glob("series.*")
-    manifest = json.loads((folder / "manifest.json").read_text())
-    fields = {key: manifest[key] for key in ("digest", "code", "outcome", "message", "files", "config", "environment")}
-    fields["files"] = sorted(fields["files"])
-    return {"report": report, "series": path.read_bytes(), "config": (folder / "config.yaml").read_text(), **fields}
-
-
-def killed(out: Path, experiment: Experiment, chunks: int) -> Path:
+def killed(out: Path, experiment: Experiment, chunks: int = 3) -> Path:
     """Folder left by a process killed after a number of chunks, with a checkpoint after each."""
-
-    class Killed(BaseException):
-        pass
-
-    def progress(done: int, total: int) -> None:
-        if chunks <= done // 23:
-            raise Killed
-
     with pytest.raises(Killed):
-        run_experiment(experiment, out, RunOptions(force=True, checkpoint_every=0.0, on_progress=progress))
-    (folder,) = out.glob(f".{experiment.name}.part-*")
-    return folder
+        life(experiment, out, chunks, kill=True)
+    return out / experiment.name
+
+
+def content(folder: Path) -> dict[str, Any]:
+    """Everything that a folder says apart from times: bytes of files, the report and the manifest."""
+    files: dict[str, Any] = {path.name: path.read_bytes() for path in folder.iterdir()}
+    report, manifest = json.loads(files["report.json"]), json.loads(files["manifest.json"])
+    names = sorted(manifest["files"])
+    manifest = {key: value for key, value in manifest.items() if key not in TIMES}
+    return {**files, "report.json": {**report, "seconds": None}, "manifest.json": manifest, "listed": names}

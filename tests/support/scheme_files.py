@@ -10,8 +10,8 @@ from typing import Any
 
 from steppers import built
 from topcli.contracts import Outcome
-from topcli.engine.run import Run
-from topcli.runs.identity import method_fingerprint
+from topcli.engine.collect import orbit
+from topcli.engine.machine import Machine
 from topcli.schemes import plugins
 from topcli.schemes.plugins import load_plugin_file
 from topcli.tops.kowalevski import Kowalevski
@@ -31,11 +31,10 @@ def mine(top, options):
 
 @dataclass(frozen=True)
 class Found:
-    """omega1 after two steps from 1, whether the machine code was stored, and the code key of the run folder."""
+    """omega1 after two steps from 1, and whether the machine code was stored."""
 
     value: float
     cached: bool
-    code: str
 
 
 def tables() -> dict[str, Any]:
@@ -93,8 +92,7 @@ def run_scheme(path: Path) -> Found:
     with loaded_file(path):
         top = Kowalevski()
         method = built("mine", top)
-    run = Run(top, method, (1.0, 0.25, 0.5, 0.6, 0.48, 0.64), 0.1, 2)
-    last = [float(chunk.states[-1, 0]) for chunk in run if len(chunk.n)][-1]
-    assert run.ending is not None
-    assert run.ending.outcome is Outcome.COMPLETED
-    return Found(last, run.cached, method_fingerprint(method))
+    machine = Machine(top, method)
+    _, states, ending = orbit(top, machine, (1.0, 0.25, 0.5, 0.6, 0.48, 0.64), 0.1, 2)
+    assert ending.outcome is Outcome.COMPLETED
+    return Found(float(states[-1, 0]), machine.loop.cached)

@@ -7,8 +7,8 @@ import numpy as np
 from conftest import random_states
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Ending, Outcome, Stepper, Top
-from topcli.engine.loop import loop_of
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
+from topcli.engine.machine import Machine
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski
 
@@ -27,16 +27,11 @@ class Steps:
 
     def __init__(self, top: Top, name: str, **options: object) -> None:
         self.top, self.method = top, made(top, name, **options)
-        self.loop = loop_of(self.method, len(top.components), len(top.constants()))
-
-    def run(self, y, h: float, N: int) -> Run:
-        return Run(self.top, self.loop, y, h, N, N)
+        self.machine = Machine(top, self.method)
 
     def __call__(self, y, h: float, N: int = 1) -> np.ndarray:
-        run = self.run(y, h, N)
-        states = run.collect().states
-        assert run.ending is not None
-        assert run.ending.outcome is Outcome.COMPLETED, run.ending.message
+        _, states, ending = orbit(self.top, self.machine, y, h, N, N)
+        assert ending.outcome is Outcome.COMPLETED, ending.message
         return states[-1]
 
 
@@ -55,7 +50,7 @@ def stepper(name: str, top: Top | None = None, **options: object) -> Stepper:
 
 def ran(method: Stepper, y0, h: float, N: int, every: int = 1, top: Top | None = None) -> tuple[np.ndarray, Ending]:
     """States and ending of a run of the Kowalevski top."""
-    _, states, ending = Run(top or Kowalevski(), method, y0, h, N, every).collect()
+    _, states, ending = orbit(top or Kowalevski(), method, y0, h, N, every)
     return states, ending
 
 

@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.contracts import Array
-from topcli.sweeps.batch import Batch, evaluate
-from topcli.sweeps.batch_run import BatchRun
+from topcli.sweeps.batch import Batch, Measuring, evaluate
 from topcli.sweeps.measures import resolve_measures
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 
@@ -60,11 +59,11 @@ class Measured(dict[str, Array]):
     faults: list[tuple[int, str, str]]
 
 
-def measured(experiment: Experiment, names: Sequence[str], states: Any = None, **options: Any) -> Measured:
+def measured(experiment: Experiment, names: Sequence[str], states: Any = None) -> Measured:
     """Measures of runs from ``states``, by default from the initial state of the experiment."""
     measures = resolve_measures(names, experiment.top, experiment.scheme, experiment.options)
     states = np.array([experiment.y0] if states is None else states)
-    batch, faults = BatchRun(experiment, measures, threads=1, **options).finished(states), []
+    batch, faults = Measuring(experiment, measures, threads=1).finished(states), []
     found = Measured(evaluate(measures, batch, lambda *fault: faults.append(fault)))
     found.batch, found.faults = batch, faults
     return found

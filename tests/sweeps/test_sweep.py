@@ -24,9 +24,9 @@ from topcli.errors import RunError, UsageError
 from topcli.schemes.own_tops import top_class
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps import row_results
-from topcli.sweeps.batch_run import BatchRun
+from topcli.sweeps.batch import Measuring
 from topcli.sweeps.measures import resolve_measures
-from topcli.sweeps.row_results import KeptRuns, Pace, Results, Work, batches, results_of_rows
+from topcli.sweeps.row_results import Pace, Results, Work, batches, results_of_rows
 from topcli.sweeps.run import SweepOptions, in_threads, planned, run_sweep
 
 
@@ -132,14 +132,14 @@ def test_changed_code_of_a_scheme_runs_its_rows_again(tmp_path: Path, monkeypatc
     from topcli.sweeps import plan as planning
 
     sweep(tmp_path)
-    real = planning.method_fingerprint
+    real = planning.code_digest
     codes: list[str] = []
 
-    def changed(method: Any) -> str:
-        codes.append(real(method))
+    def changed(*parts: Any) -> str:
+        codes.append(real(*parts))
         return codes[-1] if len(codes) == 1 else "0" * 64
 
-    monkeypatch.setattr(planning, "method_fingerprint", changed)
+    monkeypatch.setattr(planning, "code_digest", changed)
     plan, _ = planned(load_sweep(DATA), tmp_path, SweepOptions())
     assert plan.reasons() == {"the code of the scheme changed": 2}
     assert plan.status.tolist() == [0, 0, 2, 2]
@@ -182,18 +182,17 @@ def test_a_raising_row_costs_that_row_alone(count: int, raising: list[int], monk
     values = [0.125 + 0.01 * i for i in range(count)]
     rows = list(RowReader(load_sweep({**DATA, "grid": {"initial.omega1": values}})).rows())
     batch_of: list[int] = []
+    whole, finished = results_of_rows(rows, ["max_deviation.energy"]), Measuring.finished
 
-    class Broken(BatchRun):
-        def finished(self, initial: Any) -> Any:
-            batch_of.append(len(initial))
-            if np.isin(initial[:, 0], [values[i] for i in raising]).any():
-                raise RunError("no luck")
-            return super().finished(initial)
+    def broken(run: Measuring, initial: Any, stop: Any) -> Any:
+        batch_of.append(len(initial))
+        if np.isin(initial[:, 0], [values[i] for i in raising]).any():
+            raise RunError("no luck")
+        return finished(run, initial, stop)
 
-    whole = results_of_rows(rows, ["max_deviation.energy"])
-    found = results_of_rows(rows, ["max_deviation.energy"], pace=Pace(first_piece=count), kept=KeptRuns(Broken))
-    pieces = {3: [1, 2], 40: [40]}[count]  # so few as 3 are not stepped side by side: the first piece is one row
-    assert batch_of == [*pieces, *[1] * pieces[-1]]
+    monkeypatch.setattr(Measuring, "finished", broken)
+    found = results_of_rows(rows, ["max_deviation.energy"], pace=Pace(first_piece=count))
+    assert batch_of == {3: [1, 1, 1], 40: [40, *[1] * 40]}[count]  # so few as 3 are not stepped side by side
     assert found.done == [True] * count
     assert found.outcome == ["failed" if i in raising else "completed" for i in range(count)]
     assert found.message == ["no luck" if i in raising else whole.message[i] for i in range(count)]
@@ -235,29 +234,16 @@ def test_equal_rows_are_computed_once(tmp_path: Path) -> None:
     assert rows[2]["max_deviation.energy"] == rows[0]["max_deviation.energy"]
 
 
-class Small(BatchRun):
-    """Runs of which seven fit into memory."""
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.size = 7
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "options",
-    [
-        {"pace": Pace(1, 1)},
-        {"pace": Pace(10**9, 10**9)},
-        {"pace": Pace(first_piece=5, seconds=0.0)},
-        {"kept": KeptRuns(Small)},
-    ],
-    ids=["one by one", "side by side", "pieces", "little memory"],
+    "pace",
+    [Pace(1, 1), Pace(10**9, 10**9), Pace(first_piece=5, seconds=0.0)],
+    ids=["one by one", "side by side", "pieces"],
 )
-def test_rows_do_not_depend_on_their_batch(options: dict[str, Any]) -> None:
+def test_rows_do_not_depend_on_their_batch(pace: Pace) -> None:
     rows = list(RowReader(load_sweep(MANY)).rows())
     usual = results_of_rows(rows, MANY["measure"])
-    other = results_of_rows(rows[::-1], MANY["measure"], **options)
+    other = results_of_rows(rows[::-1], MANY["measure"], pace=pace)
     for name, values in usual.values.items():
         assert np.array_equal(values, other.values[name][::-1], equal_nan=True)
     assert usual.message == other.message[::-1]

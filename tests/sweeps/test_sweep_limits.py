@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from topcli.contracts import StopAsked, check_stop, stopping_when
 from topcli.errors import RunError
 from topcli.runs import references
 from topcli.runs.references import SharedReferences, reference_of
-from topcli.sweeps import batch as recording
 from topcli.sweeps import row_results
 from topcli.sweeps.row_results import Results, Work, results_of_rows, unfinished
 from topcli.tops.kowalevski import Kowalevski
@@ -36,7 +34,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The clock of the sweep, in seconds, which nothing but the test advances."""
     now = [100.0]
     monkeypatch.setattr(row_results.time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(recording, "REFERENCES", SharedReferences())
+    monkeypatch.setattr(references, "REFERENCES", SharedReferences())
     return now
 
 
@@ -64,13 +62,13 @@ def test_finished_rows_do_not_wait_for_those_of_a_slow_batch(
     tmp_path: Path, clock: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each row takes 0.9 s: a call hands over three, and the rest of its batch is called again."""
-    finished = row_results.BatchRun.finished
+    finished = row_results.Measuring.finished
 
-    def slow(self: Any, initial: Any) -> Any:
+    def slow(self: Any, initial: Any, stop: Any) -> Any:
         clock[0] += 0.9 * len(initial)
-        return finished(self, initial)
+        return finished(self, initial, stop)
 
-    monkeypatch.setattr(row_results.BatchRun, "finished", slow)
+    monkeypatch.setattr(row_results.Measuring, "finished", slow)
     data = {**ERRORS, "grid": {"initial.omega1": [0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5]}, "measure": ["steps"]}
     rows = rows_of(data)
     found = Work(("steps",))(rows)
@@ -86,36 +84,6 @@ def test_a_call_that_was_stopped_is_not_repeated() -> None:
     rows = rows_of(DATA)
     assert unfinished(rows, Results(done=[False] * len(rows))) == []
     assert unfinished(rows, Results(done=[True] * len(rows))) == []
-
-
-def test_a_reference_that_another_row_computes_is_waited_for_until_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(references, "POLL_SECONDS", 0.001)
-    begun, end = threading.Event(), threading.Event()
-
-    def endless(top: Any, y0: Any, t: Any, most: int) -> Any:
-        begun.set()
-        assert end.wait(60.0)
-        raise RunError("never")
-
-    monkeypatch.setattr(references, "reference_states", endless)
-    shared, n = SharedReferences(), np.arange(3)
-    said: list[str] = []
-
-    def first() -> None:
-        try:
-            shared.states(reference_of(Kowalevski()), np.array(GEN), 0.1, n)
-        except RunError as error:
-            said.append(str(error))
-
-    other = threading.Thread(target=first)
-    other.start()
-    assert begun.wait(60.0)
-    asked = iter([False, False, True])
-    with stopping_when(lambda: next(asked)), pytest.raises(StopAsked):
-        shared.states(reference_of(Kowalevski()), np.array(GEN), 0.1, n)
-    end.set()
-    other.join(60.0)
-    assert said == ["never"]
 
 
 def test_a_refused_reference_is_refused_to_all_rows_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from topcli.analysis.conformance import working_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome, Stepper, Top
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.field.integrals import rate_of_change
 from topcli.field.polynomial import Polynomial, decimal, field_of
 from topcli.runs.simulate import simulate
@@ -274,7 +274,7 @@ def test_integrals_of_the_hk_map_stay_exact_to_round_off(form: str) -> None:
     off = {}
     for name in ("hk", "midpoint"):
         scheme = find_scheme(name, form)
-        states = Run(top, scheme.build(top, scheme.options()), start(top), h, N, 10).collect().states
+        states = orbit(top, scheme.build(top, scheme.options()), start(top), h, N, 10).states
         for one in top.modified_invariants("hk", h):
             off[name, one.name] = np.abs(one.value(states) - one.value(states[:1])).max() / one.scale(states).max()
     for (name, integral), worst in off.items():

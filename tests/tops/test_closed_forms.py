@@ -18,7 +18,7 @@ from topcli.analysis.reference import reference_states
 from topcli.arithmetic.elliptic import Argument, phase
 from topcli.arithmetic.multiprecision import digits, real
 from topcli.contracts import Sampler, Top
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.errors import RunError
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
@@ -127,7 +127,7 @@ def test_exact_after_a_very_long_time() -> None:
 def test_hk_exact_in_special_cases(scene: str, h: float) -> None:
     A, B, C, *omega = SPECIAL[scene]
     top = Euler(A=A, B=B, C=C)
-    states = Run(top, built("hk", top), omega, h, 100).collect().states
+    states = orbit(top, built("hk", top), omega, h, 100).states
     got = sampled("hk-exact", top, omega, h, np.arange(101))
     assert np.abs(got - states).max() < 1e-13
 

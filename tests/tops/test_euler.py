@@ -9,7 +9,7 @@ import pytest
 
 from steppers import built, physical
 from topcli.contracts import Invariant, Method, Outcome, Top
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.schemes.registry import find_scheme
 from topcli.tops.euler import Euler, EulerGamma
 
@@ -54,22 +54,18 @@ def test_steps_far_beyond_useful_lengths_are_solved_or_refused(name: str, h: flo
     """A solution always exists (a map of a sphere to itself homotopic to a constant); Newton's method may miss it."""
     outcomes = []
     for top, y0 in random_tops(50, seed=24, cls=Euler):
-        run = Run(top, built(name, top), y0, h, 1, 1)
-        new = run.collect().states[-1]
-        assert run.ending is not None
-        outcomes.append(run.ending.outcome)
-        if run.ending.outcome is Outcome.COMPLETED:
-            m, m_new = ((np.array(top.constants()[:3]) * state) for state in (y0, new))
+        _, states, ending = orbit(top, built(name, top), y0, h, 1)
+        outcomes.append(ending.outcome)
+        if ending.outcome is Outcome.COMPLETED:
+            m, m_new = ((np.array(top.constants()[:3]) * state) for state in (y0, states[-1]))
             assert m_new @ m_new == pytest.approx(m @ m, rel=1e-12)
     assert set(outcomes) <= {Outcome.COMPLETED, Outcome.NO_CONVERGENCE}
     assert outcomes.count(Outcome.COMPLETED) >= 10
 
 
 def series(top: Top, method: Method, y0: np.ndarray, h: float, N: int) -> np.ndarray:
-    run = Run(top, method, y0, h, N, 20)
-    states = run.collect().states
-    assert run.ending is not None
-    assert run.ending.outcome is Outcome.COMPLETED
+    _, states, ending = orbit(top, method, y0, h, N, 20)
+    assert ending.outcome is Outcome.COMPLETED
     return states
 
 

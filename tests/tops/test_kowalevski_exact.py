@@ -20,7 +20,7 @@ from conftest import GEN
 from steppers import built
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Sampler
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.errors import RunError
 from topcli.schemes.kowalevski.exact import _motions
 from topcli.tops.kowalevski import Kowalevski
@@ -237,4 +237,4 @@ def test_threads_do_not_share_the_precision_of_mpmath() -> None:
 
 def test_what_the_closed_form_refuses_ends_the_run() -> None:
     with pytest.raises(RunError, match="too weak"):
-        Run(Kowalevski(c0=1e-300), built("exact"), GEN, 0.1, 5).collect()
+        orbit(Kowalevski(c0=1e-300), built("exact"), GEN, 0.1, 5)

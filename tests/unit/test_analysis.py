@@ -10,17 +10,22 @@ import numpy as np
 import pytest
 
 from conftest import GEN
-from topcli.analysis import columns as columns_module
 from topcli.analysis import order, trajectory
-from topcli.analysis.columns import column_names, columns
+from topcli.analysis.quantities import quantities_of
+from topcli.analysis.series_report import series_rows
 from topcli.analysis.swings import first_swing_spacing, minima_times
+from topcli.analysis.tally import tally_of
+from topcli.engine import columns
+from topcli.engine.columns import column_names
+from topcli.engine.plan import Plan
+from topcli.engine.rows import Rows
 from topcli.errors import UsageError
 from topcli.tops.kowalevski import Kowalevski
 
 BELOW_AND_ABOVE = pytest.mark.parametrize("factor", [0.98, 1.02])
 
 
-@pytest.mark.parametrize("module", [columns_module, order, trajectory], ids=lambda m: m.__name__)
+@pytest.mark.parametrize("module", [columns, order, trajectory], ids=lambda m: m.__name__)
 def test_the_examples_of_docstrings_run(module: ModuleType) -> None:
     done = doctest.testmod(module)
     assert done.attempted > 0
@@ -72,12 +77,29 @@ def test_series_without_two_minima_have_no_spacing() -> None:
 
 def test_columns_by_name() -> None:
     top, states = Kowalevski(), np.array([GEN, GEN])
-    made = columns(top, np.array([0, 5]), 0.1, states, column_names(top))
-    assert list(made) == column_names(top)
-    assert made["t"][1] == 5 * 0.1
-    assert made["gamma_sq"][0] == pytest.approx(1.0, abs=1e-15)
+    rows = series_rows(top, top.invariants(), np.array([0, 5]), 0.1, states)
+    assert list(rows.columns(column_names(top))) == column_names(top)
+    assert rows["t"][0, 1] == 5 * 0.1
+    assert rows["gamma_sq"][0, 0] == pytest.approx(1.0, abs=1e-15)
     with pytest.raises(UsageError, match="did you mean 'energy'"):
-        columns(top, np.array([0]), 0.1, states[:1], ["enrgy"])
+        rows.columns(["enrgy"])
+
+
+@pytest.mark.parametrize("first", [math.inf, 1e300, 0.5])
+def test_figures_of_a_quantity_are_those_of_its_values(first: float) -> None:
+    """Also after a first value that is infinite or so large that differences from it are its negative."""
+    values = np.array([[first, 3e-7, -2.5, 1.0], [7.0, 5.0, math.nan, math.nan]])
+    plan = Plan(Kowalevski(), None, np.array([GEN, GEN]), 0.1, 3, quantities=quantities_of(Kowalevski, {"x": "omega1"}))
+    states = np.broadcast_to(np.array(GEN), (2, 4, 6))
+    tally = tally_of(Rows(plan, np.arange(4), states, lengths=np.array([4, 2]), columns={"x": values}))
+    figures = {key.removesuffix(".x"): column.tolist() for key, column in tally.quantities().items()}
+    assert {key: figures[key] for key in ("first", "last", "min", "max")} == {
+        "first": [first, 7.0],
+        "last": [1.0, 5.0],
+        "min": [-2.5, 5.0],
+        "max": [max(first, 1.0), 7.0],
+    }
+    assert figures["mean"] == pytest.approx([values[0].mean(), 6.0])
 
 
 @BELOW_AND_ABOVE

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from cases import table_of
 from conftest import random_states
 from topcli.analysis import reference as taylor
-from topcli.analysis.columns import attitude_columns, quaternions_of
 from topcli.arithmetic import fused as dd
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.quaternions import (
@@ -27,7 +26,6 @@ from topcli.arithmetic.quaternions import (
     matrices,
     product,
     rotate,
-    turn_of,
     turn_upright,
     unit_turn,
     upright,
@@ -45,8 +43,9 @@ from topcli.arithmetic.vectors import (
     sinc_cosc,
     solve3,
 )
-from topcli.engine.native import native
-from topcli.engine.precise_numbers import Rational
+from topcli.engine.columns import attitude_columns, quaternions_of
+from topcli.engine.compile import native
+from topcli.engine.numbers import Rational
 
 EPS = 2.0**-52
 number = st.floats(-8.0, 8.0, allow_subnormal=False)
@@ -59,7 +58,7 @@ def exactly(function, *arguments) -> list[Fraction]:
     made = [
         tuple(Rational(Fraction(x)) for x in a) if isinstance(a, tuple) else Rational(Fraction(a)) for a in arguments
     ]
-    return [x.q for x in function(*made)]
+    return list(function(*made))
 
 
 def cross(a, b):
@@ -340,9 +339,6 @@ def test_turns_are_quaternions_minus_one() -> None:
     expected = Rotation.from_rotvec(angle * np.array([0.1, -0.2, 0.3]) / math.sqrt(0.14)).as_quat(scalar_first=True)
     close((1.0 + w, x, y, z), expected)
     assert unit_turn(1e-9, 0.0, 0.0)[0] == pytest.approx(-0.5e-18, rel=1e-15)  # all digits
-    small = (1.0, 1e-9, 0.0, 0.0)
-    assert turn_of(small)[0] == pytest.approx(-0.5e-18, rel=1e-15)
-    assert turn_of((-0.6, 0.8, 0.0, 0.0)) == (-1.6, 0.8, 0.0, 0.0)
 
 
 def test_upright_is_the_shortest_rotation() -> None:

@@ -191,8 +191,8 @@ def test_a_step_that_fails_is_not_called_inconsistent() -> None:
 
 
 @pytest.mark.parametrize(("limit", "names"), [(0.3, ("flat", "random walk")), (0.6, ("random walk", "biased"))])
-def test_growth_changes_its_name_at_0_3_and_at_two_errors_above_0_6(limit: float, names: tuple[str, str]) -> None:
-    """One draw of Gaussian series, whose power is bisected until the exponent (less two errors) is the limit."""
+def test_growth_changes_its_name_at_0_3_and_above_0_6(limit: float, names: tuple[str, str]) -> None:
+    """One draw of Gaussian series, whose power is bisected until the exponent (less its error) is the limit."""
     at = np.arange(64) + 1.0
     lag = np.abs(np.subtract.outer(at, at))
     draws = np.random.default_rng(12).normal(size=(8, 64))
@@ -200,11 +200,11 @@ def test_growth_changes_its_name_at_0_3_and_at_two_errors_above_0_6(limit: float
     for _ in range(10):
         power = 0.5 * (low + high)
         covariance = 0.5 * (at[:, None] ** (2 * power) + at[None] ** (2 * power) - lag ** (2 * power))
-        found = growth(1e-16 * draws @ np.linalg.cholesky(covariance).T, 100, 1.0)
-        assert found.exponent is not None
-        assert found.exponent_error is not None
-        margin = found.exponent - (2.0 * found.exponent_error if limit == 0.6 else 0.0) - limit
-        assert found.verdict == names[margin > 0.0]
+        fit = growth(1e-16 * draws @ np.linalg.cholesky(covariance).T, 100, 1.0)
+        assert fit.exponent is not None
+        assert fit.exponent_error is not None
+        margin = fit.exponent - (fit.exponent_error if limit == 0.6 else 0.0) - limit
+        assert fit.verdict == names[margin > 0.0]
         low, high = (low, power) if margin > 0.0 else (power, high)
     assert abs(margin) < 0.01
 
@@ -222,6 +222,6 @@ def test_what_is_a_thousand_times_round_off_moves(factor: float) -> None:
 def test_tolerances_of_roundoff_are_violated_beyond_them(factor: float) -> None:
     row = {"name": "x", "exponent": 0.5, "exponent_error": 0.1, "max_drift": 1e-12, "drift": 1.0, "rms": [1.0]}
     form: dict[str, Any] = {"scheme": "hk", "form": "plain", "invariants": [row]}
-    assert bool(list(violations_of(form, 0.3 / factor, None))) == (factor > 1.0)  # 0.5 less two errors
+    assert bool(list(violations_of(form, 0.4 / factor, None))) == (factor > 1.0)  # 0.5 less the error
     assert bool(list(violations_of(form, None, 1e-12 / factor))) == (factor > 1.0)
     assert not list(violations_of(form, None, None))

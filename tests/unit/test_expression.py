@@ -18,8 +18,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from topcli.arithmetic.sized import Sized
-from topcli.engine.native import native
-from topcli.engine.precise_numbers import StrayDoubleError, arithmetic_of
+from topcli.engine.compile import native
+from topcli.engine.numbers import StrayDoubleError, digits, rationals
 from topcli.field.expression import FUNCTIONS, HIGHEST, ExpressionError, function_of, parse, value_of
 from topcli.field.polynomial import NotPolynomialError, Polynomial, polynomial_field
 
@@ -277,7 +277,7 @@ def test_a_dense_power_is_refused_before_it_takes_minutes() -> None:
 
 @pytest.mark.parametrize("precision", [50, "rational"])
 def test_columns_of_other_numbers(precision) -> None:
-    arithmetic = arithmetic_of(precision)
+    arithmetic = digits(precision) if isinstance(precision, int) else rationals()
     with arithmetic.active():
         w1, w2, A, k = map(arithmetic.number, (Fraction(2, 7), Fraction(1, 3), Fraction(3, 10), Fraction(1, 5)))
         found = value("0.1*A*w1 + w2/3", ([np.array([w1], dtype=object), np.array([w2], dtype=object)]), (A, k))
@@ -287,7 +287,7 @@ def test_columns_of_other_numbers(precision) -> None:
 
 @pytest.mark.parametrize("text", ["sqrt(w1)", "log(w1)", "w1**-0.5", "w1**1.5"])
 def test_functions_of_negative_numbers_are_nan_in_any_precision(text: str, library: str) -> None:
-    arithmetic = arithmetic_of(40)
+    arithmetic = digits(40)
     with arithmetic.active():
         w1 = np.array([arithmetic.number(Fraction(n)) for n in (-2, 2)], dtype=object)
         found = value(text, (w1, w1), (1, 1))
@@ -297,7 +297,7 @@ def test_functions_of_negative_numbers_are_nan_in_any_precision(text: str, libra
 
 
 def test_functions_of_other_numbers(library: str) -> None:
-    arithmetic = arithmetic_of(40)
+    arithmetic = digits(40)
     with arithmetic.active():
         w1 = np.array([arithmetic.number(Fraction(1, 10))], dtype=object)
         found = arithmetic.fraction(value("sqrt(w1) + sin(0.3*w1)", (w1, w1), (1, 1))[0])
@@ -313,7 +313,7 @@ def test_functions_and_constants_have_the_digits_of_the_numbers(text: str) -> No
     y = Fraction(2, 7), Fraction(1, 3)
 
     def at(precision: int | str) -> Fraction | float:
-        arithmetic = arithmetic_of(precision)
+        arithmetic = digits(precision) if isinstance(precision, int) else rationals()
         with arithmetic.active():
             found = value(text, [np.array([arithmetic.number(x)], dtype=object) for x in y], (1, 1))
             found = found[0] if isinstance(found, np.ndarray) else found

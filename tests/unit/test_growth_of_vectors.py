@@ -21,7 +21,6 @@ from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 
 RK4 = find_scheme("rk4", "heavy")
-HK = find_scheme("hk", "heavy")
 
 
 class Lorenz(Top):
@@ -34,18 +33,6 @@ class Lorenz(Top):
     def field(s, p):
         x, y, z = s
         return (10.0 * (y - x), 28.0 * x - y - x * z, x * y - 8.0 / 3.0 * z)
-
-
-class HenonHeiles(Top):
-    """Two coupled oscillators of Henon and Heiles."""
-
-    kind: ClassVar[str] = "henon-heiles"
-    components: ClassVar[tuple[str, ...]] = ("x", "y", "px", "py")
-
-    @staticmethod
-    def field(s, p):
-        x, y, px, py = s
-        return (px, py, -x - 2.0 * x * y, -y - x * x + y * y)
 
 
 def henon_step(s, h, p):
@@ -80,23 +67,6 @@ def test_spectrum_of_lorenz() -> None:
     growth = spectrum_of(top, RK4, RK4.build(top, RK4.options()), 0.005, 1_000_000, (1.0, 2.0, 20.0))
     assert growth.exponents == pytest.approx([0.9056, 0.0, -14.572], abs=6e-3)
     assert growth.exponents.sum() == pytest.approx(-(10.0 + 1.0 + 8.0 / 3.0), rel=1e-6)
-
-
-def test_henon_heiles_at_an_eighth() -> None:
-    """Of two orbits of one energy, one is regular; in the chaotic sea the exponent is 0.043 to 0.046.
-
-    A single orbit of T = 2e5 has 0.044 with a standard deviation of 0.004, for it is caught near islands at times.
-    """
-    top, h, N = HenonHeiles(), 0.05, 4_000_000
-    method = HK.build(top, HK.options())
-    sea = np.tile([0.0, -0.016, 0.49974, 0.0], (64, 1))
-    sea[:, 1] += 1e-9 * np.arange(64)
-    chaotic = growth_of(top, HK, method, h, N, sea)
-    regular = growth_of(top, HK, method, h, N, np.array([[0.0, 0.55, 0.2417, 0.0]]))
-    assert set(chaotic.verdicts) == {Verdict.CHAOTIC}
-    assert 0.043 < chaotic.exponents.mean() < 0.046
-    assert regular.verdicts == [Verdict.REGULAR]
-    assert regular.exponents[0] < 3.0 * math.log(regular.t[-1]) / regular.t[-1]
 
 
 @pytest.mark.parametrize(("name", "form"), [("hk", "euler"), ("bs", "lagrange/inertial"), ("midpoint", "clebsch")])

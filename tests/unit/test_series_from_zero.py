@@ -16,7 +16,7 @@ import pytest
 from fields import top_of
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Outcome, Top
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
 from topcli.field.polynomial import Field, Polynomial
 from topcli.field.units import NOTHING, NaturalUnits
 from topcli.schemes.any_top.taylor import Tolerance, build
@@ -26,8 +26,7 @@ MOST_SERIES = 400
 
 
 def by_taylor(top: Top, y0: list[float], h: float, N: int) -> np.ndarray:
-    run = Run(top, build(top, Tolerance()), y0, h, N)
-    _, states, ending = run.collect()
+    _, states, ending = orbit(top, build(top, Tolerance()), y0, h, N)
     assert ending.outcome is Outcome.COMPLETED
     assert ending.counters["expansions"] < MOST_SERIES
     return states

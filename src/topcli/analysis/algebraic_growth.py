@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.engine.precise import ROOM, longest
-from topcli.engine.precise_numbers import Rationals, at_most
+from topcli.arithmetic.elimination import linear_solution
+from topcli.engine.numbers import ROOM, longest
 from topcli.engine.residues import PRIME, Jet, RationalMap, Residues, folded
 
 FEW_POINTS, MOST_POINTS = 64, 17_000
@@ -104,27 +104,12 @@ class DegreeGrowth:
         return asdict(self) | {"characteristic": list(self.characteristic), "entropy": entropy}
 
 
-def _solution(rows: Sequence[Sequence[int]]) -> list[Fraction] | None:
-    """Solution of square linear equations, each row with its right-hand side; None if there is no single one."""
-    left = [[Fraction(x) for x in row] for row in rows]
-    for i in range(len(left)):
-        pivot = next((k for k in range(i, len(left)) if left[k][i]), None)
-        if pivot is None:
-            return None
-        left[i], left[pivot] = left[pivot], left[i]
-        left[i] = [x / left[i][i] for x in left[i]]
-        for k in range(len(left)):
-            if k != i:
-                left[k] = [a - left[k][i] * b for a, b in zip(left[k], left[i], strict=True)]
-    return [row[-1] for row in left]
-
-
 def degree_growth(degrees: Sequence[int], surplus: int = SURPLUS) -> DegreeGrowth:
     """Return the law of the shortest recurrence with whole coefficients that at least ``surplus`` terms confirm."""
     for omitted in range(3):
         e = [1, *degrees][omitted:]
         for order in range(1, (len(e) - surplus) // 2 + 1):
-            c = _solution([e[i : i + order + 1] for i in range(order)])
+            c = linear_solution([e[i : i + order + 1] for i in range(order)])
             if c is None or any(x.denominator > 1 for x in c):
                 continue
             if all(sum(x * y for x, y in zip(c, e[i:], strict=False)) == e[i + order] for i in range(len(e) - order)):
@@ -168,16 +153,16 @@ def degrees(step: RationalMap, seed: int = 1, most: int = MOST_TERMS) -> list[in
 
 HEIGHT_BITS, HEIGHT_STEPS = 5_000, 40
 """Length of numbers at which a rational orbit ends, and its largest number of steps."""
+LONGEST_HEIGHT = ROOM * HEIGHT_BITS
 
 
 def heights(step: RationalMap) -> list[int]:
     """Binary digits of the longest number of the states of a rational orbit, the initial state first.
 
-    ``step`` is in rational numbers. The orbit ends before a step that fails.
+    ``step`` is in rational numbers of at most ``LONGEST_HEIGHT`` bits. The orbit ends before a step that fails.
     """
-    number = Rationals().number
-    state, found = step.enter([number(Fraction(2 * i + 3, i + 5)) for i in range(step.d)]), list[int]()
-    with at_most(ROOM * HEIGHT_BITS), suppress(ArithmeticError):
+    state, found = step.enter([step.number(Fraction(2 * i + 3, i + 5)) for i in range(step.d)]), list[int]()
+    with suppress(ArithmeticError):
         while len(found) <= HEIGHT_STEPS and not (found and found[-1] > HEIGHT_BITS):
             found.append(longest(step.leave(state)))
             state = step.step(state)

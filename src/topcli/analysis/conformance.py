@@ -13,9 +13,11 @@ import numpy as np
 
 from topcli.analysis.order import one_step_back_and_forth
 from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
-from topcli.engine.ensemble import EnsembleRun
-from topcli.engine.loop import loop_of, plain_loop
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
+from topcli.engine.drive import drive
+from topcli.engine.loops import interpreted, loop_of
+from topcli.engine.machine import Machine
+from topcli.engine.plan import Plan
 
 ULPS = 50.0
 """Deviation of an exact invariant that round-off may cause, in ulp of its terms times the square root of the steps."""
@@ -50,7 +52,7 @@ def exactness(
     top: Top, method: Method, y0: Any, h: float, invariants: Sequence[Invariant], N: int = 20_000, stages: int = 1
 ) -> float:
     """``deviation`` over N steps of a method whose steps consist of as many ``stages``."""
-    return deviation(Run(top, method, y0, h, N, 10).collect().states, invariants, N * stages)
+    return deviation(orbit(top, method, y0, h, N, 10).states, invariants, N * stages)
 
 
 def working_states(
@@ -61,11 +63,10 @@ def working_states(
     If a step fails, the states end before it.
     """
     start, p = np.array(y0, dtype=float), np.array(top.constants())
-    enter, drive = plain_loop(method, len(start), len(p))
-    compiled = loop_of(method, len(start), len(p))
+    plain, compiled = (make(method, len(start), len(p)) for make in (interpreted, loop_of))
     work, other, out = np.zeros(method.width), np.zeros(method.width), np.empty(N * len(start))
-    enter(start, work, p, h)
-    taken = drive(work, out, p, h, N, 1, 1)
+    plain.enter(start, work, p, h)
+    taken = plain.drive(work, out, p, h, N, 1, 1)
     compiled.enter(start, other, p, h)
     compiled.drive(other, other[:0], p, h, N, N + 1, N + 1)
     return work.tolist(), other.tolist(), out[: max(taken, 0) * len(start)].reshape(-1, len(start))
@@ -73,16 +74,15 @@ def working_states(
 
 def differing_lanes(top: Top, method: Method, alone: Array, together: Array, h: float, N: int) -> int:
     """Number of states (n, d) whose trajectory ``alone`` ends on other bits than that ``together`` with the others."""
-    ensemble = EnsembleRun(top, method, together, h, N, N, on_piece=lambda piece: None)
-    for _ in ensemble:
-        pass
-    ends = [Run(top, method, y, h, N, N).collect().states[-1] for y in alone]
-    return sum(end.tobytes() != last.tobytes() for end, last in zip(ends, ensemble.last, strict=True))
+    machine = Machine(top, method)
+    last = drive(Plan(top, machine, np.ascontiguousarray(together), h, N, N)).last
+    ends = [orbit(top, machine, y, h, N, N).states[-1] for y in alone]
+    return sum(end.tobytes() != other.tobytes() for end, other in zip(ends, last, strict=True))
 
 
 def completed(top: Top, method: Method, y0: Sequence[float], h: float, N: int, every: int = 10) -> Array | None:
     """States recorded in a run; None if it does not complete."""
-    _, states, ending = Run(top, method, y0, h, N, every).collect()
+    _, states, ending = orbit(top, method, y0, h, N, every)
     return states if ending.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION) else None
 
 

@@ -1,11 +1,9 @@
 """Crossings of a section: where an orbit passes through the surface g(y) = 0 in a given direction.
 
 Two successive states with g of different signs enclose a crossing. It is located on the scheme's own steps from the
-first of them (``engine.part_steps``): the fraction theta of the step with g = 0 is found by Chandrupatla's method,
-which combines bisection with inverse quadratic interpolation, to the last bit of theta (T. R. Chandrupatla, Adv. Eng.
-Software 28 (1997) 145). For ``taylor`` and ``exact`` the crossings are those of the motion. For a map of order r they
-differ from those of its interpolating flow by O(h^(r+1)); what the scheme conserves at every h is conserved at the
-crossings.
+first of them (``engine.loops``): the fraction theta of the step with g = 0, to its last bit. For ``taylor`` and
+``exact`` the crossings are those of the motion. For a map of order r they differ from those of its interpolating flow
+by O(h^(r+1)); what the scheme conserves at every h is conserved at the crossings.
 """
 
 from __future__ import annotations
@@ -18,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array, Method, Top
-from topcli.engine.part_steps import PartSteps, part_steps_of
-from topcli.engine.run import Run
+from topcli.engine.loops import part_steps_of
 
 Direction = Literal["up", "down", "both"]
 Function = Callable[[NDArray[Any], Array], Array]
@@ -27,8 +24,8 @@ Function = Callable[[NDArray[Any], Array], Array]
 
 TOLERANCE = 2.0**-52
 """Uncertainty of theta."""
-MOST_TRIALS = 100
-"""Trials after which a sign change is given up; bisection alone needs 52."""
+TRIALS = 160
+"""Largest number of trials; a third of them are bisections, of which a root needs 51."""
 ZERO = 1e-3
 """A sign change is a jump or a pole, not a zero, if |g| there exceeds this part of its values at the ends."""
 
@@ -69,17 +66,11 @@ class CrossingSearch:
         y0: Array,
         function: Function,
         direction: Direction = "up",
-        parts: PartSteps | None = None,
     ) -> None:
         self.function, self.y0 = function, y0
         self.direction: Direction = direction
-        self.parts = parts or part_steps_of(method, top, h)
-        self._given: tuple[Top, Method, float] = top, method, h
+        self.parts = part_steps_of(method, top, h)
         self.last = y0.copy()
-
-    def restarted(self, y0: Array) -> CrossingSearch:
-        """The same search by orbits from other states ``y0`` (m, d)."""
-        return CrossingSearch(*self._given, y0, self.function, self.direction, self.parts)
 
     def add(
         self, n: NDArray[np.int64], states: Array, first: int = 0, kept: NDArray[np.int64] | None = None
@@ -106,12 +97,6 @@ class CrossingSearch:
         begun = n[0] - continues + row if rows else row
         return self._located(first + orbit, begun, beginning, values[orbit, row], values[orbit, row + 1])
 
-    def along(self, run: Run) -> Crossings:
-        """Carry out a run of one orbit and return its crossings."""
-        found = [self.add(chunk.n, chunk.states[None]) for chunk in run]
-        parts = zip(*((one.which, one.n, one.theta, one.states) for one in found), strict=True)
-        return Crossings(*(np.concatenate(part) for part in parts))
-
     def _changes(self, g: Array) -> NDArray[np.bool_]:
         """True where the values (c, m) change their sign in the section's direction before the next one (c, m - 1)."""
         up = (g[:, :-1] < 0.0) & (g[:, 1:] >= 0.0) if self.direction != "down" else False
@@ -135,35 +120,27 @@ class CrossingSearch:
 
 
 def roots(function: Callable[[NDArray[np.int64], Array], Array], at_zero: Array, at_one: Array) -> tuple[Array, Array]:
-    """Roots in [0, 1] of functions that change their sign there, by Chandrupatla's method, and their values (k,).
+    """Roots in [0, 1] of functions that change their sign there, and their values (k,).
 
     ``function(i, x)`` evaluates the functions numbered ``i`` (j,) at ``x`` (j,); ``at_zero`` and ``at_one`` (k,) are
-    the values at both ends. A value that is not finite counts as one of the sign at the upper end.
+    the values at both ends. A value that is not finite counts as one of the sign at the upper end. Every third trial
+    bisects the interval; the others interpolate linearly (regula falsi), at least ``TOLERANCE`` away from its ends.
     """
-    count = len(at_zero)
-    best, least = np.ones(count), at_one.copy()
-    i = np.arange(count)
-    a, fa, b, fb = np.ones(count), at_one, np.zeros(count), at_zero
-    t, upper = np.full(count, 0.5), at_one
-    for _ in range(MOST_TRIALS):
-        nearer = np.abs(fa) < np.abs(fb)
-        best[i], least[i] = np.where(nearer, a, b), np.where(nearer, fa, fb)
-        smallest = TOLERANCE / np.abs(b - a).clip(TOLERANCE)
-        left = (smallest < 0.5) & (least[i] != 0.0)
+    i = np.arange(len(at_zero))
+    best, least = np.ones(len(i)), at_one.copy()  # the better end of the last interval
+    a, b, fa, fb = np.zeros(len(i)), np.ones(len(i)), at_zero, at_one
+    for trial in range(TRIALS):
+        with np.errstate(all="ignore"):
+            x = 0.5 * (a + b) if trial % 3 == 2 else b - fb * ((b - a) / (fb - fa))
+        x = np.fmin(np.fmax(x, a + TOLERANCE), b - TOLERANCE)
+        fx = function(i, x)
+        fx = np.where(np.isfinite(fx), fx, at_one[i])
+        below = np.sign(fx) == np.sign(fa)
+        a, fa = np.where(below, [x, fx], [a, fa])
+        b, fb = np.where(below, [b, fb], [x, fx])
+        best[i], least[i] = np.where(np.abs(fa) < np.abs(fb), [a, fa], [b, fb])
+        left = (b - a > 2.0 * TOLERANCE) & (fx != 0.0)
         if not left.any():
             break
-        i = i[left]
-        a, fa, b, fb, t, upper, smallest = (one[left] for one in (a, fa, b, fb, t, upper, smallest))
-        x = a + t.clip(smallest, 1.0 - smallest) * (b - a)
-        fx = function(i, x)
-        fx = np.where(np.isfinite(fx), fx, upper)
-        same = np.sign(fx) == np.sign(fa)
-        c, fc = np.where(same, a, b), np.where(same, fa, fb)
-        b, fb = np.where(same, b, a), np.where(same, fb, fa)
-        a, fa = x, fx
-        with np.errstate(all="ignore"):
-            xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
-            smooth = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
-            inverse = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
-        t = np.where(smooth, inverse, 0.5)
+        i, a, b, fa, fb = (values[left] for values in (i, a, b, fa, fb))
     return best, least

@@ -46,7 +46,7 @@ def reduced(matrix: Residues) -> tuple[Residues, list[int]]:
         row = len(pivots)
         below = row + np.flatnonzero(left[row:, column] % PRIME)
         if len(below):
-            _swap(left, row, below[0])
+            left[[row, below[0]]] = left[[below[0], row]]
             left[row, column:] %= PRIME
             left[row, column:] = left[row, column:] * inverse(left[row, column : column + 1]) % PRIME
             factors = PRIME - left[row + 1 :, column, None] % PRIME
@@ -61,10 +61,6 @@ def reduced(matrix: Residues) -> tuple[Residues, list[int]]:
         left[:row, free] = (left[:row, free] + (PRIME - left[:row, column, None] % PRIME) * left[row, free]) % PRIME
         left[:row, column] = 0
     return left, pivots
-
-
-def _swap(rows: Residues, i: int, k: int) -> None:
-    rows[[i, k]] = rows[[k, i]]
 
 
 def null_space(matrix: Residues) -> Residues:
@@ -85,7 +81,7 @@ def determinants(matrices: Residues) -> Residues:
             swap = next((k for k in range(i + 1, len(left)) if left[k, i].all()), None)
             if swap is None:
                 return np.zeros_like(product)
-            _swap(left, i, swap)
+            left[[i, swap]] = left[[swap, i]]
             product = -product
         product = product * left[i, i] % PRIME
         factors = left[i + 1 :, i] * inverse(left[i, i]) % PRIME

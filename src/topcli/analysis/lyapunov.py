@@ -27,12 +27,13 @@ from numpy.typing import NDArray
 
 from topcli.analysis.recurrence import Recurrence, at_rest, recurrence_of
 from topcli.contracts import Array, Floats, Method, Scheme, Top, check_stop, stop_asked
-from topcli.engine.ensemble import default_threads, tile_of
-from topcli.engine.tangent import BlockCode, BlockRun, TangentCode, TangentRun, tangent_code
+from topcli.engine.drive import default_threads
+from topcli.engine.machine import lanes_of
+from topcli.engine.tangent import TangentCode, TangentRun, tangent_code
 from topcli.errors import UsageError
 
 MOST_STEPS = 64
-"""Most steps from one renormalisation of the vectors to the next."""
+"""Most steps from one orthogonalisation of the vectors to the next."""
 CALL_STEPS = 1 << 22
 """Steps of all orbits of a call of compiled code: about 0.1 s."""
 LEAST_STEPS = 1000
@@ -82,11 +83,6 @@ def shares_of_chaos(verdicts: Sequence[Verdict]) -> Array:
     """1 for each orbit that is chaotic, 0 for one that is regular or at rest, nan for others (m,)."""
     shares = {Verdict.CHAOTIC: 1.0, Verdict.REGULAR: 0.0, Verdict.EQUILIBRIUM: 0.0}
     return np.array([shares.get(verdict, math.nan) for verdict in verdicts])
-
-
-def interval(h: float) -> int:
-    """Steps from one renormalisation to the next: about four units of time."""
-    return max(1, min(MOST_STEPS, int(4.0 / abs(h))))
 
 
 def even_points(N: int) -> NDArray[np.int64]:
@@ -278,17 +274,13 @@ def _rates(top: Top, states: Array, units: Array) -> Array:
         return _mean(np.linalg.norm(slopes / units, axis=2) / np.linalg.norm(states / units, axis=2))
 
 
-def _advanced(run: TangentRun | BlockRun, steps: int, every: int, stop: Callable[[], bool]) -> bool:
-    """Take ``steps`` steps with renormalisations every ``every``; False if asked to stop."""
-    blocks = max(1, CALL_STEPS // (every * run.code.lanes))
-    whole, rest = divmod(steps, every)
-    while whole:
+def _advanced(run: TangentRun, steps: int, stop: Callable[[], bool]) -> bool:
+    """Take ``steps`` steps; False if asked to stop."""
+    most = CALL_STEPS // run.code.lanes
+    for done in range(0, steps, most):
         if stop():
             return False
-        run.advance(min(blocks, whole), every)
-        whole -= min(blocks, whole)
-    if rest:
-        run.advance(1, rest)
+        run.advance(min(most, steps - done))
     return True
 
 
@@ -298,20 +290,32 @@ SMALLEST = 1e-8
 """Size of a component relative to that of all below which it is not a unit of its own."""
 
 
-def _judged(growth: Growth, states: Array) -> Growth:
-    """The growth with the recurrence of its orbits, from even ``states`` (PARTS + 1, m, d) in units of each component.
+def _even_rows(points: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Rows of the start and of evenly spread points, the start first."""
+    return np.searchsorted(points, even_points(int(points[-1])), side="right")
 
-    All vectors may be on a single orbit (PARTS + 1, 1, d).
+
+def _growth(top: Top, h: float, points: NDArray[np.int64], logs: Array, states: Array, transient: bool) -> Growth:
+    """Growth ``logs`` (k, m) at the ``points``, from even ``states`` (PARTS + 1, orbits, d), with its recurrences.
+
+    Each vector is on an orbit of its own, or all are on a single one. The exponents leave out a ``transient``.
     """
+    m, orbits = logs.shape[1], states.shape[1]
+    units = _units(top, states[:: PARTS // STATES])
+    rate = np.repeat(_rates(top, states[:: PARTS // STATES], units), m // orbits)
+    growth = Growth(points, h, logs, rate, np.zeros(m, dtype=np.int64), [None] * m)
+    if transient:  # the same time for all of an orbit, so that the exponents add up to the mean divergence
+        growth = replace(growth, skipped=np.repeat(growth.transients[:orbits], m // orbits))
+    n = even_points(int(points[-1]))
     with np.errstate(all="ignore"):
-        looked = at_rest(states) | growth.grows[: states.shape[1]]
-        n = even_points(int(growth.n[-1]))
-        kinds = [recurrence_of(states[:, i], n) if look else None for i, look in enumerate(looked.tolist())]
-    return replace(growth, recurrences=kinds * (len(growth.rate) // len(kinds)))
+        scaled = states / units
+        looked = at_rest(scaled) | growth.grows[:orbits]
+        kinds = [recurrence_of(scaled[:, i], n) if look else None for i, look in enumerate(looked.tolist())]
+    return replace(growth, recurrences=kinds * (m // orbits))
 
 
 def _tile_growth(
-    code: TangentCode | BlockCode,
+    code: TangentCode,
     top: Top,
     h: float,
     N: int,
@@ -321,25 +325,21 @@ def _tile_growth(
     stop: Callable[[], bool],
 ) -> Growth:
     """Growth along the orbits of a tile from ``y`` (m, d)."""
-    points, every, done = checkpoints(N - (discard or 0)), interval(h), 0
+    points, done = checkpoints(N - (discard or 0)), 0
     # the same vector for all orbits, each in its own units, so that its growth does not depend on the others
     run = code.run(h, y, np.random.default_rng(seed).normal(size=y.shape[1]) * _units(top, y[None]))
-    _advanced(run, discard or 0, every, stop)
+    _advanced(run, discard or 0, stop)
     shape = (len(points) + 1, *y.shape)
     logs, vectors, states = np.full(shape[:2], np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     for k, n in enumerate([0, *points.tolist()]):
-        if not _advanced(run, n - done, every, stop):
+        if not _advanced(run, n - done, stop):
             break
-        logs[k], vectors[k], states[k], done = run.growth, run.vectors, run.states, n
-    even = states[np.searchsorted(points, even_points(int(points[-1])), side="right")]
-    units = _units(top, even[:: PARTS // STATES])
+        logs[k], vectors[k], states[k], done = run.scales * math.log(2.0), run.vectors, run.states, n
+    even = states[_even_rows(points)]
     with np.errstate(all="ignore"):
-        logs += np.log(np.linalg.norm(vectors / units, axis=2))
+        logs += np.log(np.linalg.norm(vectors / _units(top, even[:: PARTS // STATES]), axis=2))
         logs = logs[1:] - logs[0]
-    rate = _rates(top, even[:: PARTS // STATES], units)
-    growth = Growth(points, h, logs, rate, np.zeros(len(y), dtype=np.int64), [None] * len(y))
-    growth = growth if discard is not None else replace(growth, skipped=growth.transients)
-    return _judged(growth, even / units)
+    return _growth(top, h, points, logs, even, discard is None)
 
 
 def growth_of(
@@ -360,7 +360,7 @@ def growth_of(
     for a method without a tangent map, StopAsked if the work is to stop.
     """
     stop = stop_asked.get()
-    code = tangent_code(scheme, top, method, 1 if len(y0) == 1 else tile_of(len(y0)))
+    code = tangent_code(scheme, top, method, 1 if len(y0) == 1 else lanes_of(len(y0)))
     starts = range(0, len(y0), code.lanes)
 
     def tile(first: int) -> Growth:
@@ -399,7 +399,7 @@ def spectrum_of(
     vectors too differently.
     """
     d, begin = len(y0), discard or 0
-    code = tangent_code(scheme, top, method, max(d, tile_of(d)))
+    code = tangent_code(scheme, top, method, max(d, lanes_of(d)))
     points = checkpoints(N - begin)
     y, vectors = np.array(y0, dtype=float), np.linalg.qr(np.random.default_rng(seed).normal(size=(d, d)))[0]
     total, states, done, every = np.zeros(d), np.full((len(points) + 1, 1, d), np.nan), 0, 1
@@ -408,15 +408,15 @@ def spectrum_of(
         while done < n:
             steps = min(every, n - done)
             run = code.run(h, np.tile(y, (d, 1)), vectors)  # all vectors on the same orbit
-            run.advance(1, steps, renormalise=False)
+            run.advance(steps)
             with np.errstate(all="ignore"):
-                q, r = np.linalg.qr(run.vectors.T)
+                q, r = np.linalg.qr(run.images.T)
                 grown = np.log(np.abs(np.diag(r)))
             difference = float(np.ptp(grown))
             if not difference <= WIDEST and steps > 1:  # nan included
                 every = steps // 2
                 continue
-            if not np.isfinite(run.vectors).all():
+            if not np.isfinite(run.images).all():
                 return Growth(points, h, logs[1:], np.zeros(d), np.zeros(d, dtype=np.int64), [None] * d)
             if difference > WIDEST:
                 raise UsageError(
@@ -430,10 +430,4 @@ def spectrum_of(
         watch(done, N)
     logs = logs[1:]
     logs = logs[:, np.argsort(-logs[-1], kind="stable")]
-    even = states[np.searchsorted(points, even_points(N - begin), side="right")]
-    units = _units(top, even[:: PARTS // STATES])
-    rate = np.repeat(_rates(top, even[:: PARTS // STATES], units), d)
-    growth = Growth(points, h, logs, rate, np.zeros(d, dtype=np.int64), [None] * d)
-    if discard is None:  # the same time for all, so that the exponents add up to the mean divergence
-        growth = replace(growth, skipped=np.repeat(growth.transients[:1], d))
-    return _judged(growth, even / units)
+    return _growth(top, h, points, logs, states[_even_rows(points)], discard is None)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Method, Sampler, Top
-from topcli.engine.loop import Loop, interpreted, state_after
+from topcli.engine.loops import Loop, interpreted, state_after
 
 if TYPE_CHECKING:
-    from topcli.engine.precise import PreciseRun
+    from topcli.engine.numbers import PreciseRun
 
 PROBES = 16
 """States along a run from which its reversal is tried."""

@@ -1,68 +1,45 @@
-"""Results held in memory: the trajectory of a run, and the trajectories of an ensemble."""
+"""Results in memory: the trajectories of an experiment, of one or of many initial states."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import ATTITUDES, attitude_columns, column_names, columns
-from topcli.analysis.crossings import CrossingSearch
-from topcli.analysis.leaving import step_of_leaving
-from topcli.analysis.quantities import Quantity
-from topcli.analysis.tally import EnsembleSummary, InvariantRow, InvariantTally, invariant_report
-from topcli.contracts import Array, Ending, Invariant, Outcome, Top
-from topcli.engine.run import Endings, Run
-from topcli.errors import counted
+from topcli.analysis.series_report import uneven_report
+from topcli.analysis.tally import Tally, summary, tally_of, trajectory_columns
+from topcli.analysis.verdict import InvariantRow
+from topcli.contracts import Array, Ending, Outcome, Top
+from topcli.engine.columns import ATTITUDES, column_names
+from topcli.engine.endings import Endings
+from topcli.engine.rows import Rows
+from topcli.errors import UsageError, counted
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, repr=False)
 class Trajectory:
-    """Recorded states of one run, as returned by ``topcli.simulate``.
+    """Recorded states of B trajectories of one scheme, as returned by ``topcli.simulate``.
 
-    ``trajectory[name]`` is the column called ``name``, shape (m,). The name is ``n``, ``t``, a component of the state,
-    an invariant of the top, a modified integral of the scheme, a quantity of ``output.quantities``, or a component of
-    the attitude. ``len(trajectory)`` is the number of rows m.
+    ``trajectory[name]`` is the column called ``name``, shape (B, m). The name is ``n``, ``t``, a component of the
+    state, an invariant of the top, a modified integral of the scheme, a quantity of ``output.quantities``, or a
+    component of the attitude. ``trajectory[i]`` is a single trajectory, and ``len(trajectory)`` is the number of rows
+    m. Of a single trajectory, as of a config without ``ensemble``, the batch axis is left out of all shapes.
 
     Attributes
     ----------
-    top : Top
-        Top with its parameters.
     scheme : str
         Name of the scheme.
-    h : float
-        Step size, in units of time.
-    n : ndarray of int64, shape (m,)
-        Step numbers of the rows; the first row is the initial state.
-    states : ndarray, shape (m, d)
-        States in the order of ``top.components``.
-    ending : Ending
-        Outcome of the run, its last or failed step, and its event counts.
-    compile_seconds, run_seconds : float
-        Wall times in seconds for compiling or loading the machine code, and for the steps.
-    modified : tuple of Invariant
-        Modified integrals of the scheme: functions of the state and of h that the scheme conserves.
-    rows : tuple of InvariantRow or None
-        For a run that is not in double precision: report on the invariants, computed in the precision of the run. The
-        ``states`` of such a run are rounded to doubles.
-    attitude : ndarray, shape (m, 4), or None
-        Unit quaternions of the rotation from the body's frame to space, scalar part first. None unless the config has
-        ``output.attitude``.
-    attitude_form : str
-        Value of ``output.attitude`` in the config, ``quaternion`` or ``euler-angles``; empty without an attitude.
-        ``to_pandas`` returns the attitude in this form. ``trajectory[name]`` gives columns of both forms.
-    quantities : tuple of Quantity
-        Formulas given in ``output.quantities`` of the config.
-    theta : ndarray, shape (m,), or None
-        Fraction of a step from step ``n`` to the crossing, for a run that records the crossings of a Poincaré section.
-        None for other runs.
+    endings : Endings
+        Outcome, last or failed step, and event counts of each trajectory; ``ending`` is that of a single one.
+    last, last_n : ndarray, shapes (B, d) and (B,)
+        State at step N or, of a trajectory that ended early, its last recorded one, and its step.
+    seconds : mapping
+        Wall times in seconds: ``compile`` for compiling or loading the machine code, and ``run`` for the steps.
 
     Examples
     --------
@@ -74,262 +51,174 @@ class Trajectory:
     ((1001, 6), 10.0, (1001,))
     >>> print(trajectory.invariants().loc["energy", "statement"])
     undecided: covers half an oscillation of omega1; run T >= 40
+
+    Many trajectories:
+
+    >>> states = [[0.0, 0.0, 1.0, 0.6, 0.0, 0.8], [0.0, 1.0, 0.0, 0.6, 0.0, 0.8]]
+    >>> many = topcli.simulate("kowalevski_hk", states=states, h=0.01, N=100)
+    >>> many
+    <2 trajectories of kowalevski under hk: 101 rows, 2 completed>
+    >>> many.states.shape, many["energy"].shape, many[1].ending.step
+    ((2, 101, 6), (2, 101), 100)
     """
 
-    top: Top
-    scheme: str
-    h: float
-    n: NDArray[np.int64]
-    states: Array
-    ending: Ending
-    compile_seconds: float
-    run_seconds: float
-    modified: tuple[Invariant, ...] = ()
-    rows: tuple[InvariantRow, ...] | None = None
-    attitude: Array | None = None
-    attitude_form: str = ""
-    quantities: tuple[Quantity, ...] = ()
-    theta: Array | None = None
-
-    @classmethod
-    def of_run(
-        cls,
-        run: Run,
+    def __init__(
+        self,
+        rows: Rows,
         scheme: str,
-        modified: tuple[Invariant, ...] = (),
-        attitude: str = "",
-        quantities: tuple[Quantity, ...] = (),
-        search: CrossingSearch | None = None,
-    ) -> Trajectory:
-        """Carry out ``run`` and return its trajectory; ``ending`` says whether the run left its energy surface.
+        endings: Endings,
+        last: Array,
+        last_n: NDArray[np.int64],
+        seconds: Mapping[str, Any],
+        tallies: Sequence[Tally] = (),
+        parts: tuple[Trajectory, ...] = (),
+    ) -> None:
+        self.rows, self.scheme, self.endings, self.last, self.last_n = rows, scheme, endings, last, last_n
+        self.seconds, self.tallies, self._parts = seconds, tuple(tallies), parts
 
-        ``attitude`` is the value of ``output.attitude``; if it is given, each state of ``run`` is followed by the
-        quaternion of the attitude. With ``search``, only the crossings of a Poincaré section are kept.
-        """
-        fields: dict[str, Any] = {"quantities": quantities}
-        if search is None:
-            n, states, ending = run.collect()
-        else:
-            found = search.along(run)
-            n, states, fields["theta"] = found.n, found.states, found.theta
-            assert run.ending is not None
-            ending = run.ending
-        if attitude:
-            states, q = map(np.ascontiguousarray, np.split(states, [len(run.top.components)], axis=1))
-            fields |= {"attitude": q, "attitude_form": attitude}
-        ending = ending.with_left(step_of_leaving(run.top, n, states) if len(n) else None, run.h)
-        seconds = run.compile_seconds, run.run_seconds
-        return cls(run.top, scheme, run.h, n, states, ending, *seconds, modified, **fields)
+    @property
+    def parts(self) -> tuple[Trajectory, ...]:
+        """Parts of an ensemble whose tops differ, or which is large; otherwise this one alone."""
+        return self._parts or (self,)
+
+    @property
+    def top(self) -> Top:
+        """Top with its parameters; of an ensemble with several tops, the first one."""
+        return self.rows.plan.top
+
+    @property
+    def h(self) -> float:
+        """Step size, in units of time."""
+        return self.rows.plan.h
+
+    @property
+    def n(self) -> NDArray[np.int64]:
+        """Step numbers of the rows, shape (m,), or of the steps before the crossings of a section; the first is 0."""
+        return self.rows.n if self.rows.n.dtype.kind == "i" else self.rows["n"]
 
     @property
     def t(self) -> Array:
-        """Times of the recorded states or, for a Poincaré section, of its crossings, shape (m,)."""
-        return self._steps * self.h
+        """Times of the rows or, for a Poincaré section, of its crossings, shape (m,)."""
+        return self.rows.n * self.h
 
     @property
-    def _steps(self) -> NDArray[Any]:
-        """Numbers of steps, with fractions at the crossings of a section."""
-        return self.n if self.theta is None else self.n + self.theta
+    def states(self) -> Array:
+        """States in the order of ``top.components``, shape (B, m, d); nan after the end of a trajectory that failed.
+
+        Those of a run in another precision are rounded to doubles.
+        """
+        return self.rows.states.astype(np.float64, copy=False)
+
+    @property
+    def initial(self) -> Array:
+        """Initial states, shape (B, d)."""
+        each = [part.rows.plan.states[:, : len(self.top.components)] for part in self.parts]
+        return np.concatenate(each).astype(np.float64, copy=False) if self._many else each[0][0].astype(np.float64)
+
+    @property
+    def attitude(self) -> Array | None:
+        """Unit quaternions, shape (m, 4), of the rotation from the body's frame to space, scalar part first.
+
+        None unless the config has ``output.attitude``.
+        """
+        return self.rows.recorded[..., self.rows.states.shape[-1] :] if self.rows.plan.attitude else None
+
+    @property
+    def _many(self) -> bool:
+        return self.rows.states.ndim == 3
+
+    @property
+    def ending(self) -> Ending:
+        """Ending of a single trajectory."""
+        return self.endings[0]
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the run."""
+        """Outcome of a single trajectory."""
         return self.ending.outcome
 
-    def __repr__(self) -> str:
-        return (
-            f"<Trajectory of {self.top.kind} under {self.scheme}: {counted(len(self), 'row')}, {self.ending.message}>"
-        )
-
     def __len__(self) -> int:
-        return len(self.n)
+        return len(self.rows)
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return the column called ``name``, shape (m,). Raises UsageError if there is none."""
-        values: dict[str, NDArray[Any]] = {"n": self.n}
-        if self.attitude is not None:
-            for form, names in ATTITUDES.items():
-                values |= attitude_columns(form, self.attitude) if name in names else {}
-        return columns(
-            self.top, self._steps, self.h, self.states, [name], self.modified, values, quantities=self.quantities
-        )[name]
+    def __repr__(self) -> str:
+        what, ends = "Trajectory", self.ending.message
+        if self._many:
+            what = counted(len(self.endings), "trajectory")
+            ends = ", ".join(f"{count} {outcome.value}" for outcome, count in self.endings.outcomes.items())
+        return f"<{what} of {self.top.kind} under {self.scheme}: {counted(len(self), 'row')}, {ends}>"
+
+    def __getitem__(self, name: Any) -> Any:
+        """Column by name, shape (B, m), or trajectory by number. Raises UsageError or IndexError."""
+        if isinstance(name, str):
+            return self.rows[name] if len(self.parts) == 1 else np.concatenate([part.rows[name] for part in self.parts])
+        number = range(len(self.endings))[name]
+        if not len(self.rows):
+            raise UsageError("the rows were not stored; use store: trajectories")
+        starts = np.cumsum([0, *(len(part.endings) for part in self.parts)])
+        at = int(np.searchsorted(starts, number, side="right")) - 1
+        part, i = self.parts[at].rows, number - int(starts[at])
+        alone, length = slice(i, i + 1), int(part.lengths[i])
+        plan = replace(part.plan, states=part.plan.states[alone])
+        rows, endings = Rows(plan, part.n[:length], part.recorded[i, :length]), self.endings.of([number])
+        return Trajectory(rows, self.scheme, endings, self.last[number], self.last_n[number], self.seconds)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return all columns as a DataFrame: n, t, the components, the invariants, the quantities, the attitude."""
+        """Return all columns as a DataFrame: n, t, the components, the invariants, the quantities, the attitude.
+
+        That of many trajectories begins with a column ``trajectory``.
+        """
         import pandas as pd
 
-        names = [*column_names(self.top, self.quantities), *ATTITUDES.get(self.attitude_form, ())]
-        return pd.DataFrame({name: self[name] for name in names})
+        plan = self.rows.plan
+        names = column_names(plan.top, (each.name for each in plan.quantities), ATTITUDES.get(plan.attitude, ()))
+        names = ["trajectory", *names] if self._many else names
+        return pd.concat([pd.DataFrame(part.rows.columns(names)) for part in self.parts], ignore_index=True)
 
     def invariants(self) -> pd.DataFrame:
-        """Return a DataFrame with one row per invariant and modified integral: deviations, drift, verdict."""
+        """Return a DataFrame with one row per invariant and modified integral.
+
+        A row holds the deviations, drift and verdict of a single trajectory; of many, quantiles of the deviations over
+        the trajectories, and the number of those on which the invariant is constant to round-off.
+        """
         import pandas as pd
 
-        rows = self.invariant_rows() if len(self) else ()  # a section may never be crossed
-        return pd.DataFrame([row.as_dict() for row in rows], columns=None if rows else ["name"]).set_index("name")
+        if not self._many:
+            rows = [row.as_dict() for row in self.invariant_rows()]
+            return pd.DataFrame(rows, columns=None if rows else ["name"]).set_index("name")
+        tallies = self.tallies
+        within = np.sum([tally.within_round_off.sum(axis=1) for tally in tallies], axis=0)
+        judged = sum(int((tally.steps > 0).sum()) for tally in tallies)
+        flat = []
+        for row in summary(self.rows.plan, _joined([tally.columns() for tally in tallies]), within, judged):
+            measures = {key: value for key, value in row.items() if isinstance(value, dict)}
+            cells = {f"{measure}, {name}": x for measure, levels in measures.items() for name, x in levels.items()}
+            flat.append({key: value for key, value in row.items() if key not in measures} | cells)
+        return pd.DataFrame(flat).set_index("name")
 
     def invariant_rows(self) -> Sequence[InvariantRow]:
-        """Return the report on the invariants and modified integrals, with one ``InvariantRow`` for each."""
-        if self.rows is not None:
-            return self.rows
-        return invariant_report((*self.top.invariants(), *self.modified), self.n, self.h, self.states, self.top)
-
-
-@dataclass(frozen=True, repr=False)
-class Ensemble:
-    """Trajectories of one scheme from many initial states, as returned by ``topcli.simulate_ensemble``.
-
-    ``ensemble[name]`` is the column called ``name``, shape (trajectories, m). The name is a component of the state, an
-    invariant of the top, or a modified integral of the scheme. ``len(ensemble)`` is the number of trajectories.
-
-    Attributes
-    ----------
-    tops : tuple of Top
-        Top of each trajectory, with its parameters.
-    scheme : str
-        Name of the scheme.
-    h : float
-        Step size, in units of time.
-    n : ndarray of int64, shape (m,)
-        Step numbers of the m rows (recorded states); m is 0 if the rows were not stored.
-    states : ndarray, shape (trajectories, m, d)
-        States in the order of ``top.components``. They are nan after the end of a trajectory that ended early.
-    initial : ndarray, shape (trajectories, d)
-        Initial states.
-    last : ndarray, shape (trajectories, d)
-        State of each trajectory at step N or, if the trajectory ended early, its last recorded state.
-    last_n : ndarray of int64, shape (trajectories,)
-        Step numbers of ``last``.
-    endings : Endings
-        Ending of each trajectory.
-    tallies : tuple of InvariantTally
-        Deviations of the invariants, with one object for each group of trajectories that have the same top.
-    table : dict of str to ndarray
-        Columns of the DataFrame that ``trajectories()`` returns.
-    modified : tuple of tuple of Invariant
-        Modified integrals (functions of the state and of h that the scheme conserves) for each trajectory.
-    compile_seconds, run_seconds : float
-        Wall times in seconds for compiling or loading the machine code, and for the steps.
-    quantities : tuple of Quantity
-        Formulas given in ``output.quantities`` of the config.
-
-    Examples
-    --------
-    >>> import topcli
-    >>> states = [[0.0, 0.0, 1.0, 0.6, 0.0, 0.8], [0.0, 1.0, 0.0, 0.6, 0.0, 0.8]]
-    >>> ensemble = topcli.simulate_ensemble("kowalevski_hk", states=states, h=0.01, N=100)
-    >>> ensemble
-    <Ensemble of 2 under hk: 101 rows each, 2 completed>
-    >>> ensemble.states.shape, ensemble["energy"].shape
-    ((2, 101, 6), (2, 101))
-    >>> ensemble.trajectory(1).ending.step
-    100
-    """
-
-    tops: tuple[Top, ...]
-    scheme: str
-    h: float
-    n: NDArray[np.int64]
-    states: Array
-    initial: Array
-    last: Array
-    last_n: NDArray[np.int64]
-    endings: Endings
-    tallies: tuple[InvariantTally, ...]
-    table: dict[str, NDArray[Any]]
-    modified: tuple[tuple[Invariant, ...], ...]
-    compile_seconds: float
-    run_seconds: float
-    quantities: tuple[Quantity, ...] = ()
-
-    @property
-    def t(self) -> Array:
-        """Times ``n * h`` of the recorded states, shape (m,)."""
-        return self.n * self.h
-
-    @property
-    def outcomes(self) -> dict[Outcome, int]:
-        """Number of trajectories with each outcome that occurs."""
-        return self.endings.outcomes
-
-    def __len__(self) -> int:
-        return len(self.endings)
-
-    def __repr__(self) -> str:
-        counts = ", ".join(f"{count} {outcome.value}" for outcome, count in self.outcomes.items())
-        return f"<Ensemble of {len(self)} under {self.scheme}: {counted(len(self.n), 'row')} each, {counts}>"
-
-    def _kept(self, index: int) -> int:
-        """Number of rows of trajectory ``index``."""
-        return int(np.count_nonzero(self.n <= self.last_n[index]))
-
-    def trajectory(self, index: int) -> Trajectory:
-        """Return one trajectory.
-
-        Raises IndexError if no trajectory has the number ``index``, and ValueError if the rows were not stored.
-        """
-        if not len(self.n):
-            raise ValueError("the rows were not stored; run with store='trajectories'")
-        index = range(len(self))[index]
-        kept = self._kept(index)
-        return Trajectory(
-            top=self.tops[index],
-            scheme=self.scheme,
-            h=self.h,
-            n=self.n[:kept],
-            states=self.states[index, :kept],
-            ending=self.endings[index],
-            compile_seconds=self.compile_seconds,
-            run_seconds=self.run_seconds / len(self),
-            modified=self.modified[index],
-            quantities=self.quantities,
-        )
-
-    def __getitem__(self, name: str) -> Array:
-        """Return the column called ``name``, shape (trajectories, m). Raises UsageError if there is none."""
-        made = np.empty(self.states.shape[:2])
-        for i, (top, modified) in enumerate(zip(self.tops, self.modified, strict=True)):
-            made[i] = columns(top, self.n, self.h, self.states[i], [name], modified, quantities=self.quantities)[name]
-        return made
+        """Return the report on a single trajectory, with one ``InvariantRow`` for each invariant of top and scheme."""
+        rows, plan = self.rows, self.rows.plan
+        if rows.n.dtype.kind == "f" and len(rows) > 1:  # crossings of a section
+            return uneven_report(plan.top, plan.invariants, self.t, self.states, int(self.last_n))[0]
+        return tally_of(Rows(plan, rows.n, rows.recorded[None])).report() if len(rows) else []
 
     def trajectories(self) -> pd.DataFrame:
-        """Return a DataFrame with one row per trajectory.
+        """Return a DataFrame with one row for each of many trajectories.
 
-        A row contains the parameters of the top that vary in the ensemble, the initial state, the outcome, and the
-        deviations and drifts of the invariants.
+        A row contains the parameters of the top that vary, the initial state, the outcome, the deviations and drifts of
+        the invariants, and figures of the quantities.
         """
         import pandas as pd
 
-        return pd.DataFrame(self.table).set_index("trajectory")
-
-    def invariants(self) -> pd.DataFrame:
-        """Return a DataFrame with one row per invariant.
-
-        A row contains quantiles of the deviations over the trajectories, and the number of trajectories on which the
-        invariant is constant to round-off.
-        """
-        import pandas as pd
-
-        summary = EnsembleSummary(io.BytesIO())
-        for tally in self.tallies:
-            summary.add(tally)
-        rows = []
-        for row in summary.rows():
-            measures = {key: value for key, value in row.items() if isinstance(value, dict)}
-            flat = {key: value for key, value in row.items() if key not in measures}
-            rows.append(
-                flat | {f"{measure}, {name}": x for measure, levels in measures.items() for name, x in levels.items()}
-            )
-        return pd.DataFrame(rows).set_index("name")
-
-    def to_pandas(self) -> pd.DataFrame:
-        """Return all recorded rows as a DataFrame: trajectory, n, t, the components, the invariants, the quantities."""
-        import pandas as pd
-
-        frames: Sequence[pd.DataFrame] = [
-            pd.DataFrame(
-                {"trajectory": i, **{name: trajectory[name] for name in column_names(trajectory.top, self.quantities)}}
-            )
-            for i, trajectory in enumerate(map(self.trajectory, range(len(self))))
+        tops = [part.top for part in self.parts]
+        varied = [name for name in type(tops[0]).model_fields if len({getattr(top, name) for top in tops}) > 1]
+        tables = [
+            trajectory_columns(tally, part.endings, varied)
+            for part, tally in zip(self.parts, self.tallies, strict=True)
         ]
-        return pd.concat(frames, ignore_index=True)
+        return pd.DataFrame(_joined(tables)).set_index("trajectory")
+
+
+def _joined(tables: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Columns of several tables below each other."""
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}

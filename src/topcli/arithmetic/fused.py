@@ -12,7 +12,7 @@ underflow. Each operation must be rounded separately: no reassociation, and no c
 
 **Constants that follow the precision.** A module declares beside its constants which of them follow the rounding error,
 and which are maximum numbers of iterations. In double precision the declaration has no effect; a copy of a function for
-another arithmetic (``engine.precise``) uses the constants scaled to it.
+another arithmetic (``engine.numbers``) uses the constants scaled to it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Unit quaternions (w, x, y, z), scalar part first; composed rotations keep unit length.
 
 A quaternion q rotates the vector v to q v q*. Rotations near the identity are given as *turns*: the quaternion minus
-one, (w - 1, x, y, z), whose small parts keep all their digits. ``turned`` adds the change to q with a compensated sum,
-so that neither the length of q nor its direction drifts, however many turns follow each other.
+one, (w - 1, x, y, z), whose small parts keep all their digits. ``turned`` adds the change to q and restores its length,
+which therefore stays one to round-off, however many turns follow each other.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from topcli.arithmetic.fused import two_sum
 
 Array = NDArray[np.floating[Any]]
 Quaternion = tuple[float, float, float, float]
@@ -54,12 +52,6 @@ def unit_turn(a: float, b: float, c: float) -> Quaternion:
     return (-s / (length * (1.0 + length)), a / length, b / length, c / length)
 
 
-def turn_of(q: Quaternion) -> Quaternion:
-    """Turn of a unit quaternion, w - 1 without cancellation."""
-    w, x, y, z = q
-    return (-(x * x + y * y + z * z) / (1.0 + w) if w > 0.5 else w - 1.0, x, y, z)
-
-
 def turn_upright(u: Vector) -> Quaternion:
     """Shortest turn that carries the unit vector ``u`` to (0, 0, 1); half a turn if ``u`` is (0, 0, -1)."""
     if u[2] <= -1.0 + 1e-15:
@@ -76,15 +68,11 @@ def upright(v: Vector) -> Quaternion:
     return (1.0 + t[0], t[1], t[2], t[3])
 
 
-def sum_turned(q: Quaternion, low: Quaternion, change: Quaternion) -> tuple[Quaternion, Quaternion]:
-    """Sum q + low + ``change``, scaled to unit length, and its rounding errors."""
-    w, ew = two_sum(q[0], low[0] + change[0])
-    x, ex = two_sum(q[1], low[1] + change[1])
-    y, ey = two_sum(q[2], low[2] + change[2])
-    z, ez = two_sum(q[3], low[3] + change[3])
-    # what is missing to unit length is added with the rounding errors
+def turned(q: Quaternion, change: Quaternion) -> Quaternion:
+    """Sum q + ``change``, scaled to unit length."""
+    w, x, y, z = q[0] + change[0], q[1] + change[1], q[2] + change[2], q[3] + change[3]
     excess = 0.5 * (1.0 - (w * w + x * x + y * y + z * z))
-    return (w, x, y, z), (ew + excess * w, ex + excess * x, ey + excess * y, ez + excess * z)
+    return (w + excess * w, x + excess * x, y + excess * y, z + excess * z)
 
 
 def canonical(q: Quaternion) -> Quaternion:

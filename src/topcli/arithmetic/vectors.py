@@ -156,7 +156,7 @@ def solve3(m: Matrix, r1: float, r2: float, r3: float) -> Vector:
 Complex = tuple[float, float]
 NEVER_ZERO = 1e-290
 """Avoids 0/0 in the square root of 0; far below the last bit of any other denominator that occurs there."""
-follow_precision(__name__, NEVER_ZERO=20)
+follow_precision(__name__, NEVER_ZERO=20, SMALL_ANGLE_SQ=20)
 
 
 def rotation_increment(chi: float, x: float, y: float) -> Complex:

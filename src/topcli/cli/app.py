@@ -242,7 +242,7 @@ def _say_usage(error: Any) -> None:
 
 def _print_version(asked: bool) -> None:
     if asked:
-        from topcli.engine.code_cache import cache_folder, cache_problem
+        from topcli.engine.code_store import cache_folder, cache_problem
         from topcli.store.provenance import installed
 
         packages = ", ".join(f"{package} {installed(package)}" for package in ("numba", "numpy"))

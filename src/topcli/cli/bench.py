@@ -138,7 +138,7 @@ def bench(
     """Measure speed against error and name the fastest schemes.
 
     Each scheme runs with a series of step sizes. Each peer (an integrator of another package) runs with a series of
-    step sizes or tolerances. An earlier, different result of the same name is renamed.
+    step sizes or tolerances. An earlier result of the same name is renamed.
     """
     from topcli.store.files import require_writable
     from topcli.store.provenance import now
@@ -150,7 +150,7 @@ def bench(
     peers = _peers(against)
     problems = bench_problems(scenes or (), configs or (), sets or (), samples)
     fields = _contest(problems, schemes or ())
-    require_bench_folder(out, [problem.name for problem in problems])
+    require_bench_folder(out)
     require_writable(out)
     display = ProgressDisplay(len(problems), as_json or quiet, unit="measurements")
     say = messages(quiet)
@@ -169,9 +169,9 @@ def bench(
             result = measure(problem, field, peers, effort, processes=processes, on_progress=display, on_message=say)
         finally:
             display.close()
-        stored, aside = store_bench(result, code_of(field, problem), started, now(), out)
+        stored, aside = store_bench(result, code_of(field, problem), started, out)
         if aside is not None:
-            say(f"{problem.name}: renamed the earlier, different result to {aside}")
+            say(f"{problem.name}: renamed the earlier result to {aside}")
         results.append({**result, "folder": str(stored.folder)})
         if not (as_json or quiet):
             _print_result(result, all_points)

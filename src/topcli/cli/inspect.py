@@ -17,8 +17,8 @@ from topcli.cli.options import (
     Sets,
     complete_config,
     complete_scheme,
+    config_option,
     hint_instead,
-    option,
     require_new,
     show_hint,
     stored_place,
@@ -121,33 +121,24 @@ def init(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Path of the config, .yaml or .toml.")] = Path(
         "experiment.yaml"
     ),
-    top: Annotated[str, top_option()] = "kowalevski",
-    scheme: Annotated[
-        str | None,
-        option(
-            "--scheme",
-            metavar="SCHEME",
-            default="hybrid, hk or another scheme that fits the top",
-            autocompletion=complete_scheme,
-        ),
-    ] = None,
+    config: Annotated[str, config_option()] = "kowalevski_hk",
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a config with comments to start from.
+    """Copy a packaged scene as a config to start from.
 
     The JSON Schema of configs is written to the same folder, where text editors find it.
     """
     import json
 
-    from topcli.config.files import SUFFIXES
+    from topcli.config.files import find_config
     from topcli.config.schema import config_schema, starter_config
     from topcli.errors import UsageError
 
-    schema_path = path.with_name("topcli.schema.json")
-    if path.suffix not in SUFFIXES:
-        raise UsageError(f"{path}: unknown type of config; use a name ending in .yaml or .toml")
-    text = starter_config(top, scheme, schema_path.name, toml=path.suffix == ".toml")
+    schema_path, copied = path.with_name("topcli.schema.json"), find_config(config)
+    if path.suffix != copied.suffix:
+        raise UsageError(f"{path}: {config} is in another format; use a name that ends in {copied.suffix}")
+    text = starter_config(copied, schema_path.name)
     schema_text = json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n"
     for file, same in ((path, ""), (schema_path, schema_text)):
         if not _holds(file, same):

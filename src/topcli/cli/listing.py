@@ -253,18 +253,18 @@ def runs(
     """List runs and sweeps in a folder, including unfinished ones.
 
     The outcome of a run is "running" while another process computes it, and "killed" if that process ended before the
-    run did. To continue an unfinished run, use topcli run NAME --resume. To continue a sweep, use topcli sweep with the
-    same file. For a sweep, the columns step and N count rows.
+    run did. To continue an unfinished run or sweep, use topcli run or topcli sweep with the same config. For a sweep,
+    the columns step and N count rows.
     """
     from topcli.errors import UsageError
-    from topcli.runs.run_list import listed_runs
+    from topcli.runs.run import listed_runs
     from topcli.sweeps.sweep_list import listed_sweeps
 
     if results is not None and not os.path.isdir(results):
         raise UsageError(f"--results {results}: no such folder")
     folder = results or Path("results")
     items = sorted([*listed_runs(folder), *listed_sweeps(folder)], key=lambda item: item["name"])
-    progress = ["step", "resumable"] if any(item["resumable"] or not item["ended"] for item in items) else []
+    progress = ["step"] if any(not item["ended"] or item["outcome"] == "interrupted" for item in items) else []
     kind = ["kind"] if any(item["kind"] != "run" for item in items) else []
     columns = ["name", *kind, "outcome", *progress, "N", "scheme", "h", "ended"]
     return Listing(items if as_json else list(map(_short, items)), columns, f"no runs in {folder}")

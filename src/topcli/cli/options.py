@@ -65,7 +65,7 @@ HELP = {
     "--plot": "Also draw the result.",
     "--quiet": "Print only errors.",
     "--results": "Look for stored results in this folder.",
-    "--retry-failed": "Repeat runs, or rows of a sweep, that failed before.",
+    "--retry-failed": "Repeat rows of a sweep that failed before.",
     "--save": "Also write the result to a .json, .csv, .md or .tex file.",
     "--scheme": "Choose a scheme.",
     "--set": "Set a config key, e.g. h=0.01, T=20 or scheme.branch=sign.",
@@ -138,11 +138,10 @@ def place_of(name: str | Path, results: Path) -> Path:
 
 def stored_place(name: str | Path, results: Path) -> Path:
     """Return ``place_of`` a stored result, finished or not. Raises UsageError if there is nothing."""
-    from topcli.store.parts import parts_of
     from topcli.sweeps.sweep_list import missing_result
 
     place = place_of(name, results)
-    if not os.path.lexists(place) and not parts_of(place.parent, place.name):
+    if not os.path.lexists(place):
         raise missing_result(str(name), results)
     return place
 
@@ -182,12 +181,12 @@ def hint_instead(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[N
 
 def stored_folder(name: str, results: Path) -> Path | None:
     """Folder of a run or sweep that ``name`` is the path of, or its name in ``results``; None if there is none."""
-    from topcli.store.manifest import read_run
+    from topcli.store.results import read_result
     from topcli.sweeps.run import is_sweep
 
     folders = (Path(name), results / name) if name else ()
     return next(
-        (folder for folder in folders if os.path.isdir(folder) and (read_run(folder) or is_sweep(folder))), None
+        (folder for folder in folders if os.path.isdir(folder) and (is_sweep(folder) or read_result(folder))), None
     )
 
 

@@ -126,7 +126,7 @@ def _slow_precision(config: dict[str, Any]) -> str:
     least, most = (spell_seconds(config["N"] * seconds) for seconds in STEP_SECONDS)
     return (
         f"{config['N']} steps in precision {config['precision']} take {least} to {most}, at 0.01 to 10 ms a step; "
-        "--resume continues an interrupted run"
+        "an interrupted one begins anew"
     )
 
 

@@ -69,18 +69,16 @@ def verify(
     """
     from topcli.studies.health import check_all
 
-    checked = [result for run in runs for result in check_all(run, results)]
+    checked = [check_all(run, results) for run in runs]
     if as_json:
         print_json("verify", {"runs": [result.data() for result in checked]})
     for result in checked:
-        for file in result.files:
-            if file.damaged:
-                print_message(f"error: {result.folder / file.name}: damaged: {file.reason}")
-        if not (as_json or quiet or result.damaged):
+        for name, fault in result.damage.items():
+            print_message(f"error: {result.folder / name}: damaged: {fault}")
+        if not (as_json or quiet or result.damage):
             kind = "finished" if result.finished else "unfinished"
-            notes = "".join(f"; {file.name}: {file.reason}" for file in result.files if file.reason)
-            emit(f"{result.folder}: {kind}, {counted(len(result.files), 'file')} intact{notes}")
-    if any(result.damaged for result in checked):
+            emit(f"{result.folder}: {kind}, {counted(len(result.files), 'file')} intact")
+    if any(result.damage for result in checked):
         raise typer.Exit(ExitCode.FAILED)
 
 

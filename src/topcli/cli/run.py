@@ -16,7 +16,6 @@ from topcli.cli.options import (
     Json,
     Out,
     Quiet,
-    RetryFailed,
     Sets,
     Threads,
     Verbose,
@@ -40,8 +39,7 @@ if TYPE_CHECKING:
 
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
-    from topcli.runs.decision import RunOptions
-    from topcli.runs.run import RunResult
+    from topcli.runs.run import RunOptions, RunResult
 
 
 class Interruption:
@@ -105,10 +103,10 @@ def _print_result(result: RunResult, own: Collection[str], request: _Request) ->
         warning = warning_of(report)
         notes = [precision_note(report)]
     if result.set_aside:
-        print_message(result.set_aside_message)
+        print_message(f"renamed the earlier result to {result.set_aside}")
     status = result.status
     if status == "up to date" and result.outcome.value != "completed":
-        status = f"not run again, because it ended as {result.outcome.value} before; --retry-failed runs it again"
+        status = f"not run again, because it ended as {result.outcome.value} before; --force runs it again"
     print_message(f"{report['name']}: {report['message']} -> {result.stored.folder} ({status})")
     for note in filter(None, notes):
         print_message(f"{report['name']}: {note}")
@@ -140,14 +138,14 @@ def _print_all(report: dict[str, Any], title: str) -> None:
 
 def _plan_data(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> dict[str, Any]:
     """Plan of a run: its config and digest, folder, action and number of rows."""
-    from topcli.runs.run import decision_on
+    from topcli.runs.run import outlook
 
-    identity, decision = decision_on(experiment, out, options)
+    identity, action = outlook(experiment, out, options.force)
     return {
         "config": identity.config,
         "digest": identity.digest,
-        "folder": str(out / identity.name),
-        "action": decision.action,
+        "folder": str(out / experiment.name),
+        "action": action,
         "rows": experiment.rows,
     }
 
@@ -172,34 +170,21 @@ def _say_failure(name: str, result: RunResult, code: ExitCode) -> None:
     """Print how a run failed and what is kept of it."""
     failure = "some trajectories failed" if code is ExitCode.PARTLY_FAILED else result.outcome.value
     kept = "all rows" if result.outcome.value == "left_motion" else "the rows before"
-    resumable = code is ExitCode.INTERRUPTED and not {"kind", "precision"} & result.report.keys()
-    more = "; --resume continues it" if resumable else ""
+    more = "; run it again to continue" if code is ExitCode.INTERRUPTED and "precision" not in result.report else ""
     print_message(f"error: {name}: {failure}; {kept} are kept{more}")
 
 
-def _experiment(config: str, request: _Request, resume: bool) -> Experiment | EnsembleExperiment:
-    """Experiment of a config or scene; to resume, also that of a run in the folder of results, by its name or path."""
-    from topcli.config.files import SUFFIXES, is_config
+def _experiment(config: str, request: _Request) -> Experiment | EnsembleExperiment:
+    """Experiment of a config or scene. Raises UsageError for the name or the folder of a stored run."""
+    from topcli.config.files import is_config
     from topcli.config.load import load
 
     if not is_config(config):
-        from topcli.runs.decision import config_to_resume
-        from topcli.sweeps.sweep_list import missing_result
+        from topcli.store.results import MANIFEST
 
-        inside = os.path.dirname(os.path.abspath(config)) == os.path.abspath(request.out)
-        name = os.path.basename(os.path.abspath(config)) if inside else config
-        data = config_to_resume(request.out, name)
-        if data and resume:
-            return load({**data, "name": name}, request.overrides)
-        if data:
-            stored = request.out / name / "config.yaml"
-            where = f"; its config is {stored}" if stored.is_file() else ""  # a killed run has none yet
-            raise UsageError(
-                f"{quoted(config)} is a stored run, not a config{where}",
-                f"to continue an unfinished run: topcli run {name} --resume",
-            )
-        if resume and not (config.endswith(SUFFIXES) or os.path.exists(config) or os.path.dirname(config)):
-            raise missing_result(config, request.out)
+        for folder in (Path(config), request.out / config):
+            if os.path.exists(folder / MANIFEST):
+                raise UsageError(f"{quoted(config)} is a stored run; its config is {folder / 'config.yaml'}")
     return load(config, request.overrides, rename=True)
 
 
@@ -210,7 +195,7 @@ def _run_config(
     from topcli.runs.run import run_experiment
 
     try:
-        experiment = _experiment(config, request, options.resume)
+        experiment = _experiment(config, request)
         if not request.quiet:
             print_warnings(experiment)
         if request.dry_run:
@@ -244,12 +229,9 @@ Configs = Annotated[
     list[str],
     typer.Argument(
         metavar="CONFIG",
-        help="Config files or names of packaged scenes; with --resume, also stored runs.",
+        help="Config files or names of packaged scenes.",
         autocompletion=complete_config,
     ),
-]
-Resume = Annotated[
-    bool, typer.Option("--resume", help="Continue an interrupted or killed run from its last checkpoint.")
 ]
 CheckpointEvery = Annotated[
     float,
@@ -266,8 +248,6 @@ def run(
     sets: Sets = None,
     out: Out = Path("results"),
     force: Force = False,
-    resume: Resume = False,
-    retry_failed: RetryFailed = False,
     checkpoint_every: CheckpointEvery = 10.0,
     dry_run: DryRun = False,
     as_json: Json = False,
@@ -282,15 +262,13 @@ def run(
     name, unless --set name=NAME gives another one.
 
     A long run writes checkpoints. Ctrl-C or SIGTERM stops the run with exit code 130 and keeps the rows recorded so
-    far. To continue an interrupted or killed run, give --resume and its config or folder; the result is the same as
-    without the interruption. --force repeats a run that exists already. If the earlier run of the same name is of a
-    different experiment, it is renamed and kept.
+    far. To continue an interrupted or killed run, run it again; the result is the same as without the interruption.
+    --force repeats a run that exists already; the earlier result is renamed, not overwritten. A result of the same name
+    that is of a different experiment is refused without --force.
     """
-    if resume and force:
-        raise UsageError("--resume continues a run and --force repeats it; use one of them")
     if not checkpoint_every >= 0.0:
         raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds, at least 0")
-    from topcli.runs.decision import RunOptions
+    from topcli.runs.run import RunOptions
 
     request = _Request(out, tuple(sets or ()), dry_run, quiet, as_json, verbose, len(configs) > 1)
     reports: list[dict[str, Any]] = []
@@ -298,7 +276,7 @@ def run(
     display = ProgressDisplay(len(configs), quiet)
     on_message = messages(quiet)
     with Interruption() as interruption:
-        options = RunOptions(force, resume, retry_failed, checkpoint_every, threads, interruption, display, on_message)
+        options = RunOptions(force, checkpoint_every, threads, interruption, display, on_message)
         for config in configs:
             code, report = _run_config(config, request, options, display)
             codes.append(code)

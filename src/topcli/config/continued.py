@@ -8,7 +8,7 @@ from typing import Any
 
 from topcli.contracts import Outcome, Top
 from topcli.errors import UsageError, quoted
-from topcli.store.manifest import StoredRun, stored_run
+from topcli.store.results import StoredResult, read_result
 from topcli.store.series import read_series, series_names
 
 BESIDE = ("from", "normalize")
@@ -37,12 +37,12 @@ def last_state(initial: Mapping[str, Any], top_of: Callable[[Any], Top | None]) 
     return {key: value for key, value in initial.items() if key != "from"} | state
 
 
-def _run(name: object) -> StoredRun:
+def _run(name: object) -> StoredResult:
     """Stored run of this name or folder. Raises UsageError for none, and for one without its last state."""
     if not isinstance(name, str) or not name:
         raise UsageError("from must be the name or the folder of a stored run")
-    run = stored_run(Path(name)) or stored_run(RESULTS / name)
-    if run is None:
+    run = read_result(Path(name)) or read_result(RESULTS / name)
+    if run is None or run.outcome is None:
         raise UsageError(f"from: no finished run {quoted(name)}; give its name in {RESULTS}, or its folder")
     config, fault = run.manifest["config"], ""
     if "ensemble" in config or "section" in config:
@@ -53,7 +53,7 @@ def _run(name: object) -> StoredRun:
         fault = f"failed: it {run.manifest['message']}"
     elif run.manifest["step"] % config["output"]["every"]:
         fault = f"did not record its last state; output.every must divide its {run.manifest['step']} steps"
-    elif faults := run.damage(quick=True):
+    elif faults := run.damage():
         fault = f"is damaged: {', '.join(faults)}"
     if fault:
         raise UsageError(f"from: the run {run.folder} {fault}")

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, Field, create_model
 
-from topcli.analysis.leaving import energy_of
 from topcli.config.document import STRICT, as_integer, describe
 from topcli.config.ranges import Interval
 from topcli.contracts import Array, Top
+from topcli.engine.watch import energy_of
 from topcli.errors import quoted
 from topcli.tops import TOPS
 
@@ -123,9 +123,8 @@ def _draw_type(cls: type[Top], name: str) -> Any:
         del kinds["energy"]
     if _is_number(cls, name):
         kinds = {"near": kinds["near"]}
-    config = STRICT | {"json_schema_extra": {"minProperties": 1, "maxProperties": 1}}
     fields: dict[str, Any] = {kind: (float, field) for kind, field in kinds.items()}
-    model: Any = create_model("Draw", __config__=config, **fields)
+    model: Any = create_model("Draw", __config__=STRICT, **fields)
 
     def read(raw: object) -> object:
         if raw == "sphere" and unit:
@@ -140,19 +139,17 @@ def _draw_type(cls: type[Top], name: str) -> Any:
             raise ValueError(f"cannot have an energy: {fault}")
         return raw
 
-    return Annotated[model, BeforeValidator(read, json_schema_input_type=model | Literal["sphere"] if unit else model)]
+    return Annotated[model, BeforeValidator(read)]
 
 
 @cache
 def random_model(cls: type[Top], parameters: bool = False) -> type[Random]:
     """Model of the section ``random`` for tops of class ``cls``; that of a sweep also draws ``parameters``."""
-    drawn: dict[str, Any] = {name: _draw_type(cls, name) for name in drawable(cls)}
-    fields: dict[str, Any] = {name: (kind, Field(default=None)) for name, kind in drawn.items()}
+    fields: dict[str, Any] = {name: (_draw_type(cls, name), Field(default=None)) for name in drawable(cls)}
     if parameters:
         fields |= {f"top.{name}": (Interval, Field(default=None)) for name in cls.model_fields}
         fields["count"] = (Size, Field(default=1))
-    some: dict[str, Any] = {"json_schema_extra": {"anyOf": [{"required": [name]} for name in drawn]}}
-    return create_model("Random", __base__=Random, __cls_kwargs__=some, **fields)
+    return create_model("Random", __base__=Random, **fields)
 
 
 def directions(u: Array) -> Array:

@@ -10,13 +10,13 @@ from functools import cache, cached_property
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
-from pydantic import BaseModel, Field, WithJsonSchema, create_model
+from pydantic import BaseModel, Field, create_model
 
-from topcli.config.document import STRICT, Document, Problems, number_of, validate
+from topcli.config.document import STRICT, Document, number_of
 from topcli.config.draws import ABSOLUTE, MAX_TRAJECTORIES, Drawn, Random, draw_examples, drawable, random_model
 from topcli.config.models import Experiment, digest_of, unit_warnings
 from topcli.config.ranges import Numbers, Range
-from topcli.config.sections import initial_model, read_initial, top_with, vectors_of
+from topcli.config.sections import read_initial, top_with, vectors_of
 from topcli.config.text import to_yaml
 from topcli.contracts import Array, Top
 
@@ -51,15 +51,10 @@ class Section(BaseModel):
 @cache
 def section_model(cls: type[Top]) -> type[Section]:
     """Model of the section ``ensemble`` for tops of class ``cls``."""
-    initial = {"type": "object", "additionalProperties": False}
-    state = Annotated[
-        dict[str, Any],
-        WithJsonSchema(initial | {"properties": initial_model(cls).model_json_schema()["properties"]}),
-    ]
     keys = (*(f"top.{name}" for name in cls.model_fields), *cls.components)  # the last one varies fastest
     axes: dict[str, Any] = {key: (Numbers, Field(default=None)) for key in keys}
     grid: Any = create_model("Grid", __config__=STRICT, **axes)
-    kinds = {"states": Annotated[list[state], Field(min_length=1)], "grid": grid, "random": random_model(cls)}
+    kinds = {"states": Annotated[list[dict[str, Any]], Field(min_length=1)], "grid": grid, "random": random_model(cls)}
     first, (start, stop) = next(iter(cls.vectors.items()))
     one, other = ("[1, 0, 0]", "[0, 1, 0]") if stop - start > 1 else (1, 2)
     examples = {
@@ -85,32 +80,32 @@ def vectors_named(raw: object) -> list[str]:
 
 
 def read_members(
-    raw: object, initial: object, cls: type[Top], top: Top, parameters: Mapping[str, Any], problems: Problems
+    raw: object, initial: object, cls: type[Top], top: Top, parameters: Mapping[str, Any], document: Document
 ) -> Members | None:
     """Return the initial states of an ensemble of ``top``; None if the section or ``initial`` is wrong.
 
     ``parameters`` are the parameters of the top as the config gives them, for a grid over some of them.
     """
-    before = len(problems.messages)
-    section = validate(section_model(cls), raw, ("ensemble",), problems)
+    before = len(document.faults)
+    section = document.read(section_model(cls), raw, "ensemble")
     given = [source for source in SOURCES if raw.get(source) is not None] if isinstance(raw, dict) else []
     if len(given) != 1:
         named = f"has {' and '.join(given)}" if given else "has none of them"
-        problems.add(("ensemble",), f"must have exactly one of {', '.join(SOURCES)}, and {named}; {_example(cls)}")
+        document.fault(("ensemble",), f"must have exactly one of {', '.join(SOURCES)}, and {named}; {_example(cls)}")
         return None
     if not isinstance(initial, dict):
-        validate(initial_model(cls), initial, ("initial",), problems)
+        read_initial(initial, cls, document)
         return None
     if section is None:
         return None
     readers = {"states": _listed, "grid": _gridded, "random": _drawn}
-    groups = readers[given[0]](section, initial, cls, top, parameters, problems)
+    groups = readers[given[0]](section, initial, cls, top, parameters, document)
     plain = _floats(initial)
     for key, value in plain.items():  # a trajectory may replace any of them
         for item in value if isinstance(value, list) else [value]:
             if isinstance(item, float) and not math.isfinite(item):
-                problems.add(("initial", key), f"must be finite numbers, not {item!r}")
-    if len(problems.messages) > before:
+                document.fault(("initial", key), f"must be finite numbers, not {item!r}")
+    if len(document.faults) > before:
         return None
     kept = section.model_dump(exclude_none=True, by_alias=True)[given[0]]
     return Members(
@@ -135,38 +130,38 @@ def _floats(value: Any) -> Any:
 
 
 def _listed(
-    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, _: object, problems: Problems
+    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, _: object, document: Document
 ) -> list[Group]:
     """Return the listed states as one group."""
     states = [
-        read_initial({**initial, **given}, cls, problems, ("ensemble", "states", index))
+        read_initial({**initial, **given}, cls, document, ("ensemble", "states", index))
         for index, given in enumerate(section.states)
     ]
     return [Group(top, Listed(np.array(states)))] if None not in states else []
 
 
 def _gridded(
-    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, parameters: Mapping[str, Any], problems: Problems
+    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, parameters: Mapping[str, Any], document: Document
 ) -> list[Group]:
     """Return the product of the axes: parameters vary slowest, then the components in their order, the last fastest."""
     path = ("ensemble", "grid")
     given: dict[str, Any] = {key: axis for key, axis in section.grid if axis is not None}
     if not given:
-        problems.add(path, f"has no axes; for example {type(section).model_fields['grid'].examples[0]}")
+        document.fault(path, f"has no axes; for example {type(section).model_fields['grid'].examples[0]}")
         return []
     total = math.prod(axis.count if isinstance(axis, Range) else len(axis) for axis in given.values())
     if total > MAX_TRAJECTORIES:
-        problems.add(path, f"{total} combinations; an ensemble has at most {MAX_TRAJECTORIES} trajectories")
+        document.fault(path, f"{total} combinations; an ensemble has at most {MAX_TRAJECTORIES} trajectories")
         return []
     axes = {key: _spaced(axis) if isinstance(axis, Range) else axis for key, axis in given.items()}
-    states = _combined({key: values for key, values in axes.items() if key in cls.components}, initial, cls, problems)
+    states = _combined({key: values for key, values in axes.items() if key in cls.components}, initial, cls, document)
     tops = []
     for changes in _combinations({key: values for key, values in axes.items() if key not in cls.components}):
         chosen = {key.removeprefix("top."): value for key, value in changes.items()}
-        own = Problems(Document({}))
+        own = Document({})
         tops.append(top_with(cls, {**parameters, **chosen}, own))
-        for message in own.messages:
-            problems.add(path, f"{_at(chosen)}{message}")
+        for message in own.faults:
+            document.fault(path, f"{_at(chosen)}{message}")
     return [Group(made, states) for made in tops if made and states]
 
 
@@ -185,10 +180,10 @@ def _at(chosen: Mapping[str, float]) -> str:
 
 
 def _combined(
-    axes: Mapping[str, list[float]], initial: dict[str, Any], cls: type[Top], problems: Problems
+    axes: Mapping[str, list[float]], initial: dict[str, Any], cls: type[Top], document: Document
 ) -> Combined | None:
     """Return every combination of the components' values, the vectors completed as ``initial`` asks for."""
-    before = len(problems.messages)
+    before = len(document.faults)
     vectors = vectors_of(cls)
     varied = {vector.name: {key: axes[key] for key in vector.components if key in axes} for vector in vectors}
     bases: dict[str, Any] = {
@@ -204,9 +199,9 @@ def _combined(
         and isinstance(base := bases.get(vector.name), list)
         and len(base) == len(vector.components)
     }
-    read_initial({**bases, **whole}, cls, problems)  # what no axis varies
+    read_initial({**bases, **whole}, cls, document)  # what no axis varies
     pieces = []
-    for vector in vectors if len(problems.messages) == before else ():
+    for vector in vectors if len(document.faults) == before else ():
         rows = []
         for chosen in _combinations(varied[vector.name]):
             base = bases[vector.name] if isinstance(bases[vector.name], list) else [bases[vector.name]]
@@ -214,29 +209,29 @@ def _combined(
             try:
                 rows.append(vector.read(raw if len(raw) > 1 else raw[0], bases.get("normalize", False)))
             except ValueError as fault:
-                problems.add(("ensemble", "grid"), f"{_at(chosen)}{vector.name}: {fault}")
+                document.fault(("ensemble", "grid"), f"{_at(chosen)}{vector.name}: {fault}")
                 break
         pieces.append(np.array(rows))
-    return Combined(tuple(pieces)) if len(problems.messages) == before else None
+    return Combined(tuple(pieces)) if len(document.faults) == before else None
 
 
 def _drawn(
-    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, _: object, problems: Problems
+    section: Any, initial: dict[str, Any], cls: type[Top], top: Top, _: object, document: Document
 ) -> list[Group]:
     """Return the group of the drawn states."""
     draws = section.random.draws(cls)
     if not draws:
-        problems.add(("ensemble", "random"), f"no vector is random; {_example(cls)}")
+        document.fault(("ensemble", "random"), f"no vector is random; {_example(cls)}")
         return []
     free = {draw.vector: [0.0, 0.0, 1.0] for draw in draws if draw.kind in ABSOLUTE}
-    centre = read_initial({**initial, **free}, cls, problems)
+    centre = read_initial({**initial, **free}, cls, document)
     if centre is None:
         return []
     drawn = Drawn(top, np.array(centre), draws, section.random.count, section.random.seed)
     if next(drawn.blocks(1), None) is None:
         energy = next(draw for draw in draws if draw.kind == "energy")
         fault = f"no state has the energy {energy.size!r}: the potential energy alone exceeds it"
-        problems.add(("ensemble", "random", energy.vector, "energy"), fault)
+        document.fault(("ensemble", "random", energy.vector, "energy"), fault)
         return []
     return [Group(top, drawn)]
 

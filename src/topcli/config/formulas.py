@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from itertools import chain
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from topcli.analysis.columns import ATTITUDES
 from topcli.analysis.quantities import usable_names
-from topcli.config.document import STRICT, KeyPath, Problems, WrittenFloat, describe, validate
+from topcli.config.document import STRICT, Document, describe
 from topcli.config.models import Output, PoincareSection
+from topcli.config.text import KeyPath
 from topcli.contracts import Invariant, Top
-from topcli.errors import nearest, quoted
+from topcli.engine.columns import ATTITUDES
+from topcli.errors import UsageError, nearest, quoted
 from topcli.field.expression import parse
 from topcli.field.integrals import broken_hk_integral, broken_integral, conserves_exactly
 from topcli.tops import CUSTOM, TOPS, BodyTop
 from topcli.tops.bodies import checked_rotation
-from topcli.tops.declared import BODY_SYMBOLS, EXAMPLE, VECTORS, Declared, custom_class, name_fault
+from topcli.tops.declared import BODY_SYMBOLS, VECTORS, Declared, custom_class, name_fault
 
 
 class Body(BaseModel):
@@ -93,51 +94,47 @@ class Relation(Conditional):
     on: dict[str, float] = Field(default={}, description="values of other invariants for which this one is conserved")
 
 
-CHECKED_TOPS = 64
-"""Sets of parameters of one top whose integrals are checked one by one; a sweep may have a million."""
 RANDOM_TOPS = 8
 """Random sets of parameters that stand for all others."""
-_checked: dict[str, set[Top]] = {}
 
 
-def read_custom(raw: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, Top | None]:
+def read_custom(raw: dict[str, Any], document: Document) -> tuple[type[Top] | None, Top | None]:
     """Return the class of a top that a config declares, and the top; None for each that cannot be read."""
-    before = len(problems.messages)
+    before = len(document.faults)
     given = raw.get("parameters")
-    section = validate(
-        CustomSection, raw, ("top",), problems, beside=("kind", *(given if isinstance(given, dict) else ()))
-    )
+    section = document.read(CustomSection, raw, "top", beside=("kind", *(given if isinstance(given, dict) else ())))
     if section is None:
         return None, None
-    _check_names(section, problems)
-    if len(problems.messages) > before:
+    _check_names(section, document)
+    if len(document.faults) > before:
         return None, None
-    components, parameters = components_of(section), (*section.parameters,)
-    places: list[tuple[tuple[str, ...], dict[Any, Any], Sequence[str]]] = [
-        (("field",), section.field, (*components, *parameters)),
-        (("invariants",), section.invariants, (*components, *parameters)),
-        (("hk",), section.hk, (*components, *parameters, "h")),
-    ]
-    threes = [((key,), getattr(section, key), (*components, *parameters)) for key in VECTORS]
-    threes += [(("body", key), value, parameters) for key, value in section.body or ()]
-    for path, value, names in threes:
-        if value is not None and len(value) != 3:
-            problems.add(("top", *path), f"must be a list of three formulas, not of {len(value)}")
-        elif value is not None:
-            places.append((path, dict(enumerate(value)), names))
-    declared = section.model_dump(by_alias=True, exclude_none=True)
-    for path, part, names in places:
-        place = declared[path[0]] if len(path) == 1 else declared[path[0]][path[1]]
-        for name, value in part.items():
-            place[name] = _formula(value, ("top", *path, name), names, problems, parameters)
-    if len(problems.messages) > before:
+    declared = _with_texts(section, document)
+    if len(document.faults) > before:
         return None, None
     cls = custom_class(declared)
     TOPS.declared[cls.form] = cls
-    top = validate(cls, cls.parameters_in({**declared, **raw, "parameters": section.parameters}), ("top",), problems)
+    top = document.read(cls, cls.parameters_in({**declared, **raw, "parameters": section.parameters}), "top")
     if top is not None:
-        check_numbers(top, problems)
-    return cls, top if len(problems.messages) == before else None
+        check_numbers(top, document)
+    return cls, top if len(document.faults) == before else None
+
+
+def _with_texts(section: CustomSection, document: Document) -> dict[str, Any]:
+    """The section as plain data, each formula as a text that has been parsed; mistakes are added."""
+    declared = section.model_dump(by_alias=True, exclude_none=True)
+    parameters = (*section.parameters,)
+    names = (*components_of(section), *parameters)
+    usable = dict.fromkeys(("field", "invariants", *VECTORS), names) | {"hk": (*names, "h")}
+    places = [((key,), declared, key, usable[key]) for key in usable if declared.get(key)]
+    places += [(("body", key), declared["body"], key, parameters) for key in declared.get("body", ())]
+    for path, owner, key, allowed in places:
+        part = owner[key]
+        if isinstance(part, list) and len(part) != 3:
+            document.fault(("top", *path), f"must be a list of three formulas, not of {len(part)}")
+            continue
+        for name, value in part.items() if isinstance(part, dict) else enumerate(part):
+            part[name] = _formula(value, ("top", *path, name), allowed, document, parameters)
+    return declared
 
 
 def declared_class(section: object) -> type[Top] | None:
@@ -149,106 +146,88 @@ def declared_class(section: object) -> type[Top] | None:
     return cls
 
 
-def example_class() -> type[Top]:
-    """Class of the top of a starting config."""
-    cls = declared_class(EXAMPLE)
-    assert cls is not None
-    return cls
-
-
 def components_of(section: CustomSection) -> tuple[str, ...]:
     """Names of the components of the state."""
     return BodyTop.components if section.body else tuple(section.components)
 
 
-def _check_names(section: CustomSection, problems: Problems) -> None:
+def _check_names(section: CustomSection, document: Document) -> None:
     """Add what is missing or given twice, the names that cannot be used, and vectors of unknown components."""
-    before = len(problems.messages)
+    before = len(document.faults)
     for key in ("components", "field", "vectors", *VECTORS):
-        if section.body and getattr(section, key):
-            problems.add(("top", key), "is given by body; leave it out")
-        elif not section.body and key in ("components", "field") and not getattr(section, key):
-            problems.add(("top",), f"needs {key}, or body for a rigid body with a fixed point")
+        given = bool(getattr(section, key))
+        if section.body and given:
+            document.fault(("top", key), "is given by body; leave it out")
+        if not section.body and not given and key in ("components", "field"):
+            document.fault(("top",), f"needs {key}, or body for a rigid body with a fixed point")
     components = components_of(section)
     earlier = dict.fromkeys((*components, *BODY_SYMBOLS), "quantity of the body") if section.body else {}
-    groups = (
-        ("component", "components"),
-        ("parameter", "parameters"),
-        ("invariant", "invariants"),
-        ("invariant", "hk"),
-    )
-    for what, key in groups:
-        for index, name in enumerate(getattr(section, key) or ()):
+    groups = {"components": "component", "parameters": "parameter", "invariants": "invariant", "hk": "invariant"}
+    for key, what in groups.items():
+        for index, name in enumerate(getattr(section, key)):
             if fault := name_fault(name, what, earlier):
-                problems.add(("top", key, index if what == "component" else name), fault)
+                document.fault(("top", key, index if what == "component" else name), fault)
             earlier.setdefault(name, what)
-    if len(problems.messages) > before:
+    if len(document.faults) > before:
         return
     for name in components:
         if section.field and name not in section.field:
-            problems.add(("top", "field"), f"gives no rate of change of {name!r}")
+            document.fault(("top", "field"), f"gives no rate of change of {name!r}")
     for name in section.field:
         if name not in components:
-            problems.add(("top", "field", name), f"is not a component; {nearest(name, components)}")
+            document.fault(("top", "field", name), f"is not a component; {nearest(name, components)}")
     for vector, part in section.vectors.items():
         if fault := name_fault(vector, "vector", dict.fromkeys(components, "component")):
-            problems.add(("top", "vectors", vector), fault)
+            document.fault(("top", "vectors", vector), fault)
         start = components.index(part[0]) if part and part[0] in components else 0
         if not part or tuple(part) != components[start : start + len(part)]:
-            problems.add(("top", "vectors", vector), f"must be neighbours in components, {', '.join(components)}")
+            document.fault(("top", "vectors", vector), f"must be neighbours in components, {', '.join(components)}")
     if section.vectors and sorted(chain.from_iterable(section.vectors.values())) != sorted(components):
-        problems.add(("top", "vectors"), "must contain each component once")
+        document.fault(("top", "vectors"), "must contain each component once")
 
 
 def _formula(
-    value: Any, path: KeyPath, names: Sequence[str], problems: Problems, parameters: Sequence[str] = ()
+    value: Any, path: KeyPath, names: Sequence[str], document: Document, parameters: Sequence[str] = ()
 ) -> Any:
     """A formula as text, and one with a condition as a section; mistakes are added."""
     if isinstance(value, dict) and path[1] in ("invariants", "hk"):
-        given = validate(Relation if path[1] == "invariants" else Conditional, value, path, problems)
+        given = document.read(Relation if path[1] == "invariants" else Conditional, value, *path)
         if given is None:
             return None
-        parts: dict[str, Any] = {"value": _formula(given.value, (*path, "value"), names, problems)}
+        parts: dict[str, Any] = {"value": _formula(given.value, (*path, "value"), names, document)}
         if given.condition is not None:
-            parts["if"] = _formula(given.condition, (*path, "if"), parameters, problems)
+            parts["if"] = _formula(given.condition, (*path, "if"), parameters, document)
         return parts | ({"on": given.on} if isinstance(given, Relation) and given.on else {})
-    text = formula_text(value)
-    if text is None:
-        problems.add(path, f"must be a formula such as 2*{next(iter(names), 1)}, not {describe(value)}")
-        return None
-    with problems.at(*path):
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        return document.fault(path, f"must be a formula such as 2*{next(iter(names), 1)}, not {describe(value)}")
+    text = value.strip() if isinstance(value, str) else repr(value)
+    with document.at(*path):
         parse(text, names)
     return text
 
 
-def formula_text(value: Any) -> str | None:
-    """Text of a formula, which may be a single number; None for what is neither."""
-    if isinstance(value, WrittenFloat):
-        return value.text
-    if isinstance(value, bool) or not isinstance(value, str | int | float):
-        return None
-    return value.strip() if isinstance(value, str) else repr(value)
-
-
-def check_numbers(top: Declared, problems: Problems) -> None:
+def check_numbers(top: Declared, document: Document) -> None:
     """Add an integral that the field, or the HK map, does not conserve with these parameters."""
-    checked = _checked.setdefault(top.form, set())
-    if top in checked:
-        return
-    many = len(checked) >= CHECKED_TOPS
-    known = many and _conserves_with_all_parameters(type(top))
-    if not known and (fault := broken_integral(top)):
-        name = next(name for name in top.integrals if fault.startswith(repr(name)))
-        problems.add(("top", "invariants", name), fault)
-        return
-    if not known and (fault := broken_hk_integral(top)):
-        problems.add(("top", "hk", next(name for name in top.hk if fault.startswith(repr(name)))), fault)
-        return
-    if top.vertical:
-        with problems.at("top", "vertical"):
+    frozen: Any = top  # and so hashable
+    key, name, text = _broken(frozen)
+    if text:
+        document.fault(("top", key, *([name] if name else ())), text)
+
+
+@lru_cache(maxsize=1024)
+def _broken(top: Declared) -> tuple[str, str, str]:
+    """Key and name of an integral that is not conserved, or of a vector not fixed in space, and why; or empty texts."""
+    if not _conserves_with_all_parameters(type(top)):
+        for key, fault in (("invariants", broken_integral(top)), ("hk", broken_hk_integral(top))):
+            if fault:
+                names = top.integrals if key == "invariants" else top.hk
+                return key, next(name for name in names if fault.startswith(repr(name))), fault
+    try:
+        if top.vertical:
             checked_rotation(top, "the vertical")
-    if not many:
-        checked.add(top)
+    except (ValueError, UsageError) as error:
+        return "vertical", "", str(error)
+    return "", "", ""
 
 
 @cache
@@ -263,7 +242,7 @@ def _conserves_with_all_parameters(cls: type[Declared]) -> bool:
 
 
 def read_quantities(
-    output: Output, cls: type[Top], integrals: Sequence[Invariant], problems: Problems
+    output: Output, cls: type[Top], integrals: Sequence[Invariant], document: Document
 ) -> dict[str, str] | None:
     """The formulas of ``output.quantities`` as text, checked; None if there are none."""
     if not output.quantities:
@@ -275,24 +254,24 @@ def read_quantities(
     for name, value in output.quantities.items():
         path = ("output", "quantities", name)
         if fault := name_fault(name, "quantity", earlier):
-            problems.add(path, fault)
-        elif isinstance(text := _formula(value, path, usable_names(cls), problems), str):
+            document.fault(path, fault)
+        elif isinstance(text := _formula(value, path, usable_names(cls), document), str):
             formulas[name] = text
     return formulas
 
 
-def read_section(section: PoincareSection, cls: type[Top], problems: Problems) -> PoincareSection | None:
+def read_section(section: PoincareSection, cls: type[Top], document: Document) -> PoincareSection | None:
     """The section of orbits of ``cls``, its formula as text, checked; None if it is wrong."""
     component, path = section.component, ("section",)
     if (component is None) == (section.quantity is None):
         given = "both are given" if component else "neither is given"
-        problems.add(path, f"needs component or quantity, and {given}; for example component: {cls.components[-1]}")
+        document.fault(path, f"needs component or quantity, and {given}; for example component: {cls.components[-1]}")
     elif component is not None and component not in cls.components:
-        problems.add(
+        document.fault(
             (*path, "component"), f"unknown component {quoted(component)}; {nearest(component, cls.components)}"
         )
     elif component is not None:
         return section
-    elif isinstance(text := _formula(section.quantity, (*path, "quantity"), usable_names(cls), problems), str):
+    elif isinstance(text := _formula(section.quantity, (*path, "quantity"), usable_names(cls), document), str):
         return section.model_copy(update={"quantity": text})
     return None

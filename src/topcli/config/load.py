@@ -8,22 +8,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from topcli.config.document import Document, Problems, plain, validate
-from topcli.config.files import (
-    apply_overrides,
-    drop_partner,
-    find_config,
-    first_sentence,
-    parse_override,
-    read_document,
-    scene_files,
-)
-from topcli.config.models import Config, Experiment, changed_name, name_fault
+from pydantic import BaseModel
+
+from topcli.config.document import Document, plain
+from topcli.config.files import find_config, first_sentence, read_document, scene_files
+from topcli.config.models import Config, Experiment, Output, PoincareSection, changed_name, name_fault
+from topcli.config.overrides import apply_overrides, drop_partner, parse_override
 from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_columns, read_initial, read_scheme, read_top
 from topcli.config.written import read_written, with_written_numbers
-from topcli.contracts import Top
-from topcli.engine.precise_numbers import DOUBLE, MAX_DIGITS, RATIONAL
+from topcli.contracts import Scheme, Top
+from topcli.engine.numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError, quoted
 from topcli.schemes.own_tops import forms
 from topcli.tops import CUSTOM, TOPS
@@ -81,9 +76,7 @@ def load_experiment(
     loaded = _experiment(document, name)
     if not isinstance(loaded, Experiment):
         fault = f"this is an ensemble of {loaded.count} trajectories, but a single trajectory is needed here; "
-        commands = (
-            "`topcli run` and topcli.simulate_ensemble take ensembles; `topcli sweep` compares schemes on many states"
-        )
+        commands = "`topcli run` and topcli.simulate take ensembles; `topcli sweep` compares schemes on many states"
         raise ConfigError(document.message(("ensemble",), fault + commands))
     if loaded.precision != DOUBLE and not any_precision:
         commands = "`topcli run`, `topcli compare` and topcli.simulate take another precision"
@@ -99,8 +92,7 @@ def read_config(
         path = find_config(source)
         document, name = read_document(path), path.stem
     elif isinstance(source, Mapping):
-        document, name = Document({}), None
-        document.data = plain(source, document)
+        document, name = Document(plain(source, Document({}))), None
     else:
         raise ConfigError(f"a config is a dict with the keys {', '.join(Config.model_fields)}")
     new = plain(changes or {}, Document({}))
@@ -125,62 +117,58 @@ def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]
             yield name, first, count, first_sentence(path)
 
 
+OPTIONAL = ("name", "output", "ensemble", "section", "T", "precision", "max_digits")
+"""Keys that may be empty."""
+
+
 def _experiment(document: Document, default_name: str | None) -> Experiment | EnsembleExperiment:
     """Return the experiment or ensemble of a document. Raises as ``load``."""
     if "base" in document.data:
         fault = "this is a sweep, but an experiment is needed here; `topcli sweep` takes sweeps"
         raise ConfigError(document.message(("base",), fault))
-    problems = Problems(document)
-    optional = ("name", "output", "ensemble", "section", "T", "precision", "max_digits")
-    data = {key: value for key, value in document.data.items() if key not in optional or value is not None}
+    data = {key: value for key, value in document.data.items() if key not in OPTIONAL or value is not None}
     data = with_written_numbers(data)
     if "name" not in data and default_name is not None:
         if fault := name_fault(default_name):
-            problems.add(("name",), f"missing, and the file name cannot be used instead: it {fault}")
+            document.fault(("name",), f"missing, and the file name cannot be used instead: {fault}")
         data["name"] = "unnamed" if fault else default_name
     if "ensemble" in data:
         data.setdefault("initial", {})
     if isinstance(initial := data.get("initial"), dict) and "from" in initial:
         from topcli.config.continued import last_state  # with the store, which other configs spare
 
-        with problems.at("initial"):
-            data["initial"] = last_state(initial, lambda vectors: _top({**data, "initial": vectors}, problems)[1])
-        problems.raise_any()
-    config = _config(data, problems)
-    cls, top = _top(data, problems)
+        with document.at("initial"):
+            data["initial"] = last_state(initial, lambda vectors: _top({**data, "initial": vectors}, document)[1])
+        document.check()
+
+    # the sections, each by itself
+    config = _config(data, document)
+    cls, top = _top(data, document)
     if cls and cls.form in TOPS.declared and (default_name or cls.form not in TOPS.names):  # a study derives configs
         TOPS.names[cls.form] = str(data.get("name", CUSTOM))
-    scheme = read_scheme(data["scheme"], cls, problems) if cls and "scheme" in data else None
-    state = members = columns = quantities = section = written = None
+    scheme = read_scheme(data["scheme"], cls, document) if cls and "scheme" in data else None
+    state = members = None
     if cls and top and "ensemble" in data:
         from topcli.config.ensemble import read_members
 
         parameters = cls.parameters_in(data["top"])
-        members = read_members(data["ensemble"], data["initial"], cls, top, parameters, problems)
+        members = read_members(data["ensemble"], data["initial"], cls, top, parameters, document)
         state = members.groups[0].state(0) if members else None
     elif cls and "initial" in data and "ensemble" not in data:
-        state = read_initial(data["initial"], cls, problems)
-    if config:
-        if top and scheme:
-            integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
-            columns = read_columns(config.output, top.components, integrals, problems)
-            if config.output.quantities:
-                from topcli.config.formulas import read_quantities
-
-                quantities = read_quantities(config.output, type(top), integrals, problems)
-        if cls and config.section:
-            from topcli.config.formulas import read_section
-
-            section = read_section(config.section, cls, problems)
-        _check(config, top, "ensemble" in data, problems)
-        if config.precision != DOUBLE and top and state and not problems.messages:
-            written = read_written(data, top, state, config.precision, problems)
-    problems.raise_any()
-    # a missing part has been raised as a problem
-    assert config is not None
+        state = read_initial(data["initial"], cls, document)
+    document.check()
+    assert config is not None  # what is missing has been refused
+    assert config.N is not None
     assert top is not None
-    assert state is not None
     assert scheme is not None
+    assert state is not None
+
+    # the keys that depend on each other
+    section, output = _recorded(config, top, scheme, document)
+    _check(config, config.N, top, document)
+    document.check()
+    written = read_written(data, top, state, config.precision, document) if config.precision != DOUBLE else None
+    document.check()
     experiment = Experiment(
         name=config.name or f"{top.kind}_{scheme[0].name}".replace("-", "_"),
         top=top,
@@ -189,7 +177,7 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
         options=scheme[1],
         h=config.h,
         N=config.N,
-        output=config.output.model_copy(update={"columns": columns, "quantities": quantities}),
+        output=output,
         section=section,
         precision=config.precision,
         max_digits=config.max_digits or MAX_DIGITS,
@@ -204,12 +192,28 @@ def _experiment(document: Document, default_name: str | None) -> Experiment | En
     return EnsembleExperiment(first, members, experiment.top)
 
 
+def _recorded(
+    config: Config, top: Top, scheme: tuple[Scheme, BaseModel], document: Document
+) -> tuple[PoincareSection | None, Output]:
+    """Return the section and the output with the texts of their formulas and the names of the columns."""
+    output, section = config.output, config.section
+    if output.quantities or output.columns or section:
+        from topcli.config.formulas import read_quantities, read_section
+
+        integrals = top.invariants() + (scheme[0].modified(top, config.h, scheme[1]) if scheme[0].modified else ())
+        columns = read_columns(output, top.components, integrals, document)
+        quantities = read_quantities(output, type(top), integrals, document)
+        output = output.model_copy(update={"columns": columns, "quantities": quantities})
+        section = section and read_section(section, type(top), document)
+    return section, output
+
+
 def _require_short_step(experiment: Experiment, document: Document) -> None:
     """Raise StepTooLongError if the scheme cannot take the step h from the initial state."""
     scheme, h = experiment.scheme, experiment.h
-    longest = (
-        scheme.longest_step(experiment.top, experiment.y0, experiment.options) if scheme.longest_step else math.inf
-    )
+    if not scheme.longest_step:
+        return
+    longest = scheme.longest_step(experiment.top, experiment.y0, experiment.options)
     if abs(h) <= longest:
         return
     text = f"no step is possible under {scheme.name} from this state"
@@ -220,72 +224,52 @@ def _require_short_step(experiment: Experiment, document: Document) -> None:
     raise StepTooLongError(document.message(("h",), text))
 
 
-def _config(data: dict[str, Any], problems: Problems) -> Config | None:
+def _config(data: dict[str, Any], document: Document) -> Config | None:
     """Return the keys of the top level, with N from T; None if one is wrong."""
+    config = document.read(Config, data)
     if "T" in data and "N" in data:
-        where = problems.document.place(("N",))
-        problems.add(("T",), f"N is given too{f' ({where})' if where else ''}; keep one of them")
-        data = {key: value for key, value in data.items() if key != "T"}
-    if "T" not in data and "N" not in data:
-        problems.add(("N",), f"missing; give {Config.model_fields['N'].description}")
-    config = validate(Config, data, (), problems)
-    if config is None or config.T is None:
-        return config if "N" in data else None
-    with problems.at("T"):
-        return config.model_copy(update={"N": steps_of(config.T, config.h), "T": None})
-    return None
+        where = document.place(("N",))
+        document.fault(("T",), f"N is given too{f' ({where})' if where else ''}; keep one of them")
+    elif "T" not in data and data.get("N") is None:
+        document.fault(("N",), f"missing; give {Config.model_fields['N'].description}")
+    elif config and config.T:
+        with document.at("T"):
+            return config.model_copy(update={"N": steps_of(config.T, config.h), "T": None})
+    return config
 
 
-def _check(config: Config, top: Top | None, is_ensemble: bool, problems: Problems) -> None:
-    """Add the mistakes in keys that depend on each other."""
-    h, N, output, attitude = config.h, config.N, config.output, ("output", "attitude")
-    section, kept = (
-        config.section is not None,
-        config.ensemble.get("store") if isinstance(config.ensemble, dict) else None,
-    )
-    other, names = config.precision != DOUBLE, output.attitude_columns
-    for path, wrong, text in (
-        (("output", "every"), output.every > N, f"must be at most N = {N}, not {output.every}"),
-        (("N",), duration_fault(h, N), duration_fault(h, N)),
+def _check(config: Config, N: int, top: Top, document: Document) -> None:
+    """Add the faults of keys that exclude each other or depend on N."""
+    output, section, many = config.output, config.section, config.ensemble
+    attitude, other = output.attitude, config.precision != DOUBLE
+    store = many.get("store") if isinstance(many, dict) else None
+    for key, wrong, text in (
+        ("output.every", output.every > N, f"must be at most N = {N}, not {output.every}"),
+        ("N", duration_fault(config.h, N), duration_fault(config.h, N)),
+        ("precision", other and many, "an ensemble runs in doubles only; run single trajectories in another precision"),
+        ("max_digits", config.max_digits and config.precision != RATIONAL, "needs precision: rational"),
+        ("output.attitude", attitude and many, "an ensemble records no attitude; run single trajectories with it"),
+        ("output.attitude", attitude and other, "the attitude is computed in doubles only; leave out precision or it"),
+        ("section", section and attitude, "a section records no attitude; leave out output.attitude"),
+        ("section", section and other, "crossings are located in doubles only; leave out precision"),
+        ("output.every", section and output.every > 1, "a section looks at every step; leave out output.every"),
         (
-            ("precision",),
-            other and is_ensemble,
-            "an ensemble runs in doubles only; run single trajectories in another precision",
-        ),
-        (
-            ("max_digits",),
-            config.max_digits is not None and config.precision != RATIONAL,
-            "needs precision: rational; other numbers have a fixed number of digits",
-        ),
-        (attitude, names and is_ensemble, "an ensemble records no attitude; run single trajectories with it"),
-        (("section",), section and names, "a section records no attitude; leave out output.attitude"),
-        (("section",), section and other, "crossings are located in doubles only; leave out precision"),
-        (
-            ("output", "every"),
-            section and output.every > 1,
-            "a section looks at every step and records its crossings; leave out output.every",
-        ),
-        (
-            ("ensemble", "store"),
-            section and kept not in (None, "trajectories"),
-            f"a section records crossings, which {kept} leaves out; leave out ensemble.store",
-        ),
-        (
-            attitude,
-            names and other and not is_ensemble,
-            "the attitude is computed in doubles only; leave out precision or the attitude",
+            "ensemble.store",
+            section and store not in (None, "trajectories"),
+            "a section records every crossing; leave out store",
         ),
     ):
         if wrong:
-            problems.add(path, text)
-    if names and top is not None and not (is_ensemble or other):
-        with problems.at(*attitude):
+            document.fault(tuple(key.split(".")), text)
+    if attitude and not document.faults:
+        with document.at("output", "attitude"):
             checked_rotation(top, "the attitude")
-        if taken := [name for name in names if name in top.components]:
-            problems.add(attitude, f"the top has a component {quoted(taken[0])} of its own; use another form")
+        if taken := [name for name in output.attitude_columns if name in top.components]:
+            text = f"the top has a component {quoted(taken[0])} of its own; use another form"
+            document.fault(("output", "attitude"), text)
 
 
-def _top(data: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, Top | None]:
+def _top(data: dict[str, Any], document: Document) -> tuple[type[Top] | None, Top | None]:
     """Return the class of the top and the top; None for each that is missing or cannot be read."""
     if "top" not in data:
         return None, None
@@ -294,4 +278,4 @@ def _top(data: dict[str, Any], problems: Problems) -> tuple[type[Top] | None, To
         from topcli.config.ensemble import vectors_named
 
         named = dict.fromkeys(vectors_named(data["ensemble"])) | named
-    return read_top(data["top"], named, problems)
+    return read_top(data["top"], named, document)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-import unicodedata
+import re
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf
 
-from topcli.analysis.columns import ATTITUDES, column_names
 from topcli.analysis.crossings import CrossingSearch
 from topcli.analysis.quantities import Quantity, quantities_of
 from topcli.config.document import STRICT, as_integer, describe
@@ -20,33 +19,29 @@ from topcli.config.ranges import MAX_STEPS
 from topcli.config.text import to_yaml
 from topcli.config.written import WrittenNumbers
 from topcli.contracts import Array, Invariant, Method, Scheme, Top
-from topcli.engine.fingerprint import own_code
-from topcli.engine.precise_numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
+from topcli.engine.columns import ATTITUDES, column_names
+from topcli.engine.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
 from topcli.errors import quoted
+from topcli.schemes.plugins import own_sources
+from topcli.store.sources import digest_of_texts
 
-MAX_NAME = 100
-MAX_NAME_BYTES = 200
+MAX_NAME, MAX_NAME_BYTES = 100, 200
+_NAME = re.compile(r"""(?![\s.-])[^<>:"/\\|?*]+(?<![\s.])""")
+_DEVICES = (f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))
+RESERVED = ("figures", "con", "prn", "aux", "nul", *_DEVICES)
+"""Names that no run may have: that of the folder of pictures, and those of Windows's devices, with any ending."""
 
 
 def name_fault(value: str) -> str:
-    """Reason why ``value`` cannot name an experiment and its run folder; empty if it can."""
-    if not value.strip():
-        return "must not be empty"
-    if any(unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp") for letter in value):
-        return f"must not contain control characters: {quoted(value)}"
-    if len(value) > MAX_NAME or len(value.encode()) > MAX_NAME_BYTES:
-        return f"must have at most {MAX_NAME} characters ({MAX_NAME_BYTES} bytes), not {len(value)}"
-    if "/" in value or "\\" in value:
-        return f"must not contain a path separator: {quoted(value)}"
-    if odd := next((letter for letter in value if letter in '<>:"|?*'), None):
-        return f"must not contain {odd!r}, which not every system allows in a file's name: {quoted(value)}"
-    if value.lower() == "figures":
-        return "must not be 'figures': the folder of that name holds the pictures"
-    if value[0] in ".-":
-        return f"must not start with a dot or a dash: {quoted(value)}"
-    if value != value.strip():
-        return f"must not start or end with a space: {quoted(value)}"
-    return ""
+    """Reason why ``value`` cannot name an experiment and its run folder on every system; empty if it can."""
+    if value.partition(".")[0].strip().lower() in RESERVED:
+        return f"{quoted(value)} is a reserved name of a folder; choose another one"
+    short = len(value) <= MAX_NAME and len(value.encode()) <= MAX_NAME_BYTES
+    if short and value.isprintable() and _NAME.fullmatch(value):
+        return ""
+    letters = f"at most {MAX_NAME} characters ({MAX_NAME_BYTES} bytes), none of them a control character or one of"
+    ends = "no dot, dash or space at its beginning, no dot or space at its end"
+    return f'{quoted(value)} cannot name a folder; give {letters} / \\ : * ? " < > |, {ends}'
 
 
 def changed_name(base: str, digest: str) -> str:
@@ -71,9 +66,6 @@ def _step(value: float) -> float:
 def _columns(value: tuple[str, ...]) -> tuple[str, ...]:
     if not value:
         raise ValueError("must name at least one column; leave the key out to record all")
-    for index, name in enumerate(value):
-        if name in value[:index]:
-            raise ValueError(f"names {quoted(name)} twice")
     return value
 
 
@@ -83,10 +75,8 @@ def _precision(value: Any) -> Any:
         return value
     if isinstance(value, int) and not isinstance(value, bool) and FEWEST_DIGITS <= value <= MOST_DIGITS:
         return value
-    given = describe(value)
-    raise ValueError(
-        f"must be double, rational, or a number of digits from {FEWEST_DIGITS} to {MOST_DIGITS}, not {given}"
-    )
+    digits = f"a number of digits from {FEWEST_DIGITS} to {MOST_DIGITS}"
+    raise ValueError(f"must be double, rational, or {digits}, not {describe(value)}")
 
 
 Precision = Annotated[Any, AfterValidator(_precision)]
@@ -174,7 +164,6 @@ class Config(BaseModel):
     name: Name | None = Field(
         default=None,
         description="the name of the experiment and of its run folder; by default the file name without its extension",
-        json_schema_extra={"maxLength": MAX_NAME, "pattern": r"^[^./\\\s-][^/\\]*$"},
     )
     top: Any = Field(description="the top: its kind, or a section with its kind and parameters")
     initial: Any = Field(
@@ -187,8 +176,8 @@ class Config(BaseModel):
     )
     scheme: Any = Field(description="the scheme: its name, or a section with its name and options")
     h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
-    N: Count = Field(
-        default=cast(int, None),  # which is replaced by T/h
+    N: Count | None = Field(
+        default=None,
         description="the number of steps, a whole number from 1 to 1e12; T may be given instead",
     )
     T: StepSize | None = Field(
@@ -197,12 +186,6 @@ class Config(BaseModel):
     precision: Precision = Field(
         default=DOUBLE,
         description="the arithmetic: double, a number of decimal digits, or rational (exact fractions)",
-        json_schema_extra={
-            "anyOf": [
-                {"enum": [DOUBLE, RATIONAL]},
-                {"type": "integer", "minimum": FEWEST_DIGITS, "maximum": MOST_DIGITS},
-            ]
-        },
     )
     max_digits: Annotated[int, Field(ge=1, le=10**7), BeforeValidator(as_integer)] | None = Field(
         default=None,
@@ -230,7 +213,7 @@ def identity_of(resolved: Mapping[str, Any]) -> dict[str, Any]:
     return kept | {"output": {key: value for key, value in resolved["output"].items() if key != "format"}}
 
 
-def digest_of(resolved: Mapping[str, Any], own_code: str = "") -> str:
+def digest_of(resolved: Mapping[str, Any], own_code: str) -> str:
     """SHA-256 of ``identity_of`` a resolved config as canonical JSON, 64 hexadecimal digits.
 
     ``own_code`` is the digest of the code of a user's top and scheme, which a config only names.
@@ -314,13 +297,6 @@ class Experiment(BaseModel):
         """Warnings about the initial state."""
         return list(unit_warnings(type(self.top), np.array([self.y0])))
 
-    def search(self, y0: Array | None = None, method: Method | None = None) -> CrossingSearch | None:
-        """Search for crossings of the section by orbits from ``y0`` (m, d) or its own; None without a section."""
-        if self.section is None:
-            return None
-        states = np.array([self.y0]) if y0 is None else y0
-        return self.section.search(self.top, method or self.method(), self.h, states)
-
     def method(self) -> Method:
         """Build the scheme for the top with the options."""
         return self.scheme.build(self.top, self.options)
@@ -361,8 +337,8 @@ class Experiment(BaseModel):
 
     @property
     def own_code(self) -> str:
-        """Digest of the code of the top and the scheme that are a user's own; empty if both are topcli's."""
-        return own_code(type(self.top), self.scheme)
+        """Digest of the source of the top and the scheme that are a user's own; empty if both are topcli's."""
+        return digest_of_texts(own_sources(type(self.top), self.scheme).values())
 
     @property
     def digest(self) -> str:

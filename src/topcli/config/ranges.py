@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, Field, PlainValidator, model_validator
@@ -81,8 +80,7 @@ def read_axis(raw: object) -> list[Any] | Range:
     if is_range(raw):
         return read_model(Range, raw)
     if not isinstance(raw, list) or not raw:
-        given = describe(raw) if raw != [] else "an empty list"
-        raise ValueError(f"must be a list of values or a range, not {given}; for example {EXAMPLE}")
+        raise ValueError(f"must be a list of values or a range, not {describe(raw)}; for example {EXAMPLE}")
     return raw
 
 
@@ -113,38 +111,23 @@ def duration_fault(h: float, N: int) -> str:
     return "" if math.isfinite(N * h) else f"N*h = {N} * {h!r} is not finite; take fewer or smaller steps"
 
 
-def steps_of(T: float, h: float) -> int:
+def steps_of(T: float, h: float, adapted: Literal["T", "h"] = "T") -> int:
     """Return the number of steps T/h, a whole number within round-off (4 ulp).
 
     >>> steps_of(50, 0.001)
     50000
 
-    Raises UsageError with the nearest T that fit.
+    Raises UsageError with the nearest values that fit of the one of the two that is ``adapted``.
     """
     N = _whole(T, h)
     if N is not None:
         return N
     ratio = T / h
-    if ratio < 0.0:
-        raise UsageError(f"must have the same sign as h = {h:g}, not {T:g}")
-    if not ratio <= MAX_STEPS:
-        raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.6g} steps; must be at most {MAX_STEPS}")
-    counts = [N for N in (math.floor(ratio), math.floor(ratio) + 1) if 1 <= N <= MAX_STEPS]
-    possible = " or ".join(f"T = {_shortest(N * h, lambda T, N=N: _whole(T, h) == N)} (N = {N})" for N in counts)
-    raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {possible}")
-
-
-def steps_over(T: float, h: float) -> int:
-    """Return the number of steps T/h where h is to be adapted to a given T. Raises UsageError with the nearest h."""
-    N = _whole(T, h)
-    if N is not None:
-        return N
-    ratio = T / h
     if not 0.0 < ratio <= MAX_STEPS:
-        return steps_of(T, h)
-    counts = [N for N in (math.floor(ratio) + 1, math.floor(ratio)) if 1 <= N <= MAX_STEPS]
-    possible = " or ".join(f"h = {_shortest(T / N, lambda h, N=N: _whole(T, h) == N)} (N = {N})" for N in counts)
-    raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {possible}")
+        raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.6g} steps; must be from 1 to {MAX_STEPS}")
+    counts = [N for N in (math.floor(ratio), math.floor(ratio) + 1) if 1 <= N <= MAX_STEPS]
+    near = " or ".join(f"{adapted} = {_shortest(T, h, N, adapted)} (N = {N})" for N in counts)
+    raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {near}")
 
 
 def _whole(T: float, h: float) -> int | None:
@@ -156,7 +139,8 @@ def _whole(T: float, h: float) -> int | None:
     return N if 1 <= N <= MAX_STEPS and abs(ratio - N) <= WHOLE_NUMBER * N else None
 
 
-def _shortest(value: float, fits: Callable[[float], bool]) -> str:
-    """Return the fewest digits of ``value`` that still fit."""
-    texts = (f"{value:.{digits}g}" for digits in range(6, 17))
-    return next((text for text in texts if fits(float(text))), repr(value))
+def _shortest(T: float, h: float, N: int, adapted: str) -> str:
+    """Fewest digits of the T or h that gives N steps."""
+    value = N * h if adapted == "T" else T / N
+    texts = (f"{value:.{digits}g}" for digits in range(6, 18))
+    return next(text for text in texts if (_whole(float(text), h) if adapted == "T" else _whole(T, float(text))) == N)

@@ -16,18 +16,20 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from topcli.config.document import STRICT, Document, KeyPath, Problems, as_integer, describe, validate
+from topcli.config.document import STRICT, Document, as_integer, describe
 from topcli.config.draws import ABSOLUTE, first_drawn, random_model
-from topcli.config.files import BARE
 from topcli.config.models import Count, Output, StepSize, canonical
+from topcli.config.overrides import BARE
 from topcli.config.ranges import duration_fault, steps_of
 from topcli.config.sections import read_initial, read_scheme, read_top, top_with, vectors_of
 from topcli.config.sweep import Assignment, Sweep
+from topcli.config.text import KeyPath
 from topcli.contracts import Top
 from topcli.tops import TOPS
 
@@ -162,55 +164,54 @@ class RowReader:
 
     def rows(self) -> Iterator[Row]:
         """Yield the rows in order. Raises ConfigError or UnknownNameError with up to three faults."""
-        problems = Problems(self.sweep.document)
+        document = replace(self.sweep.document, faults=[])
         for number, values in enumerate(self.sweep.assignments()):
-            row = self.read(number, values, problems)
+            row = self.read(number, values, document)
             if row is not None:
                 yield row
-            elif len(problems.messages) >= 3:
+            elif len(document.faults) >= 3:
                 break
-        problems.raise_any()
+        document.check()
 
     def row(self, number: int) -> Row | None:
         """Row ``number``; None if there is none."""
         for index, values in enumerate(self.sweep.assignments()):
             if index == number:
-                problems = Problems(self.sweep.document)
-                row = self.read(number, values, problems)
-                problems.raise_any()
+                document = replace(self.sweep.document, faults=[])
+                row = self.read(number, values, document)
+                document.check()
                 return row
         return None
 
-    def read(self, number: int, values: Assignment, problems: Problems) -> Row | None:
-        """Read one row; None if it is wrong, which adds to ``problems``."""
-        own = Problems(_RowDocument(self.sweep, values))
+    def read(self, number: int, values: Assignment, document: Document) -> Row | None:
+        """Read one row; None if it is wrong, which adds to ``document``."""
+        own = _RowDocument(self.sweep, values)
         row = self._read(number, values, own)
         if row is None:
-            for message in own.messages:
-                if message not in problems.messages:
-                    problems.messages.append(message)
-                    problems.unknown_names += own.unknown_names == len(own.messages)
+            for message in own.faults:
+                if message not in document.faults:
+                    document.faults.append(message)
         return row
 
-    def _read(self, number: int, values: Assignment, problems: Problems) -> Row | None:
+    def _read(self, number: int, values: Assignment, document: Document) -> Row | None:
         named = tuple(path[1] for _, path in self._paths["initial"] if len(path) == 2)
-        top = self._section("top", self._top, values, problems, named)
+        top = self._section("top", self._top, values, document, named)
         if top is None:
             return None
         cls = type(top.value)
-        scheme = self._section("scheme", self._scheme, values, problems, cls)
-        steps = self._section("steps", self._steps, values, problems, None)
+        scheme = self._section("scheme", self._scheme, values, document, cls)
+        steps = self._section("steps", self._steps, values, document, None)
         if scheme is None or steps is None:
             return None
         state = _Part((), {}, "")
         if self._whole:
-            state = self._section("initial", self._initial, values, problems, cls)
+            state = self._section("initial", self._initial, values, document, cls)
             if state is not None and self._is_drawn:
-                top, state = self._drawn(values, top, state, problems)
+                top, state = self._drawn(values, top, state, document)
             if top is None or state is None:
                 return None
         h, N, every = steps
-        quantities = self._quantities(cls, problems)
+        quantities = self._quantities(cls, document)
         if quantities is None:
             return None
         start = f'{state.text},"quantities":{quantities}' if quantities else state.text
@@ -222,9 +223,9 @@ class RowReader:
     def _section(
         self,
         section: str,
-        read: Callable[[Assignment, Problems, Any], Any],
+        read: Callable[[Assignment, Document, Any], Any],
         values: Assignment,
-        problems: Problems,
+        document: Document,
         given: Any,
     ) -> Any:
         """Section of a row as ``read`` gives it, from the cache if its values have been read before."""
@@ -232,7 +233,7 @@ class RowReader:
         key = (given, *[id(values[at]) for at, _ in self._paths[section]])
         part = kept.get(key)
         if part is None:
-            part = read(values, problems, given)
+            part = read(values, document, given)
             if len(kept) >= KEPT:
                 kept.clear()
             if part is not None:
@@ -257,23 +258,23 @@ class RowReader:
             raw = {**raw, path[1]: value}
         return raw
 
-    def _given(self, section: str, values: Assignment, problems: Problems) -> Any:
+    def _given(self, section: str, values: Assignment, document: Document) -> Any:
         """Section of a row as plain data; None, which is reported, if there is none."""
         raw = self._raw(section, values)
         if raw is None:
-            problems.add((section,), "missing; give it in base, or vary it")
+            document.fault((section,), "missing; give it in base, or vary it")
         return raw
 
-    def _top(self, values: Assignment, problems: Problems, named: tuple[str, ...]) -> _Part | None:
-        raw = self._given("top", values, problems)
+    def _top(self, values: Assignment, document: Document, named: tuple[str, ...]) -> _Part | None:
+        raw = self._given("top", values, document)
         if raw is None:
             return None
-        _, top = read_top(raw, dict.fromkeys([*self._vectors, *named]), problems)
+        _, top = read_top(raw, dict.fromkeys([*self._vectors, *named]), document)
         return None if top is None else _top_part(top)
 
-    def _scheme(self, values: Assignment, problems: Problems, cls: type[Top]) -> _Part | None:
-        raw = self._given("scheme", values, problems)
-        read = None if raw is None else read_scheme(raw, cls, problems)
+    def _scheme(self, values: Assignment, document: Document, cls: type[Top]) -> _Part | None:
+        raw = self._given("scheme", values, document)
+        read = None if raw is None else read_scheme(raw, cls, document)
         if read is None:
             return None
         scheme, options = read
@@ -282,18 +283,18 @@ class RowReader:
         plain = {"name": scheme.name, **options.model_dump(mode="json")}
         return _part(scheme, plain, scheme_label({"name": scheme.name, **shown}))
 
-    def _steps(self, values: Assignment, problems: Problems, _: None) -> tuple[float, int, int] | None:
+    def _steps(self, values: Assignment, document: Document, _: None) -> tuple[float, int, int] | None:
         """h, N and output.every of a row."""
-        base, before = self.sweep.base, len(problems.messages)
+        base, before = self.sweep.base, len(document.faults)
         output = base.get("output") or {}
         if not isinstance(output, dict):
-            problems.add(("output",), f"must be a section with keys, not {describe(output)}")
+            document.fault(("output",), f"must be a section with keys, not {describe(output)}")
             return None
         for key, value in output.items():
             if key == "attitude" and value is not None:
-                problems.add(("output", key), "a sweep records no attitude; run single rows with it")
+                document.fault(("output", key), "a sweep records no attitude; run single rows with it")
             elif key not in ("every", "format", "columns", "quantities", "attitude"):
-                problems.add(("output", key), "unknown key; only 'every' matters in a sweep")
+                document.fault(("output", key), "unknown key; only 'every' matters in a sweep")
         h = self._value("h", values, None)
         h = base.get("h") if h is None else h
         N, T = self._value("N", values, None), self._value("T", values, None)
@@ -304,29 +305,29 @@ class RowReader:
         if (h is None) + (N is None) + (T is None) != 1:
             present = [key for key, value in (("h", h), ("N", N), ("T", T)) if value is not None]
             text = f"two of h, N and T are needed, but the row has {' and '.join(present) or 'none of them'}"
-            problems.add((present[-1],) if present else (), text)
-        if len(problems.messages) > before:
+            document.fault((present[-1],) if present else (), text)
+        if len(document.faults) > before:
             return None
         every = self._value("output.every", values, output.get("every", 1))
         given = {"h": h, "N": N, "T": T, "output": {"every": every}}
         try:  # without JSON, which takes longer than the rest
             steps: _Steps | None = _Steps.model_validate(given)
         except (ValidationError, OverflowError):
-            steps = validate(_Steps, given, (), problems)
+            steps = document.read(_Steps, given)
         if steps is None:
             return None
-        h, N = self._from_duration(steps, problems)
+        h, N = self._from_duration(steps, document)
         every = steps.output.every
         if fault := duration_fault(h, N):
-            problems.add(("N",), fault)
+            document.fault(("N",), fault)
         elif every > N:
-            problems.add(("output", "every"), f"must be at most N = {N}, not {every}")
+            document.fault(("output", "every"), f"must be at most N = {N}, not {every}")
         elif N // every >= MAX_RECORDED:
             text = f"records {N // every + 1} states of a row (at most {MAX_RECORDED}); record fewer"
-            problems.add(("output", "every"), text)
-        return (h, N, every) if len(problems.messages) == before else None
+            document.fault(("output", "every"), text)
+        return (h, N, every) if len(document.faults) == before else None
 
-    def _quantities(self, cls: type[Top], problems: Problems) -> str | None:
+    def _quantities(self, cls: type[Top], document: Document) -> str | None:
         """Canonical JSON of the quantities of rows with tops of class ``cls``, empty without any; None if wrong."""
         given = (self.sweep.base.get("output") or {}).get("quantities")
         if not given:
@@ -335,30 +336,30 @@ class RowReader:
 
         kept = self._cache.setdefault("quantities", {})
         if cls not in kept:
-            before = len(problems.messages)
-            output = validate(Output, {"quantities": given}, ("output",), problems)
-            formulas = read_quantities(output, cls, cls.new().invariants(), problems) if output else None
-            if len(problems.messages) > before:
+            before = len(document.faults)
+            output = document.read(Output, {"quantities": given}, "output")
+            formulas = read_quantities(output, cls, cls.new().invariants(), document) if output else None
+            if len(document.faults) > before:
                 return None
             kept[cls] = canonical(formulas)
         return kept[cls]
 
-    def _from_duration(self, steps: _Steps, problems: Problems) -> tuple[float, int]:
+    def _from_duration(self, steps: _Steps, document: Document) -> tuple[float, int]:
         """h and N of a row. A step from a range becomes the nearest T/N."""
         h, N, T = steps.h, steps.N, steps.T
         if T is None or h is None:
             return (T or 0.0) / (N or 1) if h is None else h, N or 1
         if "h" in self.sweep.ranges and math.isfinite(T / h) and T / h >= 0.5:
             return T / round(T / h), round(T / h)
-        with problems.at("T"):
+        with document.at("T"):
             return h, steps_of(T, h)
         return h, 1
 
-    def _initial(self, values: Assignment, problems: Problems, cls: type[Top]) -> _Part | None:
+    def _initial(self, values: Assignment, document: Document, cls: type[Top]) -> _Part | None:
         """Initial state of a row, or the centre of its draws."""
         free = {}
         if self._is_drawn:
-            section = self._random(cls, problems)
+            section = self._random(cls, document)
             if section is None:
                 return None
             free = {draw.vector: [0.0, 0.0, 1.0] for draw in section.draws(cls) if draw.kind in ABSOLUTE}
@@ -376,41 +377,39 @@ class RowReader:
                 made[vector.name] = [single.get(*pair) for pair in zip(vector.components, base, strict=True)]
             elif single and not isinstance(base, list):
                 text = f"missing; {next(iter(single))} is varied, and the other components need values"
-                problems.add(("initial", vector.name), text)
+                document.fault(("initial", vector.name), text)
                 return None
-        state = read_initial({**made, **free} if isinstance(made, dict) else made, cls, problems)
+        state = read_initial({**made, **free} if isinstance(made, dict) else made, cls, document)
         return None if state is None else _state_part(cls, state)
 
-    def _random(self, cls: type[Top], problems: Problems) -> Any:
+    def _random(self, cls: type[Top], document: Document) -> Any:
         """The section ``random`` for tops of class ``cls``; None if it is wrong."""
         kept = self._cache.setdefault("random", {})
         if cls not in kept:
-            own = Problems(self.sweep.document)
+            own = replace(self.sweep.document, faults=[])
             data = self.sweep.document.data["random"]
-            section = validate(
-                random_model(cls, True), self.sweep.random if isinstance(data, dict) else data, ("random",), own
-            )
+            section = own.read(random_model(cls, True), self.sweep.random if isinstance(data, dict) else data, "random")
             if section is not None and not (
                 section.draws(cls) or section.model_dump(exclude={"count", "seed"}, exclude_none=True)
             ):
                 example = ", ".join(f"{name}: {{near: 0.1}}" for name in cls.vectors)
-                own.add(("random",), f"nothing is random; for example random: {{count: 100, {example}}}")
-            problems.messages += own.messages
-            if own.messages:
+                own.fault(("random",), f"nothing is random; for example random: {{count: 100, {example}}}")
+            document.faults += own.faults
+            if own.faults:
                 return None
             kept[cls] = section
         return kept[cls]
 
     def _drawn(
-        self, values: Assignment, top: _Part, centre: _Part, problems: Problems
+        self, values: Assignment, top: _Part, centre: _Part, document: Document
     ) -> tuple[_Part | None, _Part | None]:
         """Top and initial state of a row whose parameters or vectors are drawn; None for what is wrong."""
         cls = type(top.value)
-        section = self._random(cls, problems)
+        section = self._random(cls, document)
         sample, seed = self._value("sample", values, 1), self._value("seed", values, section.seed)
         for key, value in (("sample", sample), ("seed", seed)):
             if not isinstance(as_integer(value), int) or isinstance(value, bool) or value < 0:
-                problems.add((key,), f"must be a whole number, at least 0, not {describe(value)}")
+                document.fault((key,), f"must be a whole number, at least 0, not {describe(value)}")
                 return None, None
 
         def seed_of(name: str) -> int:
@@ -423,13 +422,13 @@ class RowReader:
         }
         made: _Part | None = top
         if chosen:
-            new = top_with(cls, {**top.value.model_dump(mode="json"), **chosen}, problems)
+            new = top_with(cls, {**top.value.model_dump(mode="json"), **chosen}, document)
             made = None if new is None else _top_part(new)
         if made is None or not (draws := section.draws(cls)):
             return made, centre
         state = first_drawn(made.value, np.array(centre.value), draws, seed_of(""))
         if state is None:
-            problems.add(("random",), "no state has this energy: the potential energy alone exceeds it")
+            document.fault(("random",), "no state has this energy: the potential energy alone exceeds it")
             return made, None
         return made, _state_part(cls, tuple(state.tolist()))
 

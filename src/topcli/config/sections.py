@@ -6,15 +6,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import chain
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, Field, PlainValidator, create_model
+from pydantic import BaseModel
 
-from topcli.analysis.columns import ATTITUDES, spellings
-from topcli.config.document import STRICT, KeyPath, Problems, describe, number_of, validate
+from topcli.config.document import Document, describe, number_of, unknown_key
 from topcli.config.models import UNIT_LIMIT, UNIT_TOLERANCE, Output
+from topcli.config.text import KeyPath
 from topcli.contracts import Invariant, Scheme, Top
+from topcli.engine.columns import ATTITUDES, spellings
 from topcli.errors import nearest, quoted
 from topcli.schemes.compose import COMPOSITIONS
 from topcli.schemes.own_tops import top_class, top_names
@@ -25,61 +25,58 @@ AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
 """Texts for a component that completes a unit vector, with the component's sign."""
 
 
-def read_top(raw: object, initial: object, problems: Problems) -> tuple[type[Top] | None, Top | None]:
+def read_top(raw: object, initial: object, document: Document) -> tuple[type[Top] | None, Top | None]:
     """Return the class of the top, and the top with its parameters; None for each that cannot be read.
 
     The vectors named in ``initial`` choose among the forms of a top.
     """
-    section = _named_section(raw, "top", "kind", top_names, problems)
+    section = _named_section(raw, "top", "kind", top_names, document)
     if section is None:
         return None, None
     kind, where, parameters = section
     if kind.lower() == CUSTOM:
         from topcli.config.formulas import read_custom  # whose models other configs do not need
 
-        return read_custom(parameters, problems)
-    with problems.at(*where):
+        return read_custom(parameters, document)
+    with document.at(*where):
         cls = top_class(kind, [key for key in initial if key != "normalize"] if isinstance(initial, dict) else ())
-        return cls, top_with(cls, parameters, problems)
+        return cls, top_with(cls, parameters, document)
     return None, None
 
 
-def top_with(cls: type[Top], parameters: Mapping[str, Any], problems: Problems) -> Top | None:
-    """Return the top of class ``cls`` with these parameters; None, and a problem, if they cannot be used."""
-    before = len(problems.messages)
-    top = validate(cls, parameters, ("top",), problems, beside=("kind",))
+def top_with(cls: type[Top], parameters: Mapping[str, Any], document: Document) -> Top | None:
+    """Return the top of class ``cls`` with these parameters; None, and a fault, if they cannot be used."""
+    before = len(document.faults)
+    top = document.read(cls, parameters, "top", beside=("kind",))
     if top is not None and cls.kind == CUSTOM:
         from topcli.config.formulas import check_numbers
         from topcli.tops.declared import Declared
 
         assert isinstance(top, Declared)
-        check_numbers(top, problems)
-    return top if len(problems.messages) == before else None
+        check_numbers(top, document)
+    return top if len(document.faults) == before else None
 
 
-def read_scheme(raw: object, cls: type[Top], problems: Problems) -> tuple[Scheme, BaseModel] | None:
+def read_scheme(raw: object, cls: type[Top], document: Document) -> tuple[Scheme, BaseModel] | None:
     """Return the scheme for tops of class ``cls``, composed if ``compose`` is given, and its options."""
-    section = _named_section(raw, "scheme", "name", lambda: names_for(cls.form), problems)
+    section = _named_section(raw, "scheme", "name", lambda: names_for(cls.form), document)
     if section is None:
         return None
-    name, where, given = section
-    scheme = None
-    with problems.at(*where):
+    before, (name, where, given) = len(document.faults), section
+    with document.at(*where):
         scheme = find_scheme(name, cls.form)
-    if scheme is not None and "compose" in given:
-        simple, scheme = scheme, None
-        with problems.at("scheme", "compose"):
-            if not isinstance(compose := given["compose"], str):
-                raise ValueError(f"must be a name ({', '.join(COMPOSITIONS)}), not {describe(compose)}")
-            scheme = find_scheme(f"{simple.name}+{compose}", cls.form)
-    if scheme is None:
-        return None
-    options = validate(scheme.options, given, ("scheme",), problems, beside=("name", "compose"))
-    return None if options is None else (scheme, options)
+        if "compose" in given:
+            with document.at("scheme", "compose"):
+                if not isinstance(compose := given["compose"], str):
+                    raise ValueError(f"must be a name ({', '.join(COMPOSITIONS)}), not {describe(compose)}")
+                scheme = find_scheme(f"{scheme.name}+{compose}", cls.form)
+        options = document.read(scheme.options, given, "scheme", beside=("name", "compose"))
+        return (scheme, options) if options is not None and len(document.faults) == before else None
+    return None
 
 
 def _named_section(
-    raw: object, section: str, key: str, names: Callable[[], list[str]], problems: Problems
+    raw: object, section: str, key: str, names: Callable[[], list[str]], document: Document
 ) -> tuple[str, KeyPath, dict[str, Any]] | None:
     """Return the name, its path and the whole section, from a bare name or a section with ``key``.
 
@@ -90,45 +87,21 @@ def _named_section(
     if isinstance(raw, dict) and isinstance(raw.get(key), str):
         return raw[key], (section, key), raw
     known = ", ".join(names())
-    if not isinstance(raw, dict):
-        problems.add((section,), f"must be a name ({known}) or a section with {key!r}, not {describe(raw)}")
-    elif key not in raw:
-        misspelt = [other for other in raw if other.lower() == key]
-        missing = f"{key!r} is missing; known: {known}"
-        problems.add((section,), f"{misspelt[0]!r} should be {key!r}" if misspelt else missing)
+    if isinstance(raw, dict) and key not in raw:
+        document.fault((section,), f"{key!r} is missing; known: {known}")
     else:
-        problems.add((section, key), f"must be a name ({known}), not {describe(raw[key])}")
+        given = describe(raw[key] if isinstance(raw, dict) else raw)
+        document.fault((section,), f"must be a name ({known}) or a section with {key!r}, not {given}")
     return None
 
 
 @dataclass(frozen=True)
 class Vector:
-    """Type of a vector of the initial state: finite numbers; a unit vector may be completed or scaled."""
+    """A vector of the initial state: finite numbers; a unit vector may be completed or scaled."""
 
     name: str
     components: tuple[str, ...]
     unit: bool
-
-    @property
-    def type(self) -> Any:
-        """Annotation of a field of pydantic."""
-        size, number = len(self.components), float | Literal["auto", "+auto", "-auto"] if self.unit else float
-        numbers: Any = Annotated[list[number], Field(min_length=size, max_length=size)]  # type: ignore[valid-type]
-        numbers = number | numbers if size == 1 else numbers
-        return Annotated[
-            list[float],
-            PlainValidator(
-                lambda raw, info: self.read(raw, info.data.get("normalize", False)), json_schema_input_type=numbers
-            ),
-        ]
-
-    @property
-    def description(self) -> str:
-        """Components and how they may be given."""
-        if len(self.components) == 1:
-            return "a number"
-        auto = "; auto completes it to a unit vector, -auto with a negative number" if self.unit else ""
-        return f"({', '.join(self.components)}){auto}"
 
     def read(self, raw: object, normalize: bool) -> list[float]:
         """Return the vector, completed, or scaled if it is to be normalized; a number is one component.
@@ -139,8 +112,8 @@ class Vector:
             raw = [raw]
         if not isinstance(raw, list) or len(raw) != len(self.components):
             given = len(raw) if isinstance(raw, list) else describe(raw)
-            wanted = f"{len(self.components)} numbers ({', '.join(self.components)})"
-            raise ValueError(f"must be a list of {wanted}, not {given}")
+            numbers = f"{len(self.components)} numbers ({', '.join(self.components)})"
+            raise ValueError(f"must be a list of {numbers}, not {given}")
         signs = {i: AUTO[x] for i, x in enumerate(raw) if self.unit and isinstance(x, str) and x in AUTO}
         vector: list[Any] = [signs[i] if i in signs else number_of(x) for i, x in enumerate(raw)]
         for component, given, number in zip(self.components, raw, vector, strict=True):
@@ -188,49 +161,46 @@ def vectors_of(cls: type[Top]) -> list[Vector]:
     ]
 
 
-@cache
-def initial_model(cls: type[Top]) -> type[BaseModel]:
-    """Model of the section ``initial`` for tops of class ``cls``."""
-    vectors: dict[str, Any] = {
-        vector.name: (vector.type, Field(description=vector.description)) for vector in vectors_of(cls)
-    }
-    scaled = f"if true, {', '.join(cls.unit_vectors) or 'each unit vector'} is scaled to unit length"
-    normalize = (bool, Field(default=False, description=scaled))  # first, because the vectors depend on it
-    return create_model("Initial", __config__=STRICT, normalize=normalize, **vectors)
-
-
 def read_initial(
-    raw: object, cls: type[Top], problems: Problems, path: KeyPath = ("initial",)
+    raw: object, cls: type[Top], document: Document, path: KeyPath = ("initial",)
 ) -> tuple[float, ...] | None:
     """Return the initial state in the order of the top's components, its unit vectors completed and checked."""
-    initial = validate(initial_model(cls), raw, path, problems)
-    return None if initial is None else tuple(chain.from_iterable(getattr(initial, name) for name in cls.vectors))
+    before, keys = len(document.faults), [*cls.vectors, "normalize"]
+    if not isinstance(raw, dict):
+        return document.fault(path, f"must be a section with {', '.join(keys)}, not {describe(raw)}")
+    for key in (key for key in raw if key not in keys):
+        document.fault((*path, key), unknown_key(key, keys))
+    if not isinstance(normalize := raw.get("normalize", False), bool):
+        document.fault((*path, "normalize"), f"must be true or false, not {describe(normalize)}")
+    state: list[float] = []
+    for vector in vectors_of(cls):
+        if vector.name not in raw:
+            form = f"({', '.join(vector.components)})" if len(vector.components) > 1 else "a number"
+            auto = "; auto completes it to a unit vector" if vector.unit else ""
+            document.fault((*path, vector.name), f"missing; give {form}{auto}")
+            continue
+        with document.at(*path, vector.name):
+            state += vector.read(raw[vector.name], normalize is True)
+    return tuple(state) if len(document.faults) == before else None
 
 
 def read_columns(
-    output: Output, components: Sequence[str], integrals: Sequence[Invariant], problems: Problems
+    output: Output, components: Sequence[str], integrals: Sequence[Invariant], document: Document
 ) -> tuple[str, ...] | None:
     """Names of the columns of ``output``, each given by its name or by the symbol that reports print."""
-    given = output.columns
-    if given is None:
+    if output.columns is None:
         return None
-    plain = {name: name for name in ("n", "t", *components, *(output.quantities or ()), *output.attitude_columns)}
-    names = {
-        text: integral.name for integral in integrals for text in spellings(integral.name, integral.symbol)
-    } | plain
+    names = {text: integral.name for integral in integrals for text in spellings(integral.name, integral.symbol)}
+    names |= {name: name for name in ("n", "t", *components, *(output.quantities or ()), *output.attitude_columns)}
     chosen: list[str] = []
-    for text in given:
+    for text in output.columns:
         name = names.get(text)
         form = next((form for form, columns in ATTITUDES.items() if text in columns), None)
-        if name is None and form:
-            problems.add(("output", "columns"), f"{quoted(text)} needs output.attitude: {form}")
-        elif name is None:
-            hint = nearest(text, names)
-            if hint.startswith("known"):
-                hint = f"known: {', '.join([*plain, *(f'{known.name} ({known.symbol})' for known in integrals)])}"
-            problems.add(("output", "columns"), f"unknown column {quoted(text)}; {hint}")
+        if name is None:
+            hint = f"it needs output.attitude: {form}" if form else nearest(text, names)
+            document.fault(("output", "columns"), f"unknown column {quoted(text)}; {hint}")
         elif name in chosen:
-            problems.add(("output", "columns"), f"names {quoted(name)} twice")
+            document.fault(("output", "columns"), f"names {quoted(name)} twice")
         else:
             chosen.append(name)
     return tuple(chosen)

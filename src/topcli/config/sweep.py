@@ -17,12 +17,13 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
-from topcli.config.document import STRICT, Document, KeyPath, Problems, describe, plain, unknown_key, validate
-from topcli.config.files import apply_overrides, find_config, read_document
+from topcli.config.document import STRICT, Document, describe, plain, unknown_key
+from topcli.config.files import find_config, read_document
 from topcli.config.models import Name, canonical, name_fault
+from topcli.config.overrides import apply_overrides, is_override
 from topcli.config.ranges import MAX_SWEEP_ROWS, Range, is_range, read_axis
 from topcli.config.sections import read_top
-from topcli.config.text import to_yaml
+from topcli.config.text import KeyPath, to_yaml
 from topcli.contracts import Top
 from topcli.errors import UnknownNameError, UsageError, quoted
 from topcli.schemes.own_tops import forms
@@ -216,42 +217,41 @@ def _dotted(section: Mapping[str, Any], inside: Sequence[str] = (), prefix: str 
 
 
 def _sweep(document: Document, default_name: str) -> Sweep:
-    problems = Problems(document)
     data = document.data
     if "base" not in data and "top" in data:
-        problems.add((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
-        problems.raise_any()
-    validate(SweepFile, data, (), problems)
+        document.fault((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
+        document.check()
+    document.read(SweepFile, data)
     name = default_name if data.get("name") is None else data["name"]
     if data.get("name") is None and (fault := name_fault(default_name)):
-        problems.add(("name",), f"missing, and the file name cannot be used instead: it {fault}")
+        document.fault(("name",), f"missing, and the file name cannot be used instead: it {fault}")
     measures = data.get("measure") or ()
     for measure in {name: None for name in measures if measures.count(name) > 1} if isinstance(measures, list) else ():
-        problems.add(("measure",), f"names {quoted(str(measure))} twice")
-    base = _base(data.get("base"), problems) if "base" in data else {}
-    axes = Axes(data, base, problems)
+        document.fault(("measure",), f"names {quoted(str(measure))} twice")
+    base = _base(data.get("base"), document) if "base" in data else {}
+    axes = Axes(data, base, document)
     keys = tuple(axes.values)
     exclude = axes.exclusions()
     axes.check_exclusions(exclude)
     axes.check_drawn(keys)
-    problems.raise_any()
+    document.check()
     sweep = Sweep(name, document, tuple(axes.axes), exclude, keys, axes.ranges)
     if not keys:
-        problems.add((), "varies nothing: give grid, zip or random; for example grid: {h: [0.1, 0.2]}")
+        document.fault((), "varies nothing: give grid, zip or random; for example grid: {h: [0.1, 0.2]}")
     elif sweep.count > MAX_SWEEP_ROWS:
-        problems.add((), f"{sweep.count} rows; a sweep has at most {MAX_SWEEP_ROWS}")
+        document.fault((), f"{sweep.count} rows; a sweep has at most {MAX_SWEEP_ROWS}")
     elif next(sweep.assignments(), None) is None:
-        problems.add(("exclude",), "excludes every row, so the sweep would have none")
-    problems.raise_any()
+        document.fault(("exclude",), "excludes every row, so the sweep would have none")
+    document.check()
     return sweep
 
 
-def _base(base: Any, problems: Problems) -> dict[str, Any]:
+def _base(base: Any, document: Document) -> dict[str, Any]:
     """Return the experiment of a sweep, with its unknown keys reported."""
     if base is None:
-        problems.add(("base",), f"missing; give {SweepFile.model_fields['base'].description}")
+        document.fault(("base",), f"missing; give {SweepFile.model_fields['base'].description}")
     elif not isinstance(base, dict):
-        problems.add(("base",), f"must be an experiment or the name of a scene, not {describe(base)}")
+        document.fault(("base",), f"must be an experiment or the name of a scene, not {describe(base)}")
     reasons = {
         "name": "the base has no name; the rows are named after the sweep",
         "ensemble": "a row is one trajectory; vary initial states by grid, or by random",
@@ -259,15 +259,15 @@ def _base(base: Any, problems: Problems) -> dict[str, Any]:
     }
     for key in base if isinstance(base, dict) else ():
         if key not in BASE:
-            problems.add(("base", key), reasons.get(key) or unknown_key(key, BASE))
+            document.fault(("base", key), reasons.get(key) or unknown_key(key, BASE))
     return base if isinstance(base, dict) else {}
 
 
 class Axes:
     """The axes of a sweep file, ``values`` all values of their keys, and ``ranges`` those given as a range."""
 
-    def __init__(self, data: dict[str, Any], base: dict[str, Any], problems: Problems) -> None:
-        self.data, self.problems, self.known = data, problems, known_keys(data, base)
+    def __init__(self, data: dict[str, Any], base: dict[str, Any], document: Document) -> None:
+        self.data, self.document, self.known = data, document, known_keys(data, base)
         self.axes: list[Axis] = []
         self.values: dict[str, Sequence[Any]] = {}
         self.ranges: dict[str, Range] = {}
@@ -289,12 +289,12 @@ class Axes:
             return raw
         if raw is not None:
             given = "an empty one" if raw == {} else describe(raw)
-            self.problems.add(path, f"must be a section of keys and their values, not {given}; for example {example}")
+            self.document.fault(path, f"must be a section of keys and their values, not {given}; for example {example}")
         return {}
 
     def _known(self, key: str, path: KeyPath) -> bool:
         if key not in self.known:
-            self.problems.add(path, FIXED.get(key) or unknown_key(key, self.known))
+            self.document.fault(path, FIXED.get(key) or unknown_key(key, self.known))
         return key in self.known
 
     def _read(self, key: str, raw: Any, path: KeyPath) -> Sequence[Any] | None:
@@ -302,13 +302,13 @@ class Axes:
         if not self._known(key, path):
             return None
         if key in self.values:
-            self.problems.add(path, "is varied twice; keep one of them")
+            self.document.fault(path, "is varied twice; keep one of them")
             return None
         if key in ("sample", "seed") and is_range(raw) and "count" not in raw:
             first, last = raw.get("from"), raw.get("to")
             if isinstance(first, int) and isinstance(last, int):
                 raw = {**raw, "count": max(1, last - first + 1)}
-        with self.problems.at(*path, model=Range):
+        with self.document.at(*path, model=Range):
             axis = read_axis(raw)
             if isinstance(axis, Range):
                 self.ranges[key] = axis
@@ -329,7 +329,7 @@ class Axes:
         columns = {key: values for key, values in lists.items() if values is not None}
         if len(set(map(len, columns.values()))) > 1:
             listed = ", ".join(f"{key} has {len(values)}" for key, values in columns.items())
-            self.problems.add(path, f"its lists must have equal lengths: {listed}")
+            self.document.fault(path, f"its lists must have equal lengths: {listed}")
         elif lists and len(columns) == len(lists):
             self.axes.append(Axis(tuple(columns), tuple(columns.values())))
 
@@ -339,7 +339,7 @@ class Axes:
         entries = [raw] if isinstance(raw, dict) else [] if raw is None else raw
         if not isinstance(entries, list) or raw == []:
             given = "an empty one" if raw == [] else describe(raw)
-            self.problems.add(("exclude",), f"must be a list of rows such as [{{scheme: hk, h: 0.1}}], not {given}")
+            self.document.fault(("exclude",), f"must be a list of rows such as [{{scheme: hk, h: 0.1}}], not {given}")
             return ()
         rows = []
         for index, entry in enumerate(entries):
@@ -350,17 +350,17 @@ class Axes:
         return tuple(rows)
 
     def check_exclusions(self, exclude: Sequence[Mapping[str, Any]]) -> None:
-        """Report exclusions that no row can match."""
+        """Report exclusions that no row can match, unless an override has set the values in the grid."""
         for index, row in enumerate(exclude):
             for key, value in row.items():
                 values = self.values.get(key)
                 if values is None:
                     varied = ", ".join(self.values) or "none"
                     text = f"is not varied by grid or zip, so nothing is excluded; varied: {varied}"
-                    self.problems.add(("exclude", index, key), text)
-                elif value not in values:
+                    self.document.fault(("exclude", index, key), text)
+                elif value not in values and not is_override(self.document.place(("grid", key))):
                     shown = ", ".join(map(repr, list(values)[:5])) + (", ..." if len(values) > 5 else "")
-                    self.problems.add(("exclude", index, key), f"no row has the value {value!r}; values: {shown}")
+                    self.document.fault(("exclude", index, key), f"no row has the value {value!r}; values: {shown}")
 
     def check_drawn(self, keys: Sequence[str]) -> None:
         """Report vectors and parameters that are drawn and varied as well; the centre of ``near`` may vary."""
@@ -372,7 +372,7 @@ class Axes:
                 vector = key.removeprefix("initial.")
                 if key == name or (vector != key and name in (vector, vector.rstrip("0123456789"))):
                     text = f"is drawn in every row, and {key} is varied; keep one of them"
-                    self.problems.add(("random", name), text)
+                    self.document.fault(("random", name), text)
 
 
 def _check_list(values: list[Any], key: str, unique: bool) -> None:
@@ -395,7 +395,7 @@ def known_keys(data: dict[str, Any], base: dict[str, Any]) -> list[str]:
     for raw in _given(data, base, "top"):
         kind = raw.get("kind") if isinstance(raw, dict) else raw
         if kind == CUSTOM:
-            cls, _ = read_top(raw, None, Problems(Document({})))
+            cls, _ = read_top(raw, None, Document({}))
             classes += [cls] if cls else []
             keys += [f"top.parameters.{name}" for name in cls.model_fields] if cls else []
             continue

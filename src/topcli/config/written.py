@@ -1,32 +1,29 @@
 """Numbers of a config as they are written, for precisions other than double.
 
 A number may have any number of digits, and may be a fraction such as 1/3. ``auto`` and ``normalize`` are carried out
-in the arithmetic of the run.
+with a few digits more than the precision of the run.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Context, Decimal
 from fractions import Fraction
 from typing import Any
 
-from topcli.config.document import Problems, WrittenFloat
+from topcli.config.document import Document
+from topcli.config.text import WrittenFloat
 from topcli.contracts import Top
-from topcli.engine.precise_numbers import (
-    DOUBLE,
-    NotRationalError,
-    arithmetic_of,
-    decimal_text,
-    fraction_from,
-    integer_text,
-)
+from topcli.engine.numbers import DOUBLE, NotRationalError
+from topcli.errors import shortened
 
 _NUMBER = re.compile(r"[-+]?(\d+/0*[1-9]\d*|(\.\d+|\d+(\.\d*)?)([eE][-+]?\d{1,3})?)")
 _MODEST = re.compile(r"[^eE]*([eE][-+]?\d{1,3})?")
 GUARD = 5
-"""Decimal digits beyond the precision in which a completed component is written."""
+"""Decimal digits beyond the precision with which a completed component is written."""
 SECTIONS = ("h", "top", "initial")
 """Keys whose numbers may be written as text."""
 
@@ -56,12 +53,38 @@ def plain(value: Fraction) -> float | str:
             return float(value)
     except OverflowError:
         pass
-    text = f"{integer_text(value.numerator)}/{integer_text(value.denominator)}"
-    decimal = decimal_text(value, len(text))
-    if fraction_from(decimal) == value:
-        digits, exponent = decimal.split("e")
-        return f"{digits.rstrip('0')}e{exponent}"
-    return text
+    quotient = f"{_integer(value.numerator)}/{_integer(value.denominator)}"
+    decimal = _rounded(value, len(quotient))
+    return str(decimal.normalize(Context(prec=len(quotient)))) if Fraction(decimal) == value else quotient
+
+
+def _integer(value: int) -> str:
+    """Decimal text of an integer of any length; ``str`` refuses those of more than 4300 digits."""
+    return format(Decimal(value), "f")
+
+
+def fraction_from(text: str) -> Fraction:
+    """Number of a decimal text or of a quotient of integers, of any length."""
+    numerator, slash, denominator = text.partition("/")
+    number = Fraction(Decimal(numerator))
+    return number / Fraction(Decimal(denominator)) if slash else number
+
+
+def _rounded(value: Fraction, digits: int) -> Decimal:
+    """Number rounded to significant decimal ``digits``."""
+    return Context(prec=digits).divide(Decimal(value.numerator), Decimal(value.denominator))
+
+
+def root_of(value: Fraction, precision: int | str) -> Fraction:
+    """Square root to ``GUARD`` digits more than the precision. Raises NotRationalError if it must be rational."""
+    if isinstance(precision, int):
+        digits = precision + GUARD
+        return Fraction(Context(prec=digits).sqrt(_rounded(value, 2 * digits)))
+    root = Fraction(math.isqrt(value.numerator), math.isqrt(value.denominator))
+    if root * root != value:
+        below = "" if value.denominator == 1 else f"/{_integer(value.denominator)}"
+        raise NotRationalError(f"the square root of {shortened(_integer(value.numerator) + below)} is not rational")
+    return root
 
 
 def with_written_numbers(data: dict[str, Any]) -> dict[str, Any]:
@@ -93,7 +116,7 @@ def fraction_of(value: float) -> Fraction:
 
 
 def read_written(
-    data: Mapping[str, Any], top: Top, y0: Sequence[float], precision: int | str, problems: Problems
+    data: Mapping[str, Any], top: Top, y0: Sequence[float], precision: int | str, document: Document
 ) -> WrittenNumbers | None:
     """Return the numbers of a valid config; ``y0`` is its initial state in doubles. None if one is not rational."""
     given = top.parameters_in(data["top"])
@@ -108,7 +131,7 @@ def read_written(
             state[start:stop] = _vector(data["initial"], name, y0[start:stop], name in top.unit_vectors, precision)
         except NotRationalError as error:
             text = f"{error}; write a unit vector of rational numbers, such as [0.6, 0, 0.8] or [2/7, 3/7, 6/7]"
-            problems.add(("initial", name), text)
+            document.fault(("initial", name), text)
             return None
     return WrittenNumbers(fraction_of(data["h"]), parameters, tuple(state))
 
@@ -122,17 +145,10 @@ def _vector(
     auto = next((index for index, value in enumerate(raw) if isinstance(value, str)), None)
     if not unit or (auto is None and not initial.get("normalize")):
         return vector
-    arithmetic = arithmetic_of(precision)
     square = sum((value * value for value in vector), Fraction(0))
-
-    def root_of(value: Fraction) -> Fraction:
-        with arithmetic.active():
-            root = arithmetic.fraction(arithmetic.root(arithmetic.number(value)))
-        return fraction_from(decimal_text(root, precision + GUARD)) if isinstance(precision, int) else root
-
     if auto is None:
-        length = root_of(square)
+        length = root_of(square, precision)
         return [value / length for value in vector]
-    root = root_of(max(1 - square, Fraction(0)))
+    root = root_of(max(1 - square, Fraction(0)), precision)
     vector[auto] = root if in_doubles[auto] >= 0.0 else -root
     return vector

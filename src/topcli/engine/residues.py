@@ -8,44 +8,34 @@ up to a probability of the order of the degree over the prime.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass
+from contextvars import ContextVar, copy_context
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
+from itertools import repeat
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Scheme, StepFunction, Top
-from topcli.engine.precise import precise_method, precise_top, refused
-from topcli.engine.precise_numbers import NotRationalError, Rational, Rationals, StrayDoubleError, is_short
+from topcli.engine.numbers import (
+    NotRationalError,
+    Numbers,
+    StrayDoubleError,
+    is_short,
+    precise_scheme,
+    rationals,
+    refused,
+)
 from topcli.field.polynomial import DECIDES, decimal
 
 PRIME = 2**31 - 1
 Residues = NDArray[np.int64]
 MOST_DECISIONS = 10**4
 """Comparisons of residues in a step; more are an endless loop."""
-_decision: ContextVar[Callable[[], bool]] = ContextVar("decision", default=lambda: False)
-"""Outcome of comparisons by size: residues have no order. They are equal if they are at all points."""
-
-
-@contextmanager
-def deciding(answer: bool) -> Iterator[None]:
-    """Let all comparisons of residues be ``answer``. Raises NotRationalError after ``MOST_DECISIONS``."""
-    left = iter(range(MOST_DECISIONS))
-
-    def decide() -> bool:
-        if next(left, None) is None:
-            raise NotRationalError(DECIDES)
-        return answer
-
-    token = _decision.set(decide)
-    try:
-        yield
-    finally:
-        _decision.reset(token)
+decisions: ContextVar[Iterator[bool] | None] = ContextVar("decisions", default=None)
+"""Outcomes of comparisons by size; None for false. Residues have no order; they are equal if they are at all points."""
 
 
 def folded(x: Residues) -> Residues:
@@ -89,8 +79,6 @@ class Jet:
     def _other(other: Any) -> Any:
         if isinstance(other, Jet):
             return other
-        if isinstance(other, Rational):
-            return residue(other.q)
         if isinstance(other, float) and not is_short(other):
             raise StrayDoubleError(other)
         return residue(Fraction(other)) if isinstance(other, int | float | Fraction) else None
@@ -154,7 +142,11 @@ class Jet:
         return result
 
     def _decide(self, *other: object) -> bool:
-        return _decision.get()()
+        answers = decisions.get()
+        answer = False if answers is None else next(answers, None)
+        if answer is None:
+            raise NotRationalError(DECIDES)
+        return answer
 
     __lt__ = __le__ = __gt__ = __ge__ = _decide
 
@@ -170,19 +162,9 @@ class Jet:
         return self if self._decide() else -self
 
 
-class Modular(Rationals):
-    """Arithmetic of ``Jet``s; constants are rational numbers, which can be compared."""
-
-    purpose = "integrability"
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.name = "rational functions"
-
-
 @dataclass(frozen=True)
 class RationalMap:
-    """One step of a scheme of a top with ``d`` components as a rational map.
+    """One step of a scheme of a top with ``d`` components as a rational map, with constants made by ``number``.
 
     ``enter`` makes the scheme's own state of a state, which ``step`` advances and from which
     ``leave`` returns the state.
@@ -192,48 +174,48 @@ class RationalMap:
     enter: Callable[[Sequence[Any]], Sequence[Any]]
     step: Callable[[Sequence[Any]], Sequence[Any]]
     leave: Callable[[Sequence[Any]], Sequence[Any]]
+    number: Callable[[Fraction], Any] = Fraction
 
 
-def rational_map(scheme: Scheme, top: Top, options: Any, h: Fraction, arithmetic: Rationals) -> RationalMap:
-    """Map of a scheme with the step size h; parameters are the decimal numbers that they print as.
-
-    In the ``arithmetic`` ``Modular()`` a state is a tuple of ``Jet``s, in ``Rationals()`` of rational numbers.
+def rational_map(scheme: Scheme, top: Top, options: Any, h: Fraction, numbers: Numbers) -> RationalMap:
+    """Map of a scheme with the step size h in rational ``numbers``; parameters are the decimals that they print as.
 
     Raises UsageError, naming the scheme and the reason, if its step is not a rational function.
     """
     parameters = {name: decimal(value) for name, value in dict(top).items() if isinstance(value, float)}
-    exact = precise_top(top, parameters)
-    precise = precise_top(top, {name: arithmetic.number(value) for name, value in parameters.items()})
-    method = precise_method(scheme, top, options, precise, arithmetic, exact)
-    p: Any
-    step_size: Any
-    p, step_size = (*precise.constants(), *map(arithmetic.number, method.constants)), arithmetic.number(h)
+    _, method, p = precise_scheme(scheme, top, options, parameters, numbers)
+    size: Any = numbers.number(h)
 
     def with_constants(function: StepFunction | None) -> Callable[[Sequence[Any]], Sequence[Any]]:
-        return (lambda y: function(tuple(y), step_size, p)) if function else lambda y: y
+        return (lambda y: function(tuple(y), size, p)) if function else lambda y: y
 
-    made = RationalMap(len(top.components), *map(with_constants, (method.enter, method.step, method.leave)))
-    if isinstance(arithmetic, Modular):
-        try:
-            decided = _is_decided(made)
-        except NotRationalError as error:
-            raise refused(scheme, arithmetic, str(error)) from None
-        if decided:
-            raise refused(scheme, arithmetic, DECIDES)
-    return made
+    enter, step, leave = map(with_constants, (method.enter, method.step, method.leave))
+    return RationalMap(len(top.components), enter, step, leave, numbers.number)
 
 
-def _is_decided(step: RationalMap) -> bool:
-    """True if the state after two steps depends on comparisons; those of counters do not matter.
+def modular_map(scheme: Scheme, top: Top, options: Any, h: Fraction) -> RationalMap:
+    """Map of a scheme on states of ``Jet``s; its constants are rational numbers, which can be compared.
+
+    Raises UsageError as ``rational_map``, and for a step that decides by the state.
+    """
+    numbers = replace(rationals(), name="rational functions", purpose="integrability")
+    step = rational_map(scheme, top, options, h, numbers)
+    try:
+        if _two_steps(step, False) != _two_steps(step, True):
+            raise NotRationalError(DECIDES)
+    except NotRationalError as error:
+        raise refused(scheme, numbers, str(error)) from None
+    return step
+
+
+def _two_steps(step: RationalMap, answer: bool) -> list[int]:
+    """State after two steps in which all comparisons are ``answer``; those of counters do not matter.
 
     Raises NotRationalError for a state that is not a function of the one before.
     """
-    y = [Jet(np.array([[PRIME // (i + 3)]])) for i in range(step.d)]
-    found: list[list[int]] = []
-    for answer in (False, True):
-        with deciding(answer):
-            state = step.leave(step.step(step.step(step.enter(y))))
-        if not all(isinstance(x, Jet) for x in state):
-            raise NotRationalError("returns a component that does not depend on the state")
-        found.append([int(x.a[0, 0]) for x in state])
-    return found[0] != found[1]
+    y, context = [Jet(np.array([[PRIME // (i + 3)]])) for i in range(step.d)], copy_context()
+    context.run(decisions.set, repeat(answer, MOST_DECISIONS))
+    state = context.run(lambda: step.leave(step.step(step.step(step.enter(y)))))
+    if not all(isinstance(x, Jet) for x in state):
+        raise NotRationalError("returns a component that does not depend on the state")
+    return [int(x.a[0, 0]) for x in state]

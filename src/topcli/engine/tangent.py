@@ -1,163 +1,97 @@
-"""Steps with their tangent maps, compiled for several orbits side by side; tangent vectors are renormalised on the way.
+"""Steps with their tangent maps, for several orbits side by side.
 
-The tangent map of a step is the step compiled for dual numbers, unless the scheme gives it (``Stepper.tangent``). The
-logarithms of the factors by which a tangent vector grows add up to its growth, from which Lyapunov exponents follow.
+The tangent map of a step is the step compiled for dual numbers, unless the scheme gives it (``Stepper.tangent``). Step
+and tangent map together are a step of twice the width, which the ordinary time loops iterate (``engine.loops``).
 
-The compiled loop goes over the steps and, within each, over the orbits, as in ``engine.tile``.
+Tangent vectors grow or shrink exponentially. Between calls of the loop they are divided by powers of two: the tangent
+map is linear, so this changes no digit, and neither growth nor direction depend on the lengths of the calls or on the
+other orbits. A call after which a vector is too large or too small is repeated with fewer steps.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from topcli.contracts import Array, Block, Method, Sampler, Scheme, Stepper, Top, same_state
+from topcli.contracts import Array, Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
+from topcli.engine.compile import CompileError, place_of
 from topcli.engine.duals import dual, slope_of, value_of
-from topcli.engine.loop import Loop, loop_of, state_after
-from topcli.engine.native import CompileError, Native, native
-from topcli.engine.source import place_of
+from topcli.engine.loops import Loop, loop_code, loop_of, more_parameters, state_after
 from topcli.errors import UsageError
 
-SIGNATURE = "pppdqqqq"
+NEAR, FAR = 2.0**128, 2.0**512
+"""Sizes of a vector up to which it needs no new scale, and up to which a call counts; likewise their inverses."""
+FIRST_CALL, MOST_STEPS = 1 << 10, 1 << 16
+"""Steps of the first call, and most steps of a call."""
+BLOCK_STEPS, BLOCK_TIME = 64, 4.0
+"""The most for a method with its own time loop, which begins anew in each call, with units that fit the vector."""
 
-_TEMPLATE = """
-def make(step, enter, leave):
-    def drive(work, out, params, h, blocks, every, begin, renormalise):
-        p = ({parameters})
-        if begin:
-            for j in range({lanes}):
-                s = enter(({entered}), h, p)
-                {store}
-        {advance}
-        for j in range({lanes}):
-            y = leave(({load}), h, p)
-            {leave}
-        return 1
-
-    return drive
+_WITH_SLOPES = """
+def with_slopes(x, h, p):
+    y = function(({duals}), h, p)
+    return ({values}{slopes})
 """
-_BLOCKS = """for b in range(blocks):
-            {steps}
-            if renormalise:
-                {lane_loop}
-                    y = leave(s, h, p)
-                    size = math.sqrt({norm})
-                    out[{log} + j] += math.log(size)
-                    factor = 1.0 / size
-                    {scale}"""
-_ALONE = """j = 0
-        loaded = ({load})  # numba refuses more than 30 items for a variable with several values
-        s = loaded
-        failed = 0.0
-        {blocks}
-        {store}
-        {failed} += failed"""
 
 
-@cache
-def _template(
-    width: int, d: int, constants: int, given: bool, checked: int, lanes: int
-) -> Callable[..., Callable[..., int]]:
-    """Maker of the loop for a working state of ``width`` slots, of which the first ``checked`` are tested.
-
-    Each step is tested, since the next one may hide that it failed; the row after those of the working state has nan
-    for an orbit of which one did. The slots are dual numbers unless the tangent map is ``given``: then they are the
-    state and the tangent vector, of ``d`` components each, and whatever follows.
-    """
-
-    def slot(array: str, i: int) -> str:
-        return f"{array}[{i * lanes} + j]"
-
-    def stored(indent: int) -> str:
-        texts = []
-        for i in range(width):
-            texts.append(f"{slot('work', i)} = " + (f"s[{i}]" if given else f"value_of(s[{i}])"))
-            if not given:
-                texts.append(f"{slot('work', width + i)} = slope_of(s[{i}])")
-        return ("\n" + " " * indent).join(texts)
-
-    if given:
-        load = "".join(f"{slot('work', i)}, " for i in range(width))
-        entered = "".join(f"{slot('out', i)}, " for i in range(2 * d))
-        left = [f"{slot('out', i)} = y[{i}]" for i in range(2 * d)]
-        norm = " + ".join(f"y[{d + i}] * y[{d + i}]" for i in range(d))
-        scaled = "".join(f"s[{i}]{' * factor' * (d <= i < 2 * d)}, " for i in range(width))
-        values = [f"s[{i}]" for i in range(width)]
-    else:
-        load = "".join(f"dual({slot('work', i)}, {slot('work', width + i)}), " for i in range(width))
-        entered = "".join(f"dual({slot('out', i)}, {slot('out', d + i)}), " for i in range(d))
-        left = [f"{slot('out', i)} = value_of(y[{i}])" for i in range(d)]
-        left += [f"{slot('out', d + i)} = slope_of(y[{i}])" for i in range(d)]
-        norm = " + ".join(f"slope_of(y[{i}]) * slope_of(y[{i}])" for i in range(d))
-        scaled = "".join(f"dual(value_of(s[{i}]), slope_of(s[{i}]) * factor), " for i in range(width))
-        values = [f"value_of(s[{i}])" for i in range(width)]
-    halves = [" + ".join(part) for part in (values[: checked // 2], values[checked // 2 : checked]) if part]
-    failed, test = slot("work", width if given else 2 * width), f"0.0 * (({') + ('.join(halves)}))"
-    steps = "for i in range(every):\n                "
-    if lanes == 1:
-        steps += f"s = step(s, h, p)\n                failed += {test}"
-        lane_loop, scale = "if True:", f"scaled = ({scaled})\n                    s = scaled"
-    else:
-        indent = "\n" + " " * 20
-        steps += (
-            f"for j in range({lanes}):{indent}s = step(({load}), h, p){indent}{stored(20)}{indent}{failed} += {test}"
-        )
-        lane_loop = f"for j in range({lanes}):{indent}loaded = ({load}){indent}s = loaded"
-        scale = f"scaled = ({scaled}){indent}s = scaled{indent}{stored(20)}"
-    blocks = _BLOCKS.format(
-        steps=steps,
-        lane_loop=lane_loop,
-        norm=norm,
-        log=2 * d * lanes,
-        scale=scale,
+def _with_slopes(function: StepFunction, width: int, length: int) -> StepFunction:
+    """``function`` with its derivative: of ``width`` numbers and slopes each, ``length`` numbers and their slopes."""
+    text = _WITH_SLOPES.format(
+        duals="".join(f"dual(x[{i}], x[{width + i}]), " for i in range(width)),
+        values="".join(f"value_of(y[{i}]), " for i in range(length)),
+        slopes="".join(f"slope_of(y[{i}]), " for i in range(length)),
     )
-    text = _TEMPLATE.format(
-        parameters="".join(f"params[{i}], " for i in range(constants)),
-        lanes=lanes,
-        entered=entered,
-        store=stored(16),
-        advance=_ALONE.format(load=load, blocks=blocks, store=stored(8), failed=failed) if lanes == 1 else blocks,
-        load=load,
-        leave=("\n" + " " * 12).join(left),
+    scope: dict[str, Any] = {
+        "function": function,
+        "dual": dual,
+        "value_of": value_of,
+        "slope_of": slope_of,
+        "__name__": __name__,
+    }
+    exec(compile(text, f"<tangent map {width}/{length}>", "exec"), scope)
+    return scope["with_slopes"]
+
+
+def _with_tangent(method: Stepper, d: int) -> Stepper:
+    """The step with its tangent map by dual numbers: numbers of the working state, then their slopes."""
+    return Stepper(
+        _with_slopes(method.step, method.width, method.width),
+        2 * method.width,
+        method.enter and _with_slopes(method.enter, d, method.width),
+        _with_slopes(method.leave or same_state, method.width, d),
+        checked=method.checked or method.width - len(method.counters),
+        constants=method.constants,
     )
-    scope: dict[str, Any] = {"math": math, "dual": dual, "value_of": value_of, "slope_of": slope_of}
-    exec(compile(text, f"<tangent loop {width}/{d}/{constants}/{lanes}>", "exec"), scope)
-    return scope["make"]
 
 
 @dataclass(frozen=True)
 class TangentCode:
-    """Machine code of a step and its tangent map for ``lanes`` orbits of a top at once."""
+    """Step of a method with its tangent map, ready for ``lanes`` orbits at once.
 
-    stepper: Stepper
-    given: bool
-    code: Native
+    ``drive`` and ``enter`` are loops over steps and lanes. ``drive`` leaves state and vector in ``out`` (lanes, 2 d);
+    of the working state, in rows of lanes, the rows ``vector`` belong to the vector. ``enter`` makes the ``width``
+    rows of the working state in the same way; None if they are those of state and vector.
+    """
+
+    drive: Callable[..., int]
+    enter: Callable[..., int] | None
     params: Array
-    d: int
+    width: int
+    vector: slice
     lanes: int
+    restarts: bool = False
+    """True for a method whose own time loop begins anew in each call."""
 
     def run(self, h: float, y: Array, vectors: Array) -> TangentRun:
-        """Orbits with steps of ``h`` from the states ``y`` (m, d) and ``vectors`` (m, d), m <= lanes."""
+        """Orbits with steps of ``h`` from the states ``y`` (m, d) and ``vectors`` (m, d).
+
+        There are at most ``lanes`` orbits, any number if the code ``restarts``.
+        """
         return TangentRun(self, h, y, vectors)
-
-
-@dataclass(frozen=True)
-class BlockCode:
-    """Time loop of a method that has its own, for the state and a tangent vector; orbits are computed one by one."""
-
-    loop: Loop
-    params: Array
-    d: int
-    lanes: int
-
-    def run(self, h: float, y: Array, vectors: Array) -> BlockRun:
-        """Orbits with steps of ``h`` from the states ``y`` (m, d) and ``vectors`` (m, d)."""
-        return BlockRun(self, h, y, vectors)
 
 
 def obstacle(method: Method) -> str:
@@ -171,101 +105,130 @@ def obstacle(method: Method) -> str:
     return "chooses its steps by itself"
 
 
-def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> TangentCode | BlockCode:
-    """Machine code of the step of a ``method`` with its tangent map.
+def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> TangentCode:
+    """Machine code of the step of a ``method`` with its tangent map, for ``lanes`` orbits at once.
 
-    Raises UsageError for a method that has none.
+    Orbits of a method with its own time loop are computed one by one. Raises UsageError for a method without a tangent
+    map.
     """
     reason = obstacle(method)
     if reason or isinstance(method, Sampler):
         raise UsageError(f"scheme {scheme.name!r} {reason}; use a scheme with steps of its own, such as hk or rk4")
-    d = len(top.components)
+    d, constants = len(top.components), len(top.constants())
     if isinstance(method, Block):
         assert method.tangent  # otherwise it is refused above
-        return BlockCode(loop_of(method.tangent(), 2 * d, 0), np.array(top.constants()), d, lanes)
-    given = method.tangent() if method.tangent else None
-    stepper = given or method
-    params = np.array(stepper.parameters(top))
-    checked = stepper.checked or stepper.width - len(stepper.counters)
-    make = _template(stepper.width, d, len(params), given is not None, checked, lanes)
+        params, loop = np.array(top.constants()), loop_of(method.tangent(), 2 * d, 0)
+        return TangentCode(_one_by_one(loop), None, params, 2 * d, slice(d, 2 * d), 1, restarts=True)
+    variational = method.tangent() if method.tangent else None
+    if variational:
+        step = replace(variational, checked=variational.checked or variational.width - len(variational.counters))
+        vector = slice(d, 2 * d)
+    else:
+        step, vector = _with_tangent(method, d), slice(method.width, 2 * method.width)
+
+    def loop_over(stepper: Stepper, length: int) -> Callable[..., int]:
+        return loop_code(stepper, length, constants, lanes, duals=variational is None).checked
+
     try:
-        code = native(
-            make(stepper.step, stepper.enter or same_state, stepper.leave or same_state),
-            SIGNATURE,
-            duals=given is None,
-        )
+        drive, enter = loop_over(step, 2 * d), None
+        if step.enter:  # what a step that moves nothing records of state and vector
+            enter = loop_over(replace(step, step=same_state, width=2 * d, leave=step.enter, checked=d), step.width)
     except CompileError as error:
-        where = place_of(stepper.step)
+        where = place_of(method.step)
         raise UsageError(f"{where}: the step of {scheme.name!r} cannot be differentiated: {error}") from None
-    return TangentCode(stepper, given is not None, code, params, d, lanes)
+    params = np.array([*top.constants(), *more_parameters(step)])
+    return TangentCode(drive, enter, params, step.width, vector, lanes)
+
+
+def _one_by_one(loop: Loop) -> Callable[..., int]:
+    """Loop over orbits of a method with its own time loop, with the arguments of the loop over lanes."""
+
+    def drive(work: Array, out: Array, params: Array, h: float, steps: int, *_: int) -> int:
+        for j in np.flatnonzero(np.isfinite(work[-1])):
+            end = state_after(loop, work[:-1, j].copy(), params, h, steps)
+            if end is None:
+                work[-1, j] = math.nan
+            else:
+                work[:-1, j] = out[j] = end
+        return steps
+
+    return drive
+
+
+def _exponents(x: Array) -> NDArray[np.int64]:
+    """Binary exponents of numbers; 0 of those that are not finite."""
+    return np.where(np.isfinite(x), np.frexp(x)[1], 0).astype(np.int64)
 
 
 class TangentRun:
-    """Orbits of a tile with a tangent vector each, from the states ``y`` (m, d) and ``vectors`` (m, d), m <= lanes.
+    """Orbits with a tangent vector each, from the states ``y`` (m, d) and ``vectors`` (m, d).
 
-    An orbit of which a step failed, in whichever block, has nan as state, vector and growth from then on.
+    ``scales`` (m,) are the powers of two by which the vectors have been divided. An orbit of which a step failed has
+    nan as state and vector from then on.
     """
 
     def __init__(self, code: TangentCode, h: float, y: Array, vectors: Array) -> None:
-        self.code, self.h, self.count = code, h, len(y)
-        slots = code.stepper.width * (1 if code.given else 2)
-        self._work = np.zeros((slots + 1, code.lanes))  # the last row is nan after a failed step, otherwise zero
-        self._out = np.zeros((2 * code.d + 1, code.lanes))
-        self._begin = True
-        self._place(y, vectors)
+        self.code, self.h, (self.count, d) = code, h, y.shape
+        columns = self.count if code.restarts else code.lanes
+        self.scales = _exponents(np.abs(vectors).max(axis=1))
+        self._out = np.full((columns, 2 * d), np.nan)
+        self._out[: self.count] = np.hstack([y, np.ldexp(vectors, -self.scales[:, None])])
+        self._out[self.count :] = self._out[:1]  # idle lanes copy the first, since extreme numbers are slow
+        self._work = np.ascontiguousarray(np.vstack([self._out.T, np.zeros((1, columns))]))
+        if code.enter:
+            entered = np.full((columns, code.width), np.nan)
+            self._call(code.enter, entered, 1)
+            self._work = np.ascontiguousarray(np.vstack([entered.T, self._work[-1:]]))
+        self._most = max(1, int(min(BLOCK_STEPS, BLOCK_TIME / abs(h)))) if code.restarts else MOST_STEPS
+        self._call_steps = min(FIRST_CALL, self._most)
 
-    def _place(self, y: Array, vectors: Array) -> None:
-        d = self.code.d
-        for rows, values in ((self._out[:d], y), (self._out[d : 2 * d], vectors)):
-            rows[:, : self.count] = values.T
-            rows[:, self.count :] = values[:1].T  # idle lanes copy the first
+    def _call(self, loop: Callable[..., int], out: Array, steps: int) -> None:
+        stride = (out.shape[1],) if self.code.lanes > 1 else ()
+        if loop(self._work, out, self.code.params, self.h, steps, steps, steps, *stride) < 0:
+            self._work[-1] = math.nan  # the loop of a single orbit says so, that of lanes by this row itself
 
-    def advance(self, blocks: int, every: int, renormalise: bool = True) -> None:
-        """Take ``blocks`` times ``every`` steps, after each block with vectors of length one if ``renormalise``."""
-        with np.errstate(all="ignore"):
-            code = self.code
-            flags = int(self._begin), int(renormalise)
-            code.code.checked(self._work, self._out, code.params, self.h, blocks, every, *flags)
-        self._begin = False
+    def advance(self, steps: int) -> None:
+        """Take ``steps`` steps."""
+        rows = self.code.vector
+        while steps > 0:
+            before, size = self._work.copy(), min(steps, self._call_steps)
+            self._call(self.code.drive, self._out, size)
+            sizes = np.abs(self._work[rows]).max(axis=0)
+            living = np.isfinite(self._work[-1])
+            if (living & ~((sizes < NEAR) & (sizes > 1.0 / NEAR))).any():
+                # a single step may do what it likes: a vector is then infinite or zero for good
+                first = np.abs(before[rows]).max(axis=0)
+                moves = living & np.isfinite(first) & (first > 0.0)
+                if size > 1 and (moves & ~((sizes < FAR) & (sizes > 1.0 / FAR))).any():
+                    self._work, self._call_steps = before, size // 2
+                    continue
+                self._rescale(sizes)
+            elif size == self._call_steps:
+                self._call_steps = min(2 * size, self._most)
+            steps -= size
+
+    def _rescale(self, sizes: Array) -> None:
+        """Divide the vectors of these ``sizes`` (lanes,) by powers of two."""
+        exponents, d = _exponents(sizes), self._out.shape[1] // 2
+        self._work[self.code.vector] = np.ldexp(self._work[self.code.vector], -exponents)
+        self._out[:, d:] = np.ldexp(self._out[:, d:], -exponents[:, None])
+        self.scales += exponents[: self.count]
 
     @property
     def states(self) -> Array:
-        """Physical states (m, d)."""
-        return self._reached(self._out[: self.code.d])
+        """States (m, d)."""
+        return self._living(self._out[: self.count, : self._out.shape[1] // 2])
 
     @property
     def vectors(self) -> Array:
-        """Tangent vectors (m, d)."""
-        return self._reached(self._out[self.code.d : 2 * self.code.d])
+        """Tangent vectors divided by ``2**scales`` (m, d)."""
+        return self._living(self._out[: self.count, self._out.shape[1] // 2 :])
 
     @property
-    def growth(self) -> Array:
-        """Sum of the logarithms by which the vectors have grown (m,)."""
-        return self._reached(self._out[-1])
-
-    def _reached(self, rows: Array) -> Array:
-        """Values of the orbits (m, ...) from ``rows`` of the tile; nan after a failed step."""
-        return np.where(np.isnan(self._work[-1]), np.nan, rows).T[: self.count]
-
-
-class BlockRun:
-    """As ``TangentRun``, by a method with its own time loop, which begins anew after each renormalisation."""
-
-    def __init__(self, code: BlockCode, h: float, y: Array, vectors: Array) -> None:
-        self.code, self.h = code, h
-        self.states, self.vectors = np.array(y, dtype=float), np.array(vectors, dtype=float)
-        self.growth = np.zeros(len(y))
-
-    def advance(self, blocks: int, every: int, renormalise: bool = True) -> None:
-        """As ``TangentRun.advance``."""
-        loop, params, d = self.code.loop, self.code.params, self.code.d
+    def images(self) -> Array:
+        """Tangent vectors (m, d), infinite or zero beyond the range of doubles."""
         with np.errstate(all="ignore"):
-            for i in range(len(self.states)):
-                for _ in range(blocks):
-                    end = state_after(loop, np.concatenate([self.states[i], self.vectors[i]]), params, self.h, every)
-                    end = np.full(2 * d, np.nan) if end is None else end
-                    self.states[i], self.vectors[i] = end[:d], end[d:]
-                    if renormalise:
-                        size = np.linalg.norm(end[d:])
-                        self.growth[i] += np.log(size)
-                        self.vectors[i] /= size
+            return np.ldexp(self.vectors, self.scales[:, None])
+
+    def _living(self, rows: Array) -> Array:
+        return np.where(np.isfinite(self._work[-1, : self.count])[:, None], rows, np.nan)

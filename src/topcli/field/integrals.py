@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from topcli.arithmetic.elimination import linear_solution
 from topcli.contracts import Array, Invariant, Top
 from topcli.field.polynomial import Field, Monomial, NotPolynomialError, Polynomial, decimal, field_of
 
@@ -160,14 +161,8 @@ def hk_image(field: Field, y: Sequence[Fraction], h: Fraction) -> list[Fraction]
         [(i == j) - h / 2 * field[i].derivative(j).value(y) for j in range(n)] + [h * field[i].value(y)]
         for i in range(n)
     ]
-    for i in range(n):
-        pivot = next((row for row in rows[i:] if row[i]), None)
-        if pivot is None:
-            return None
-        rows.remove(pivot)
-        rows = [[a - row[i] / pivot[i] * b for a, b in zip(row, pivot, strict=True)] for row in rows]
-        rows.insert(i, [a / pivot[i] for a in pivot])
-    return [a + row[n] for a, row in zip(y, rows, strict=True)]
+    change = linear_solution(rows)
+    return None if change is None else [a + d for a, d in zip(y, change, strict=True)]
 
 
 def broken_hk_integral(top: Top) -> str:

@@ -9,12 +9,14 @@ product, and the terms are added in the order in which they become known. Equal 
 from __future__ import annotations
 
 import heapq
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
 from topcli.arithmetic.fused import fma
+from topcli.errors import UsageError
 
 Term = tuple[Fraction, tuple[int, ...]]
 Sum = tuple[Term, ...]
@@ -76,7 +78,13 @@ class Graph:
         return self.node("fixed", text)
 
     def constant(self, c: Fraction) -> int:
-        """Node of c > 0: a literal for a power of two, otherwise a constant times a power of two."""
+        """Node of c > 0: a literal for a power of two, otherwise a constant times a power of two.
+
+        Raises UsageError for a number beyond the doubles, of a parameter that is very large or very small.
+        """
+        if c > sys.float_info.max:
+            size = c.numerator.bit_length() - c.denominator.bit_length()
+            raise UsageError(f"the field has a coefficient of about 2^{size}, which no double holds")
         if is_power_of_two(c):
             return self.fixed(repr(float(c)))
         for i, known in enumerate(self.constants):

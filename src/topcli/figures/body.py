@@ -15,16 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.columns import invariant_values, quaternions_of
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, Top
+from topcli.engine.columns import quaternions_of
 from topcli.errors import ConfigError, UsageError
 from topcli.figures.picture import halo
 from topcli.figures.space import arrow, curve, lit, parallel, quads, set_view, sphere, split
-from topcli.store.manifest import StoredRun
+from topcli.store.results import StoredResult, intact_result
 from topcli.store.series import read_series
-from topcli.store.verify import intact_run
 from topcli.tops.bodies import checked_equations
 
 LONGITUDES, LATITUDES = 56, 28
@@ -258,12 +257,12 @@ def stored_body_motion(folder: Path) -> BodyMotion:
 
     Raises UsageError if there is no run, or if its rows do not determine the attitude, and RunError if it is damaged.
     """
-    run = intact_run(folder)
+    run = intact_result(folder)
     experiment = _experiment(run)
     series = read_series(run.series)
     name, notes = experiment.name, []
     if run.outcome is not Outcome.COMPLETED:
-        notes.append(f"{name}: {run.manifest.get('message', run.outcome.value)}")
+        notes.append(f"{name}: {run.manifest['message']}")
     states = _states(experiment, series)
     attitude = quaternions_of(series)
     if attitude is None:
@@ -285,7 +284,7 @@ def stored_body_motion(folder: Path) -> BodyMotion:
     )
 
 
-def _experiment(run: StoredRun) -> Experiment:
+def _experiment(run: StoredResult) -> Experiment:
     """Experiment of a run. Raises UsageError for an ensemble and for a scheme or top that is not known here."""
     config = run.manifest["config"]
     if "ensemble" in config:
@@ -332,5 +331,6 @@ def _invariants(
     known = experiment.top.invariants()
     values = {each.name: np.asarray(series[each.name], dtype=float) for each in known if each.name in series}
     if states is not None:
-        values |= invariant_values([each for each in known if each.name not in values], states)
+        with np.errstate(all="ignore"):
+            values |= {each.name: each.value(states) for each in known if each.name not in values}
     return {each.name: values[each.name][:rows] for each in known if each.name in values}

@@ -6,7 +6,6 @@ of Lagrange's top is integrable, and so is ``backlund``.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,11 +14,9 @@ import numpy as np
 
 from topcli.analysis.lyapunov import Growth, growth_of, shares_of_chaos
 from topcli.contracts import Array
-from topcli.engine.fingerprint import fingerprint
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import Grid, Line, Panel, caption
 from topcli.figures.style import DASHES, MARKERS, Styles, looks
-from topcli.runs.identity import method_fingerprint
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import find_scheme
 from topcli.studies.study import Result
@@ -111,16 +108,6 @@ def chaos_columns() -> Mapping[str, Array]:
     return columns
 
 
-def chaos_code() -> str:
-    """Digest of everything that the columns depend on; equal digests mean equal columns."""
-    codes = [fingerprint(chaos_columns, compiled=False)]
-    for name, form, _ in MAPS:
-        top, scheme = TOPS[form].new(), find_scheme(name, form)
-        method = scheme.build(top, scheme.options())
-        codes += [method_fingerprint(method), fingerprint(getattr(method, "tangent", None), compiled=False)]
-    return hashlib.sha256("".join(codes).encode()).hexdigest()
-
-
 @dataclass(frozen=True)
 class ChaosMap:
     """Exponents over step size and initial state; regular orbits are white, those without a verdict grey."""
@@ -163,4 +150,4 @@ class SharePanel:
 def load_chaos(request: Request) -> Loaded:
     """Load the map and the shares of chaotic orbits."""
     panels = ChaosMap("(a) HK, Kowalevski top; white: regular"), SharePanel("(b) random orbits")
-    return Loaded(panels, chaos_columns, {"study": chaos_code()}, Grid(figsize=(7.0, 2.9)))
+    return Loaded(panels, chaos_columns, {}, Grid(figsize=(7.0, 2.9)))

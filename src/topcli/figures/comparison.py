@@ -15,7 +15,6 @@ import numpy as np
 
 from topcli.analysis.swings import minima_times
 from topcli.config.load import load_experiment
-from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.curves import plain
 from topcli.figures.figure import Loaded, NothingMeasuredError, Request
@@ -329,5 +328,4 @@ def load_work_precision(request: Request) -> Loaded:
     labels = {curve.name: curve.label for _, curves in drawn for curve in curves}
     first = tuple(labels.get(name, name) for name in (*shown, *peers))
     layout = Grid(rows, (7.0, 1.0 + 2.8 * rows), ncols=3, first=first)
-    code = fingerprint(_shown, _curves, compiled=False)
-    return Loaded(panels, lambda: data, {"benches": made_from, "code": code}, layout)
+    return Loaded(panels, lambda: data, {"benches": made_from}, layout)

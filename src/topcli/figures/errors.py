@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from topcli.engine.fingerprint import fingerprint
 from topcli.figures.curves import LOG, CurvePanel, curve_column, plain
 from topcli.figures.figure import Loaded, study_digest
 from topcli.figures.picture import Grid
@@ -41,5 +40,5 @@ def loaded_order(result: Result) -> Loaded:
         title=plain(f"{study['top'].partition(' (')[0]} ({study['name']})"),
         legend="scheme: order",
     )
-    source = {"study": study_digest(study), "code": fingerprint(order_data, compiled=False)}
+    source = {"study": study_digest(study)}
     return Loaded((panel,), lambda: order_data(study), source, Grid(figsize=(6.4, 3.8)))

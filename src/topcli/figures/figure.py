@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli import __version__
-from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS, Drawable, Grid, draw, save
-from topcli.figures.style import STYLE
-from topcli.runs.identity import method_fingerprint
+from topcli.schemes.plugins import SOURCES, is_built_in
 from topcli.store.files import io_failure, require_new, require_writable, write_whole
 from topcli.store.series import read_metadata, write_parquet
+from topcli.store.sources import digest_of_texts, package_digest
 from topcli.studies import imported
 
 if TYPE_CHECKING:
-    from topcli.config.models import Experiment
+    pass
 
 SOURCE = "topcli.figure.source"
 
@@ -109,23 +107,16 @@ def deferred(place: str) -> Callable[[Request], Loaded]:
 
 
 def _source(loaded: Loaded) -> str:
-    """Text that identifies data, panels, style and drawing code: equal texts mean equal pictures."""
+    """Text that identifies data, panels and code, also of a plugin's panels: equal texts mean equal pictures."""
     painting = dict.fromkeys([type(loaded.layout), *map(type, loaded.panels)])
+    own = () if all(map(is_built_in, painting)) else (text for texts in SOURCES.values() for text in texts.values())
     return json.dumps(
         {
-            "figure": fingerprint(draw, *painting, compiled=False),
-            "style": STYLE.read_text(encoding="utf-8"),
+            "code": package_digest() + digest_of_texts(own),
             "panels": repr((tuple(loaded.panels), loaded.layout)),
-            "topcli": __version__,
             **loaded.source,
         }
     )
-
-
-def code_of(experiments: Iterable[Experiment], functions: Iterable[Callable[..., Any]], *settings: object) -> str:
-    """Digest of everything that columns depend on which ``functions`` make of the motions of ``experiments``."""
-    digests = [method_fingerprint(each.method()) + each.digest for each in experiments]
-    return fingerprint(*functions, compiled=False) + "".join(digests) + repr(settings)
 
 
 def _files(name: str, out: Path, formats: Sequence[str]) -> tuple[Path, ...]:

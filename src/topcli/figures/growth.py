@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.leaving import energy_of
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
-from topcli.engine.run import Run
-from topcli.figures.figure import Loaded, Request, code_of
+from topcli.engine.collect import Memory
+from topcli.engine.drive import drive
+from topcli.engine.machine import Machine
+from topcli.engine.plan import Plan
+from topcli.engine.watch import energy_of
+from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import Grid, Line, Panel, caption, label_ends
 from topcli.figures.style import MARKERS, Styles
 from topcli.schemes.display import display_name
@@ -134,15 +137,16 @@ def ends_of_parts(steps: int) -> NDArray[np.int64]:
 
 def _energy_errors(experiment: Experiment) -> Array:
     """Largest deviation of the energy up to each of the ends, relative to the size of its terms at the start."""
-    top, found = experiment.top, []
+    top = experiment.top
     energy = energy_of(top)
     assert energy is not None
     first = np.array([experiment.y0])
     start, scale = float(energy.value(first)[0]), float(energy.scale(first)[0])
-    for chunk in Run(top, experiment.method(), experiment.y0, experiment.h, ENERGY_STEPS):
-        taken = chunk.n > 0
-        found.append(np.abs(energy.value(chunk.states[taken]) - start) / scale)
-    return np.maximum.accumulate(np.concatenate(found))[ends_of_parts(ENERGY_STEPS) - 1]
+    plan = Plan(top, Machine(top, experiment.method()), first, experiment.h, ENERGY_STEPS, invariants=(energy,))
+    memory = Memory([energy.name])
+    drive(plan, [memory])
+    errors = np.abs(memory.columns[energy.name][0, 1:] - start) / scale
+    return np.maximum.accumulate(errors[~np.isnan(errors)])[ends_of_parts(ENERGY_STEPS) - 1]
 
 
 def energy_columns() -> Mapping[str, Array]:
@@ -153,11 +157,6 @@ def energy_columns() -> Mapping[str, Array]:
         errors = _energy_errors(experiment)
         columns[name] = np.where(errors > 0.0, errors, np.nan)  # a logarithmic axis has no zero
     return columns
-
-
-def energy_code() -> str:
-    """Digest of everything that the columns depend on; equal digests mean equal columns."""
-    return code_of(_experiments().values(), [_energy_errors, ends_of_parts], ENERGY_STEPS)
 
 
 ENERGIES = tuple(
@@ -175,4 +174,9 @@ ENERGIES = tuple(
 
 def load_long_energy(request: Request) -> Loaded:
     """Load the energy errors of the schemes, one panel for each scene."""
-    return Loaded(ENERGIES, energy_columns, {"study": energy_code()}, Grid(figsize=(7.0, 3.2)))
+    return Loaded(
+        ENERGIES,
+        energy_columns,
+        {"scenes": [each.digest for each in _experiments().values()]},
+        Grid(figsize=(7.0, 3.2)),
+    )

@@ -19,7 +19,6 @@ from topcli.analysis.motion.diagram import REGIONS, branches, regions
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Top
-from topcli.engine.fingerprint import fingerprint
 from topcli.figures.curves import plain
 from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import DASHED, Drawable, Grid, Line, Panel, caption, component_symbol, halo
@@ -175,8 +174,7 @@ def load_bifurcation(request: Request) -> Loaded:
         curves = critical_curves(two_l, window.energies, window.k_sq)
         data |= curve_columns(number, curves)
         panels.append(Diagram(number, two_l, window.energies, window.k_sq, window.scene, tuple(curves)))
-    code = fingerprint(regions, branches, _middles, compiled=False)
-    source = {"panels": [repr(panel) for panel in panels], "code": code}
+    source = {"panels": [repr(panel) for panel in panels]}
     return Loaded(tuple(panels), lambda: data, source, Grid(2, (7.0, 6.2), ncols=3, fontsize=9.0, handlelength=DASHED))
 
 

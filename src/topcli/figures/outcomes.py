@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from topcli.engine.fingerprint import fingerprint
 from topcli.errors import counted
 from topcli.figures.figure import Loaded, study_digest
 from topcli.figures.picture import Grid, below_panels
@@ -162,7 +161,7 @@ def loaded_stress(result: Result) -> Loaded:
     by_top = {panel.top: panel for panel in panels}
     heights = [sum(len(by_top[top].rows) + HEAD for top in column) for column in _in_columns(names["top"])]
     layout = StressGrid(figsize=(7.0, 0.4 + CELL * max(heights)))
-    made_from = {"study": study_digest(study), "code": fingerprint(figure_data, compiled=False)}
+    made_from = {"study": study_digest(study)}
     return Loaded(panels, lambda: data, made_from, layout, {"topcli.names": json.dumps(names)})
 
 

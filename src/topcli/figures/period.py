@@ -17,8 +17,8 @@ import numpy as np
 from topcli.analysis.swings import first_swing_spacing, minima_times, spacing_law
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
-from topcli.engine.run import Run
-from topcli.figures.figure import Loaded, Request, code_of
+from topcli.engine.collect import orbit
+from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import Grid, caption, halo
 from topcli.figures.style import Styles, looks
 from topcli.schemes.display import display_name
@@ -160,7 +160,7 @@ PANELS = (
 
 def load_period(request: Request) -> Loaded:
     """Load the motions of the paper's scene, and the time between swings against h."""
-    source = {"study": period_code()}
+    source = {"scenes": [_experiment(name).digest for name, _ in _steps(SCHEMES, SHOWN)]}
     return Loaded(PANELS, lambda: period_columns(request.on_progress), source, Grid(figsize=(7.0, 4.4)))
 
 
@@ -182,9 +182,8 @@ def _experiment(name: str) -> Experiment:
 def _gamma1(experiment: Experiment, N: int) -> tuple[Array, Array]:
     """Times and gamma_1 of a run in N steps, each (m,)."""
     h = TIME / N
-    run = Run(experiment.top, experiment.method(), experiment.y0, h, N, max(1, round(SAMPLING / h)))
-    numbers, values = zip(*((chunk.n, chunk.states[:, 3].copy()) for chunk in run), strict=True)
-    return np.concatenate(numbers) * h, np.concatenate(values)
+    run = orbit(experiment.top, experiment.method(), experiment.y0, h, N, max(1, round(SAMPLING / h)))
+    return run.n * h, run.states[:, 3]
 
 
 def period_columns(
@@ -214,10 +213,3 @@ def period_columns(
         columns[f"h:{scheme.name}"] = np.array([TIME / N for N in spacings])
         columns[f"spacing:{scheme.name}"] = np.array([np.nan if s is None else s for s in spacings.values()])
     return columns
-
-
-def period_code() -> str:
-    """Digest of everything that the columns depend on; equal digests mean equal columns."""
-    steps = _steps(SCHEMES, SHOWN)
-    experiments = map(_experiment, dict.fromkeys(name for name, _ in steps))
-    return code_of(experiments, [_gamma1, first_swing_spacing, motion_column], *steps)

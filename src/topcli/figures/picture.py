@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from topcli.analysis.columns import SYMBOLS
+from topcli.engine.columns import SYMBOLS
 from topcli.figures.style import REFERENCE, REFERENCE_LOOK, Styles, looks, styled
 from topcli.schemes.display import display_name
 

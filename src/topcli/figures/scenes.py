@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from topcli.analysis.columns import ATTITUDES, QUATERNION
 from topcli.arithmetic.quaternions import matrices
 from topcli.config.load import load_experiment
 from topcli.contracts import Outcome
+from topcli.engine.columns import ATTITUDES, QUATERNION
 from topcli.errors import RunError
 from topcli.figures.body import Body, BodyArtist, body_of
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Drawable, Grid
 from topcli.figures.space import SPATIAL
-from topcli.store.manifest import StoredRun
+from topcli.store.results import StoredResult
 
 
 def scene_figure(
@@ -52,15 +52,14 @@ def _load(
     return Loaded(panels, lambda: _Columns(runs), source, layout)
 
 
-def _run(name: str, scene: str, overrides: Sequence[str], request: Request) -> StoredRun:
+def _run(name: str, scene: str, overrides: Sequence[str], request: Request) -> StoredResult:
     """Completed run of ``scene``. Raises UsageError and RunError."""
-    from topcli.runs.decision import RunOptions
-    from topcli.runs.run import run_experiment
+    from topcli.runs.run import RunOptions, run_experiment
 
     options = RunOptions(force=request.force, on_progress=request.on_progress)
     run = run_experiment(load_experiment(scene, overrides), request.results, options)
     if run.set_aside:
-        request.on_message(run.set_aside_message)
+        request.on_message(f"renamed the earlier result to {run.set_aside}")
     if run.outcome is not Outcome.COMPLETED:
         raise RunError(f"{name}: the run {run.stored.folder} {run.report['message']}")
     return run.stored
@@ -69,7 +68,7 @@ def _run(name: str, scene: str, overrides: Sequence[str], request: Request) -> S
 class _Columns(dict[str, Any]):
     """Columns of the runs by scene, read when they are drawn."""
 
-    def __init__(self, runs: Mapping[str, StoredRun]) -> None:
+    def __init__(self, runs: Mapping[str, StoredResult]) -> None:
         super().__init__()
         self.runs = runs
 

@@ -14,12 +14,11 @@ from topcli.analysis.lyapunov import Verdict, growth_of
 from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load
 from topcli.config.models import Experiment
-from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError, nearest, quoted
 from topcli.figures.figure import Figure, Loaded, Request
 from topcli.figures.picture import Grid, caption, component_symbol
 from topcli.schemes.display import display_name
-from topcli.store.manifest import StoredRun, stored_run
+from topcli.store.results import StoredResult, read_result
 from topcli.store.series import read_series
 
 VERDICT = "verdict"
@@ -113,10 +112,10 @@ def _drawn_together(experiment: Experiment, *columns: str) -> dict[str, Any]:
     return {name: config[name] for name in ("top", "scheme", "h", "section")} | meanings
 
 
-def _run_with_section(folder: Path) -> StoredRun:
+def _run_with_section(folder: Path) -> StoredResult:
     """Run in ``folder``. Raises UsageError if there is none, or none with crossings."""
-    run = stored_run(folder)
-    if run is None:
+    run = read_result(folder)
+    if run is None or run.outcome is None:
         raise UsageError(f"{folder}: no finished run here; topcli run CONFIG makes one")
     if "section" not in run.manifest["config"]:
         raise UsageError(
@@ -130,7 +129,7 @@ def _run_with_section(folder: Path) -> StoredRun:
 
 
 def _load_section(
-    runs: Sequence[StoredRun],
+    runs: Sequence[StoredResult],
     experiments: Sequence[Experiment | EnsembleExperiment],
     x: str,
     y: str,
@@ -158,7 +157,6 @@ def _load_section(
     source = {
         "runs": [[run.manifest["digest"], run.manifest["code"]] for run in runs],
         "columns": [x, y, by_verdict],
-        "code": fingerprint(growth_of, compiled=False) if by_verdict else "",
     }
     return Loaded((Points(x, y, title, by_verdict),), data, source, Grid(figsize=(5.0, 4.2)))
 

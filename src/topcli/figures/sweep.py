@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array
-from topcli.engine.fingerprint import fingerprint
 from topcli.errors import UsageError
 from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, HeatPanel, KeyAxis, curve_column, plain
 from topcli.figures.figure import Figure, Loaded, Request
@@ -246,7 +245,7 @@ def _load_rows(rows: SweepRows, choice: Choice, request: Request) -> Loaded:
     choice.require(rows)
     prepare = _heat if choice.colour else curves
     panel, data = prepare(rows, choice)
-    source = {"rows": sha256_of(rows.path), "choice": repr(choice), "code": fingerprint(prepare, compiled=False)}
+    source = {"rows": sha256_of(rows.path), "choice": repr(choice)}
     for line in sweep_notes(rows, choice):
         request.on_message(line)
     curves_named = len(panel.labels) if isinstance(panel, CurvePanel) and panel.at_ends else 0

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.analysis.leaving import step_of_leaving
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
-from topcli.engine.run import Run
-from topcli.figures.figure import Loaded, Request, code_of
+from topcli.engine.collect import orbit
+from topcli.figures.figure import Loaded, Request
 from topcli.figures.picture import Grid, caption
 from topcli.figures.style import Styles, looks
 from topcli.schemes.display import display_name
@@ -60,18 +59,18 @@ def load_torus_points(request: Request) -> Loaded:
     """Load the points of the two maps."""
     panels = tuple(TorusSection(scheme, letter) for scheme, letter in zip(SCHEMES, ("(a)", "(b)"), strict=True))
     layout = Grid(figsize=(7.0, 3.6), heading=rf"Kowalevski top, $h = 1$: points with $|\omega_1| < {THICKNESS:g}$")
-    return Loaded(panels, torus_columns, {"study": torus_code()}, layout)
+    return Loaded(panels, torus_columns, {"scenes": [_experiment(name).digest for name in (*SCHEMES, FLOW)]}, layout)
 
 
 def _experiment(scheme: str) -> Experiment:
     return under_scheme(load_experiment(SCENE), scheme)
 
 
-def orbit(experiment: Experiment, steps: int, h: float) -> Array:
+def motion(experiment: Experiment, steps: int, h: float) -> Array:
     """States (m, d) after up to ``steps`` steps of ``h``, without those after the energy surface is left."""
-    recorded = Run(experiment.top, experiment.method(), experiment.y0, h, steps).collect()
-    left = step_of_leaving(experiment.top, recorded.n, recorded.states)
-    return recorded.states[:left]
+    top = experiment.top
+    recorded = orbit(top, experiment.method(), experiment.y0, h, steps, invariants=top.invariants())
+    return recorded.states[: recorded.ending.left]
 
 
 def crossings(states: Array, rates: Array, h: float) -> Array:
@@ -104,20 +103,14 @@ def torus_columns() -> Mapping[str, Array]:
     columns: dict[str, Array] = {}
     for name in SCHEMES:
         experiment = _experiment(name)
-        states = orbit(experiment, MAP_POINTS - 1, experiment.h)
+        states = motion(experiment, MAP_POINTS - 1, experiment.h)
         near = states[np.abs(states[:, CUT]) < THICKNESS]
         columns[f"{name}:points"] = np.array([float(len(states))])
         columns |= {f"{name}:{axis}": near[:, i].astype(np.float32) for axis, i in zip("uv", SECTION, strict=True)}
     experiment = _experiment(FLOW)
-    states = orbit(experiment, FLOW_STEPS, FLOW_STEP)
+    states = motion(experiment, FLOW_STEPS, FLOW_STEP)
     p = experiment.top.constants()
     rates = np.array(type(experiment.top).field(tuple(states.T), p)).T  # the field is arithmetic: it takes arrays
     on_cut = crossings(states, rates, FLOW_STEP)
     columns |= {f"flow:{axis}": on_cut[:, i].astype(np.float32) for axis, i in zip("uv", SECTION, strict=True)}
     return columns
-
-
-def torus_code() -> str:
-    """Digest of everything that the columns depend on; equal digests mean equal columns."""
-    settings = MAP_POINTS, FLOW_STEP, FLOW_STEPS, CUT, SECTION, THICKNESS
-    return code_of(map(_experiment, (*SCHEMES, FLOW)), [orbit, crossings], *settings)

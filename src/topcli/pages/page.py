@@ -15,14 +15,12 @@ from topcli.pages.pictures import svg_of
 from topcli.pages.results import comparisons, run_chapter, sweep_chapter
 from topcli.pages.studies import bench_chapter, study_chapter
 from topcli.store.files import SEAL, DamagedError, check_study, read_json
-from topcli.store.manifest import MANIFEST
-from topcli.store.parts import linked_file, parts_of
 from topcli.store.provenance import now
-from topcli.store.verify import intact_run, intact_sweep
+from topcli.store.results import MANIFEST, intact_result
 from topcli.studies.study import stored_result, study_file, study_of
 from topcli.sweeps.rows import ROWS_FILE
 from topcli.sweeps.run import SWEEP_FILE, is_sweep
-from topcli.sweeps.sweep_list import missing_result
+from topcli.sweeps.sweep_list import intact_sweep, missing_result
 
 _EXPONENT = re.compile(r"(?:(?<!\w)-)?\d[\d.]*e[-+]\d+")
 FOLDER = Path(__file__).parent
@@ -142,8 +140,6 @@ def _chapters(place: str, results: Path, name: str) -> list[Chapter]:
         for path in (Path(place), results / place):
             if path.exists():
                 return [_of_folder(path, name) if path.is_dir() else _of_file(path, name)]
-        if parts_of(results, place):
-            intact_run(results / place)  # which is unfinished
     except OSError as error:
         raise UsageError(f"{place[:400]}: cannot be read ({error.strerror})") from None
     except MALFORMED as error:
@@ -153,13 +149,11 @@ def _chapters(place: str, results: Path, name: str) -> list[Chapter]:
 
 
 def _of_folder(folder: Path, name: str) -> Chapter:
-    if link := linked_file(folder):  # a page shows nothing of files that its results do not hold
-        raise UsageError(f"{link}: is not a regular file")
     if is_sweep(folder):
         return sweep_chapter(intact_sweep(folder), name)
     if (file := study_file(folder)) and not (folder / MANIFEST).exists():
         return _of_file(file, name)
-    run = intact_run(folder)
+    run = intact_result(folder)
     return bench_chapter(run) if run.manifest.get("kind") == "bench" else run_chapter(run, name)
 
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from topcli.config.document import Problems
 from topcli.config.models import OUTSIDE_IDENTITY
 from topcli.config.rows import RowReader
 from topcli.config.sweep import Sweep
@@ -36,7 +35,6 @@ from topcli.pages.contents import (
     value_text,
 )
 from topcli.pages.pictures import quantile_pictures, series_pictures
-from topcli.runs.decision import flattened
 from topcli.runs.report import (
     ENSEMBLE,
     INVARIANTS,
@@ -48,7 +46,8 @@ from topcli.runs.report import (
     warning_of,
 )
 from topcli.schemes.display import display_name
-from topcli.store.manifest import StoredRun
+from topcli.store.result_folder import flattened
+from topcli.store.results import StoredResult
 from topcli.sweeps.measures import in_words
 from topcli.sweeps.rows import SweepRows, encoded, key_labels, read_rows
 from topcli.sweeps.run import SWEEP_FILE, stored_sweep_file
@@ -60,12 +59,12 @@ def outcome_in_words(outcome: str) -> str:
     return "left its energy surface" if outcome == Outcome.LEFT_MOTION.value else outcome.replace("_", " ")
 
 
-def run_chapter(run: StoredRun, name: str | None) -> Chapter:
+def run_chapter(run: StoredResult, name: str | None) -> Chapter:
     """Chapter on a finished or interrupted run; ``name`` is unique within the page, None leaves out pictures."""
     manifest, report, config = run.manifest, run.report(), run.manifest["config"]
     many = report.get("kind") == "ensemble"
     chapter = Chapter(manifest["name"], "ensemble" if many else "run")
-    chapter.state, chapter.good = outcome_in_words(run.outcome.value), run.outcome is Outcome.COMPLETED
+    chapter.state, chapter.good = outcome_in_words(manifest["outcome"]), run.outcome is Outcome.COMPLETED
     chapter.message = value_text(manifest.get("message", ""))
     chapter.data = {"config": config, "report": report}
     experiment, h = experiment_of(config), report["h"]
@@ -212,7 +211,7 @@ KINDS = ("scheme", "top")
 """Keys over whose values no median is taken."""
 
 
-def sweep_chapter(stored: StoredRun, name: str | None) -> Chapter:
+def sweep_chapter(stored: StoredResult, name: str | None) -> Chapter:
     """Chapter on a finished sweep; ``name`` is unique within the page, None leaves out pictures."""
     folder, rows = stored.folder, read_rows(stored.folder)
     outcomes = Counter(map(str, rows.columns["outcome"]))
@@ -234,7 +233,7 @@ def sweep_chapter(stored: StoredRun, name: str | None) -> Chapter:
 
 def _parts(sweep: Sweep) -> Parts:
     """Forms of the tops and names of the schemes of all rows, each pair once. Raises ConfigError."""
-    reader, problems = RowReader(sweep), Problems(sweep.document)
+    reader, document = RowReader(sweep), replace(sweep.document, faults=[])
     chosen = [key in ("top", "top.kind") or key.partition(".")[0] == "scheme" for key in sweep.keys]
     parts: dict[tuple[str, str], None] = {}
     seen: set[tuple[object, ...]] = set()
@@ -242,9 +241,9 @@ def _parts(sweep: Sweep) -> Parts:
         kind = tuple(id(value) for chooses, value in zip(chosen, values, strict=True) if chooses)
         if kind not in seen:
             seen.add(kind)
-            if row := reader.read(row_number, values, problems):
+            if row := reader.read(row_number, values, document):
                 parts[row.form, json.loads(row.scheme)["name"]] = None
-    problems.raise_any()
+    document.check()
     return list(parts)
 
 

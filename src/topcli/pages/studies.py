@@ -23,13 +23,13 @@ from topcli.pages.contents import (
     files_block,
     sources_of,
 )
-from topcli.store.manifest import StoredRun
+from topcli.store.results import StoredResult
 from topcli.studies import imported
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.studies.study import Result, Study, parts_of
 
 
-def bench_chapter(run: StoredRun) -> Chapter:
+def bench_chapter(run: StoredResult) -> Chapter:
     """Chapter on a benchmark of speed against error."""
     manifest = run.manifest
     chapter = Chapter(manifest["name"], "bench", "speed against error", "measured")

@@ -124,18 +124,6 @@ def commutator(a: Numbers, b: Numbers) -> Numbers:
     return a @ b - b @ a
 
 
-def rank(rows: Any) -> int:
-    """Rank of a matrix of rational numbers, by elimination."""
-    left, count = [exact(*row) * Fraction(1) for row in rows], 0
-    for column in range(len(left[0])):
-        pivot = next((index for index, row in enumerate(left) if row[column] != 0), None)
-        if pivot is not None:
-            chosen = left.pop(pivot)
-            left = [row - row[column] / chosen[column] * chosen for row in left]
-            count += 1
-    return count
-
-
 class Draws:
     """Rational numbers at random from a set of some hundred, the same for the same ``seed``."""
 

@@ -16,13 +16,14 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator
 
-from topcli.engine.precise import longest
+from topcli.arithmetic.elimination import row_reduced
+from topcli.engine.numbers import longest
 from topcli.errors import counted
 from topcli.paper import identities, printed
-from topcli.paper.algebra import Draws, arguments, dual, exact, largest, rank, rates
+from topcli.paper.algebra import Draws, arguments, dual, exact, largest, rates
 from topcli.paper.claim import Measurement
 from topcli.paper.scenes import DIGITS, OVERRIDES, ExactMap, LedgerScene, exact_map, exact_maps
-from topcli.runs.simulate import simulate_ensemble
+from topcli.runs.simulate import simulate
 from topcli.schemes.kowalevski.bohlin import direct
 
 POINTS = 20
@@ -101,7 +102,7 @@ def independence(integrals: Formula, count: int) -> Measurement:
         for seed in np.eye(6, dtype=int):
             state = {"w": dual(point["w"], seed[:3]), "c": dual(point["c"], seed[3:])}
             columns.append(rates(integrals(**point | state)))
-        figure = max(figure, rank(columns))
+        figure = max(figure, len(row_reduced(columns)[1]))
     return Measurement(float(figure), limit=float(count))
 
 
@@ -120,7 +121,7 @@ def elliptic(scene: LedgerScene, component: int) -> Measurement:
         rows = [
             (u * u * v * v, u * v * (u + v), u * u + v * v, u * v, u + v, 1) for u, v in pairwise(states[:, component])
         ]
-        figure = max(figure, rank(rows))
+        figure = max(figure, len(row_reduced(rows)[1]))
     return Measurement(float(figure))
 
 
@@ -280,15 +281,15 @@ def angles(fraction: float, halves: int, corrected: int | None = None) -> Measur
 
 def _wrong(orbits: Mapping[str, Any]) -> tuple[int, int]:
     """Number of orbits on which a step takes the root farther from its prediction, and number of orbits."""
-    runs = simulate_ensemble("kowalevski_bohlin_a", **orbits)
+    runs = simulate("kowalevski_bohlin_a", **orbits)
     wrong = 0
-    for index in range(len(runs)):
-        run = runs.trajectory(index)
+    for index in range(len(runs.endings)):
+        run = runs[index]
         old, new = run.states[:-1].T, run.states[1:].T
         x, y = direct(tuple(old), run.h, run.top.constants())
         # the other root, minus this one, is nearer to the prediction where their scalar product is negative
         wrong += bool((new[0] * x + new[1] * y < 0.0).any())
-    return wrong, len(runs)
+    return wrong, len(runs.endings)
 
 
 SIGN = {"name": "bohlin-a", "branch": "sign"}

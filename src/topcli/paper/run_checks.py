@@ -22,7 +22,7 @@ from topcli.contracts import Array, Top
 from topcli.paper.claim import Measurement
 from topcli.paper.exact_checks import Formula
 from topcli.paper.scenes import LedgerScene, invariant_named
-from topcli.runs.simulate import simulate_ensemble
+from topcli.runs.simulate import simulate
 from topcli.tops import TOPS
 from topcli.tops.bodies import checked_equations
 
@@ -101,7 +101,7 @@ def small(scene: LedgerScene, invariants: list[str]) -> Measurement:
     run = scene.trajectory()
     figures = []
     for name in invariants:
-        invariant = invariant_named((*run.top.invariants(), *run.modified), name)
+        invariant = invariant_named(run.rows.plan.invariants, name)
         values = invariant.value(run.states)
         figures.append(float(np.abs(values - values[0]).max() / invariant.scale(run.states).max()))
     return Measurement(max(figures), (run.h * rate_of_change(run.top, run.states)) ** 2)
@@ -245,8 +245,8 @@ def map_neighbours(scheme: str, h: float) -> Measurement:
             near = omega + np.array([shift, 0.0, 0.0])
             states.append({"omega": near.tolist(), "gamma": (gamma / np.linalg.norm(gamma)).tolist()})
     ensemble = {"states": states, "store": "trajectories"}
-    runs = simulate_ensemble("kowalevski_hk", scheme=scheme, h=h, N=PARTING_STEPS, ensemble=ensemble)
-    pairs = [(runs.trajectory(2 * index), runs.trajectory(2 * index + 1)) for index in range(PAIRS)]
+    runs = simulate("kowalevski_hk", scheme=scheme, h=h, N=PARTING_STEPS, ensemble=ensemble)
+    pairs = [(runs[2 * index], runs[2 * index + 1]) for index in range(PAIRS)]
     decades = [_decades(a, b) for a, b in pairs if len(a) == len(b) == PARTING_STEPS + 1]
     least = math.log10(PARTING_STEPS) + 2.0
     note = f"more than the bound for {sum(value > least for value in decades)} of {len(decades)} pairs of orbits"
@@ -258,8 +258,8 @@ def spectrum(top: str, form: str) -> Measurement:
     body: Any = TOPS[top].new()
     lax = {"block": block_form, "kowalevski": kowalevski_form}[form](checked_equations(body, "the ledger"))
     symbols = {invariant.name: invariant.symbol for invariant in body.invariants()}
-    notes, contents = [], []
+    independent, notes = 0, []
     for traced in dict.fromkeys((replace(lax, blocks=1), lax)):
-        contents.append(spectral_content(traced, body.invariants(), len(body.components)))
-        notes.append(f"{traced.traced}: {', '.join(symbols[name] for name in contents[-1].carries)}")
-    return Measurement(float(contents[-1].independent), note="; ".join(notes))
+        independent, carried = spectral_content(traced, body.invariants(), len(body.components))
+        notes.append(f"{traced.traced}: {', '.join(symbols[name] for name in carried)}")
+    return Measurement(float(independent), note="; ".join(notes))

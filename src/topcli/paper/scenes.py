@@ -16,12 +16,12 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
-from topcli.engine.precise import PreciseRun
-from topcli.engine.run import Run
+from topcli.engine.collect import orbit
+from topcli.engine.machine import Machine
+from topcli.engine.numbers import PreciseRun
 from topcli.errors import RunError, nearest
 from topcli.paper.algebra import Draws
-from topcli.runs.precise import precise_run
-from topcli.runs.simulate import trajectory_of
+from topcli.runs.plans import precise_of, trajectory_of
 
 DIGITS = 50
 OVERRIDES = {
@@ -112,6 +112,7 @@ class ExactMap:
 
     experiment: Experiment
     run: PreciseRun
+    machine: Machine
 
     @property
     def y0(self) -> NDArray[Any]:
@@ -125,7 +126,7 @@ class ExactMap:
 
     def orbit(self, y: Sequence[Any] | NDArray[Any], h: Any, steps: int) -> NDArray[Any]:
         """States (steps + 1, d) from ``y``. Raises RunError if a step fails."""
-        _, states, ending = Run(self.run.top, self.run.loop, np.array(y, dtype=np.object_), h, steps).collect()
+        _, states, ending = orbit(self.run.top, self.machine, np.array(y, dtype=np.object_), h, steps)
         if len(states) <= steps:
             raise RunError(f"{self.experiment.name}: {ending.message}")
         return states
@@ -171,9 +172,9 @@ class ExactMap:
 def exact_map(scene: LedgerScene) -> ExactMap:
     """Step of a scene that has a precision other than double."""
     experiment = scene.experiment()
-    run = precise_run(experiment)
+    run = precise_of(experiment)
     assert run is not None
-    return ExactMap(experiment, run)
+    return ExactMap(experiment, run, Machine(run.top, experiment.method(), run.loop))
 
 
 def exact_maps(scene: LedgerScene, varied: bool = True) -> list[ExactMap]:

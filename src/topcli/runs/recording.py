@@ -1,224 +1,209 @@
-"""Recording of a run or an ensemble into its folder, from the first step to the manifest."""
+"""The consumers and tables of an experiment that is run into a folder, and the report on it."""
 
 from __future__ import annotations
 
-import contextlib
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from topcli.analysis.algebraic_growth import digit_growth
+from topcli.analysis.section_rows import SectionRows
+from topcli.analysis.tally import Tally, summary, trajectory_columns
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
-from topcli.engine.fingerprint import own_parts
-from topcli.errors import RunError, TopcliError, UsageError
-from topcli.runs.decision import RunOptions
-from topcli.runs.identity import Identity, Prepared
-from topcli.runs.recorder import Checkpoints, Recorder, run_of
-from topcli.runs.report import (
-    heading,
-    left_motion,
-    precision_data,
-    report_data,
-    report_markdown,
-    seconds_of,
-    section_data,
-    section_note,
-)
-from topcli.schemes.own_tops import top_origin
-from topcli.schemes.plugins import sources_of
-from topcli.store.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
-from topcli.store.files import io_failure, json_text
-from topcli.store.folder import RunWriter
-from topcli.store.manifest import StoredRun
-from topcli.store.provenance import Commit, now
+from topcli.engine.consumer import Consumer, State
+from topcli.engine.endings import ARRAYS, Endings
+from topcli.engine.integration import Integration
+from topcli.engine.numbers import longest
+from topcli.engine.plan import Plan
+from topcli.engine.rows import Rows
+from topcli.runs.plans import search_of
+from topcli.runs.report import EndingTally, ensemble_report, quantity_rows, run_report
+from topcli.store.table import Table
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
-    from topcli.engine.precise import PreciseRun
+
+Columns = dict[str, NDArray[Any]]
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Origin of the files of a run folder: the experiment, when and where it was begun, and the commit of the code."""
+class Series(Consumer):
+    """The columns ``names`` of all rows go into a ``table``."""
 
-    identity: Identity
-    started: str
-    environment: dict[str, Any]
-    commit: Commit
+    def __init__(self, table: Table, names: Sequence[str]) -> None:
+        self.table, self.names = table, names
 
-    def metadata(self) -> dict[str, str]:
-        """Metadata of the tables."""
-        return table_metadata(self.identity, self.environment)
+    def add(self, rows: Rows) -> Columns:
+        """Columns of the rows that were reached."""
+        return {name: np.array(values) for name, values in rows.columns(self.names).items()}
+
+    def take(self, result: Columns) -> None:
+        """Append the columns to the table."""
+        self.table.add(result)
+
+    def state(self) -> State:
+        """Parts of the table, after writing all rows."""
+        return dict(self.table.commit())
+
+    def restore(self, state: State) -> None:
+        """Continue from a ``state()``, with the rows that it has; after the first plan, they are there already."""
+        self.table.restore(state)
 
 
-def table_metadata(identity: Identity, made_in: dict[str, Any]) -> dict[str, str]:
-    """Metadata of the tables of a run that was made in this environment."""
-    return {
-        "topcli.config": json.dumps(identity.config),
-        "topcli.digest": identity.digest,
-        "topcli.environment": json.dumps(made_in),
-    }
+class LastRows(Series):
+    """The columns ``names`` of the last row of each trajectory go into a ``table``."""
+
+    def add(self, rows: Rows) -> Columns:
+        """Leave out the rows on the way."""
+        return {}
+
+    def take(self, result: Columns) -> None:
+        """Leave out the rows on the way."""
+
+    def end(self, run: Integration) -> None:
+        """Write the last rows of the trajectories that were begun."""
+        begun = np.repeat(run.done >= 0, run.size)[: len(run.last)]
+        which = run.plan.first + np.flatnonzero(begun)
+        rows = Rows(run.plan, run.last_n[begun], run.last[None, begun], columns={"trajectory": which[None]})
+        self.table.add(super().add(rows))
 
 
-def config_text(identity: Identity) -> str:
-    """Config of a run as YAML."""
-    from topcli.config.text import to_yaml  # slow to import; runs that are up to date do not need it
+class Members(Consumer):
+    """One row for each trajectory of an ensemble goes into a ``table``; the endings of all of them are in memory.
 
-    return to_yaml(identity.config)
+    Of the ``judged`` trajectories, ``within`` (invariants,) conserve each invariant to round-off. ``columns`` are the
+    figures of all trajectories by name.
+    """
+
+    def __init__(self, table: Table, tally: Tally, section: SectionRows | None, varied: Sequence[str]) -> None:
+        self._table, self._tally, self._section, self._varied = table, tally, section, varied
+        self._endings: list[Endings] = []
+        self._figures: list[Columns] = []
+        self.within, self.judged = np.zeros(1, dtype=np.int64), 0
+
+    @property
+    def endings(self) -> Endings:
+        """Endings of the trajectories of all plans so far."""
+        return Endings.joined(self._endings)
+
+    @property
+    def figures(self) -> Columns:
+        """Figures of invariants and quantities by name, of the trajectories of all plans so far."""
+        return {name: np.concatenate([part[name] for part in self._figures]) for name in self._figures[0]}
+
+    def end(self, run: Integration) -> None:
+        """Write the rows of a plan: parameters, initial states, outcomes, figures of invariants and quantities."""
+        tally = self._tally
+        columns = trajectory_columns(tally, run.endings, self._varied)
+        if self._section:
+            columns |= self._section.quantities.quantities()
+        self._table.add(columns)
+        self._endings.append(run.endings)
+        self._figures.append({name: values for name, values in columns.items() if "." in name})
+        self.within = self.within + tally.within_round_off.sum(axis=1)
+        self.judged += int((tally.steps > 0).sum())
+
+    def state(self) -> State:
+        """Endings and figures of the trajectories of earlier plans, and the parts of the table."""
+        state: State = {"within": self.within, "judged": np.array(self.judged), **self._table.commit()}
+        if self._endings:
+            state |= {f"ending.{name}": getattr(self.endings, name) for name in ARRAYS}
+            state |= {f"figure.{name}": values for name, values in self.figures.items()}
+        return state
+
+    def restore(self, state: State) -> None:
+        """Continue from a ``state()``."""
+        self.within, self.judged = np.array(state["within"]), int(state["judged"])
+        self._table.restore(state)
+        figures = {key.removeprefix("figure."): state[key] for key in state if key.startswith("figure.")}
+        if figures:
+            plan = self._tally.plan
+            counters = plan.machine.counters if plan.machine else ()
+            endings = Endings.of_none(0, plan.h, counters)
+            self._endings = [replace(endings, **{name: np.array(state[f"ending.{name}"]) for name in ARRAYS})]
+            self._figures = [figures]
+
+
+class Digits(Consumer):
+    """Lengths of the numbers of a run in another precision, which grow if they are rational."""
+
+    def __init__(self) -> None:
+        self._n: list[int] = []
+        self._bits: list[int] = []
+
+    def add(self, rows: Rows) -> None:
+        """Measure the states of rows."""
+        self._n += rows.n.tolist()
+        self._bits += [longest(state) for state in rows.states[0]]
+
+    def entries(self, experiment: Experiment, plan: Plan) -> dict[str, Any]:
+        """Entries of ``report.json``: the precision, the library, and the law of growth of rational numbers."""
+        assert plan.precise is not None
+        growth = None
+        if not plan.precise.arithmetic.bits:
+            growth = digit_growth(np.array(self._n, dtype=np.int64), np.array(self._bits, dtype=np.int64))
+        about = {"precision": experiment.precision, "library": plan.precise.arithmetic.library}
+        return about | ({"digit_growth": growth.as_dict()} if growth else {})
 
 
 class Recording:
-    """A run on its way into its folder; a subclass runs it into tables."""
+    """The ``consumers`` that record an experiment into tables in a folder, and the report on what they recorded."""
 
-    def __init__(self, experiment: Experiment | EnsembleExperiment, writer: RunWriter, origin: Origin) -> None:
-        self.experiment, self.writer, self.origin = experiment, writer, origin
+    def __init__(self, experiment: Experiment | EnsembleExperiment, folder: Path, metadata: dict[str, str]) -> None:
+        self.experiment = experiment
+        self.first = experiment if isinstance(experiment, Experiment) else experiment.first
+        self.seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
+        self.tables: list[Table] = []
+        self._folder, self._metadata, first = folder, metadata, self.first
+        store = "trajectories" if isinstance(experiment, Experiment) else experiment.store
+        names = [invariant.name for invariant in (*first.top.invariants(), *first.modified)] if first.section else None
+        self._tally, self._section, self._members = Tally(names, judged=experiment is first), None, None
+        self.consumers: list[Consumer] = [self._tally]
+        self._digits = Digits() if first.written is not None else None
+        if self._digits:
+            self.consumers.append(self._digits)
+        self._columns = [*(["trajectory"] if experiment is not first else []), *first.recorded]
+        if store != "statistics":
+            rows = (LastRows if store == "final" else Series)(self._table("series"), self._columns)
+            if first.section and store == "trajectories":
+                rows = self._section = SectionRows(lambda plan: search_of(first, plan), rows)
+            self.consumers.append(rows)
+        if not isinstance(experiment, Experiment):
+            tops = [group.top for group in experiment.members.groups]
+            varied = [name for name in type(tops[0]).model_fields if len({getattr(top, name) for top in tops}) > 1]
+            self._members = Members(self._table("trajectories"), self._tally, self._section, varied)
+            self.consumers.append(self._members)
 
-    def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
-        """Run into tables; the report, its Markdown, and entries of the manifest. Raises OSError."""
-        raise NotImplementedError
+    def _table(self, name: str) -> Table:
+        self.tables.append(Table(self._folder, name, self._metadata, self.first.output.format))
+        return self.tables[-1]
 
-    def carry_out(self, start: Checkpoint | None, options: RunOptions) -> tuple[StoredRun, dict[str, Any]]:
-        """Run from ``start``, or from step 0, to the end or until stopped, and put the folder in its place.
+    def add_seconds(self, run: Integration) -> None:
+        """Add the times of a plan; those of an ensemble share their code."""
+        times, seconds = run.times, self.seconds
+        seconds["compile"] = max(seconds["compile"], times["compile"])
+        seconds["compile_cached"] &= times["compile_cached"]
+        seconds["run"] += times["run"]
 
-        Raises OSError, and RunError if another process has put a different run there.
-        """
-        report, markdown, entries = self.record(start, options)
-        writer, origin, identity = self.writer, self.origin, self.origin.identity
-        texts = {"report.json": json_text(report), "report.md": markdown, "config.yaml": config_text(identity)}
-        first = self.experiment if isinstance(self.experiment, Experiment) else self.experiment.first
-        texts |= sources_of(own_parts(type(first.top), first.scheme))
-        manifest = {
-            "name": identity.name,
-            **identity.digests,
-            "outcome": report["outcome"],
-            "message": report["message"],
-            **entries,
-            "config": identity.config,
-            "scheme_origin": first.scheme.origin,
-            "top_origin": top_origin(type(first.top)),
-            "started": origin.started,
-            "ended": now(),
-            "seconds": report["seconds"],
-            "environment": origin.environment,
-            **origin.commit.read(),
-        }
-        return writer.commit(manifest, texts), report
+    def report(self, plan: Plan, endings: Endings, digest: str) -> dict[str, Any]:
+        """Content of ``report.json``; ``plan`` is the last one, and the ``endings`` are those of its trajectories."""
+        counts = None if self._section is None else self._section.counts
+        if self._members is None or isinstance(self.experiment, Experiment):
+            tally = self._section.quantities if self._section else self._tally
+            quantities = quantity_rows(self.first.quantities, tally.quantities(), counts)
+            rows, further = self._tally.report(), self._digits.entries(self.first, plan) if self._digits else {}
+            return run_report(self.first, digest, endings[0], rows, self.seconds, quantities, counts, further)
+        outcomes, members = EndingTally(self.first.N), self._members
+        outcomes.add(members.endings)
+        rows = summary(plan, members.figures, members.within, members.judged)
+        quantities = quantity_rows(self.first.quantities, members.figures, counts)
+        return ensemble_report(self.experiment, digest, outcomes, rows, self.seconds, quantities, counts)
 
-    def failure(self, error: OSError) -> RunError:
-        """Error to report after a failed write."""
-        return self.writer.failure(error)
-
-
-class SingleRecording(Recording):
-    """A run of one trajectory, with a checkpoint every some ``seconds`` if it is computed in doubles."""
-
-    experiment: Experiment
-
-    def __init__(
-        self,
-        experiment: Experiment,
-        writer: RunWriter,
-        origin: Origin,
-        ready: Prepared,
-        resumed: list[dict[str, Any]],
-        start: Checkpoint | None,
-        seconds: float,
-    ) -> None:
-        super().__init__(experiment, writer, origin)
-        self.ready, self.resumed = ready, resumed
-        identity = origin.identity
-        about = {
-            **identity.digests,
-            "name": identity.name,
-            "config": identity.config,
-            "environment": origin.environment,
-            "started": origin.started,
-            "resumed": resumed,
-        }
-        self.checkpoints = Checkpoints(writer.folder, about, seconds, last=start)
-
-    def record(self, start: Checkpoint | None, options: RunOptions) -> tuple[dict[str, Any], str, dict[str, Any]]:
-        """Run into the series; the report, its Markdown, and entries of the manifest. Raises OSError."""
-        experiment, writer, precise = self.experiment, self.writer, self.ready.precise
-        path = writer.folder / f"series.{experiment.output.format}"
-        try:
-            recorder = _recorder(experiment, precise, path, self.origin.metadata(), start)
-            position = start and recorder.position(start)
-            run = run_of(experiment, self.ready.method, options.stop, position, precise)
-        except (KeyError, ValueError) as error:
-            if start is None:
-                raise
-            raise UsageError(
-                f"{writer.folder}: its checkpoint was written by another version of topcli ({error})"
-            ) from None
-        run.run_seconds = float(start.about["run_seconds"]) if start else 0.0
-        with recorder:
-            for chunk in run:
-                recorder.add(chunk)
-                if precise is None:
-                    self.checkpoints.consider(run, recorder)
-                options.on_progress(chunk.done, run.N)
-            assert run.ending is not None
-            if run.ending.outcome is Outcome.INTERRUPTED and precise is None:
-                self.checkpoints.save(run, recorder)
-            ending = recorder.finish(run.ending)
-        writer.sha256[path.name] = recorder.series.sha256
-        crossings = None if recorder.crossings is None else np.array([recorder.crossings])
-        summary = {
-            **heading(experiment, experiment.name, self.origin.identity.digest),
-            "outcome": ending.outcome.value,
-            "message": ending.message + section_note(experiment, crossings),
-            **section_data(crossings),
-            "step": ending.step,
-            "t": ending.t,
-            "left_motion": left_motion(ending),
-            "counters": dict(ending.counters),
-            "seconds": seconds_of(run),
-            **((precise and precision_data(experiment.precision, precise.arithmetic.library, recorder.growth)) or {}),
-        }
-        report = report_data(summary, recorder.tally.report(), recorder.quantities.rows())
-        manifest = {"step": ending.step, "left_motion": report["left_motion"], "series": path.name}
-        return report, report_markdown(report), manifest | ({"resumed": self.resumed} if self.resumed else {})
-
-    def failure(self, error: OSError) -> RunError:
-        """Return the error to report after a failed write, and save the run as interrupted or its last checkpoint."""
-        writer, last = self.writer, None
-        if writer.finished or not writer.folder.exists():
-            return writer.failure(error)
-        for last in self.checkpoints.to_save():
-            with contextlib.suppress(OSError, TopcliError):
-                return io_failure(error, writer.target, self._saved(last))
-        if last is not None and read_checkpoint(writer.folder) is None:
-            with contextlib.suppress(OSError):
-                write_checkpoint(writer.folder, last)
-        return writer.failure(error)
-
-    def _saved(self, last: Checkpoint) -> str:
-        """Put the run up to a checkpoint in its place, and return what is kept. Raises OSError and TopcliError.
-
-        The run continues from the checkpoint and is stopped before its next step, so that it ends as interrupted runs
-        do; one that is already at its end is finished.
-        """
-        stored, _ = self.carry_out(last, RunOptions(stop=lambda: True))
-        if stored.interrupted:
-            return f"the run up to step {last.done} is kept, marked interrupted; --resume continues it"
-        return "the finished run is stored in its folder"
-
-
-def _recorder(
-    experiment: Experiment,
-    precise: PreciseRun | None,
-    path: Path,
-    metadata: Mapping[str, str],
-    start: Checkpoint | None,
-) -> Recorder:
-    """Recorder of an experiment in its precision, for a series at ``path``; it continues from ``start``."""
-    if precise is None:
-        return Recorder(experiment, path, metadata, start)
-    from topcli.runs.precise import PreciseRecorder
-
-    return PreciseRecorder(experiment, precise, path, metadata)
+    def finish(self, outcome: Outcome, message: str, more: dict[str, str]) -> list[Path]:
+        """Complete the tables, and return their files."""
+        ended = {"topcli.outcome": outcome.value, "topcli.message": message, **more}
+        return [table.finish(self._columns if table.name == "series" else (), ended) for table in self.tables]

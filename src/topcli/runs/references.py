@@ -12,12 +12,17 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.reference import MAX_TAYLOR_STEPS, reference_obstacle, reference_states
+from topcli.analysis.reference import MAX_TAYLOR_STEPS, distances, reference_obstacle, reference_states
 from topcli.contracts import Array, Sampler, Scheme, Top, check_stop
+from topcli.engine.consumer import Consumer
+from topcli.engine.integration import Integration
+from topcli.engine.plan import Plan
+from topcli.engine.rows import Rows
 from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
@@ -29,19 +34,12 @@ METHODS = {TAYLOR: "Taylor series in double-double arithmetic", EXACT: "closed f
 """Kinds of references, with what they are."""
 LESS_ACCURATE = frozenset({"kowalevski"})
 """Forms whose closed form is not the reference: its error grows where gravity is weak, and it refuses some motions."""
-KEPT_BYTES = 1 << 28
-"""Memory of the references that are kept."""
-STRIPES = 64
-"""Number of references that may be computed at the same time."""
+MAX_BYTES = 1 << 28
+"""Memory of the references of a process."""
 SHARED_TAYLOR_STEPS = 1_000_000
 """Taylor steps that a shared reference takes at most, by default: about a minute."""
 CLOSED_STATES = 1 << 16
 """States of a closed form between two questions whether to stop."""
-POLL_SECONDS = 0.1
-"""The same while another run computes the reference, in seconds."""
-KEPT_REFUSALS = 4096
-Motion = tuple[str, str, float, bytes]
-"""Form and parameters of a top, h or 0, and the initial state, which determine a reference."""
 
 
 @cache
@@ -113,78 +111,95 @@ def obstacle(top: Top, scheme: Scheme) -> str:
 
 
 class SharedReferences:
-    """References of at most ``max_bytes``; those of the motion not used for longest are dropped first.
+    """References of this process, of at most ``max_bytes``; refusals are remembered too.
 
     One takes at most ``max_steps`` Taylor steps. They heed a request to stop.
     """
 
-    def __init__(self, max_bytes: int = KEPT_BYTES, max_steps: int = SHARED_TAYLOR_STEPS) -> None:
+    def __init__(self, max_bytes: int = MAX_BYTES, max_steps: int = SHARED_TAYLOR_STEPS) -> None:
         self._max_bytes, self._bytes, self._max_steps = max_bytes, 0, max_steps
         self._lock = threading.Lock()
-        self._computing = [threading.Lock() for _ in range(STRIPES)]
-        self._kept: OrderedDict[Motion, list[tuple[Array, Array]]] = OrderedDict()
-        self._refused: dict[tuple[Motion, bytes], str] = {}
-        self.computed = 0
-        """Number of references that were computed."""
+        self._states: OrderedDict[Any, Array | str] = OrderedDict()
+        """States (m, d) by motion and times, or the reason why there are none; the latest come last."""
 
     def states(self, reference: Reference, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
         """States (m, d) of ``reference`` after ``n`` (m,) steps of ``h`` from ``y0`` (d,).
 
         Raises RunError if the motion cannot be followed or takes too many Taylor steps.
         """
-        t, top = n * h, reference.top
         # a closed form is computed at the exact products n h, the series at their rounded values
-        step = h if reference.closed_form else 0.0
-        motion = (top.form, top.model_dump_json(), step, np.ascontiguousarray(y0).tobytes())
-        computing = self._computing[hash(motion) % STRIPES]
-        while not computing.acquire(timeout=POLL_SECONDS):  # others that need it wait instead of computing it too
-            check_stop()
-        try:
-            states = self._known(motion, t)
-            if states is None:
-                states = self._compute(motion, reference, np.asarray(y0, dtype=np.float64), h, n)
-                self._keep(motion, t, states)
-            return states
-        finally:
-            computing.release()
-
-    def _compute(self, motion: Motion, reference: Reference, y0: Array, h: float, n: NDArray[np.int64]) -> Array:
-        """States of a reference that is not kept; a refusal is remembered. Raises RunError."""
-        key = (motion, sha256((n * h).tobytes()).digest())
-        if key in self._refused:
-            raise RunError(self._refused[key])
-        try:
-            return reference.states(y0, h, n, self._max_steps)
-        except RunError as error:
-            if len(self._refused) < KEPT_REFUSALS:
-                self._refused[key] = str(error)
-            raise
-
-    def _known(self, motion: Motion, t: Array) -> Array | None:
-        """States at the times ``t`` from a reference that holds all of them; None if there is none."""
+        step, top = h if reference.closed_form else 0.0, reference.top
+        key = (
+            top.form,
+            top.model_dump_json(),
+            step,
+            np.ascontiguousarray(y0).tobytes(),
+            sha256((n * h).tobytes()).digest(),
+        )
         with self._lock:
-            for times, states in self._kept.get(motion, ()):
-                at = np.minimum(np.searchsorted(np.abs(times), np.abs(t)), len(times) - 1)
-                if np.array_equal(times[at], t):
-                    self._kept.move_to_end(motion)
-                    return states if len(at) == len(states) else states[at]
-        return None
+            states = self._states.get(key)
+        if states is None:
+            try:
+                states = reference.states(np.asarray(y0, dtype=np.float64), h, n, self._max_steps)
+            except RunError as error:
+                states = str(error)
+            self._store(key, states)
+        if isinstance(states, str):
+            raise RunError(states)
+        return states
 
-    def _keep(self, motion: Motion, times: Array, states: Array) -> None:
+    def _store(self, key: Any, states: Array | str) -> None:
         with self._lock:
-            self.computed += 1
-            if times.nbytes + states.nbytes > self._max_bytes:
-                return
-            self._kept.setdefault(motion, []).append((times, states))
-            self._kept.move_to_end(motion)
-            self._bytes += times.nbytes + states.nbytes
+            if key not in self._states:
+                self._states[key], self._bytes = states, self._bytes + _size(states)
             while self._bytes > self._max_bytes:
-                oldest = next(iter(self._kept))
-                dropped = self._kept[oldest].pop(0)
-                self._bytes -= sum(array.nbytes for array in dropped)
-                if not self._kept[oldest]:
-                    del self._kept[oldest]
+                self._bytes -= _size(self._states.popitem(last=False)[1])
+
+
+def _size(states: Array | str) -> int:
+    return states.nbytes if isinstance(states, np.ndarray) else len(states)
 
 
 REFERENCES = SharedReferences()
 """References shared by all runs of this process."""
+
+
+class Errors(Consumer):
+    """Distances of the trajectories from ``reference``: the ``largest`` over the rows, and the ``final`` one (B,).
+
+    ``faults`` are the reasons why a reference could not be computed, by trajectory; errors are then nan. Without
+    ``rows`` there is only the final error.
+    """
+
+    def __init__(self, reference: Reference, rows: bool = True) -> None:
+        self._reference, self._rows = reference, rows
+
+    def begin(self, plan: Plan) -> None:
+        """Compute the references of the trajectories of a plan."""
+        count, n = len(plan.states), np.arange(0, plan.N + 1, plan.every) if self._rows else np.zeros(0, dtype=np.int64)
+        n = n if len(n) and n[-1] == plan.N else np.append(n, plan.N)
+        self.faults, self._references = dict[int, str](), list[Array | None]([None] * count)
+        self.largest, self.final = np.full(count, np.nan), np.full(count, np.nan)
+        for i, y0 in enumerate(plan.states):
+            try:
+                self._references[i], self.largest[i] = REFERENCES.states(self._reference, y0, plan.h, n), 0.0
+            except RunError as error:
+                self.faults[i] = str(error)
+
+    def add(self, rows: Rows) -> None:
+        """Compare rows with the references."""
+        if not (self._rows and len(rows)):
+            return
+        start = int(rows.n[0]) // rows.plan.every
+        for i, (states, length) in enumerate(zip(rows.states, rows.lengths.tolist(), strict=True), rows.first):
+            reference = self._references[i]
+            if reference is not None and length:
+                error = distances(states[:length], reference[start : start + length]).max()
+                self.largest[i] = np.maximum(self.largest[i], error)
+
+    def end(self, run: Integration) -> None:
+        """Compare the last states of the trajectories that took all steps."""
+        for i in np.flatnonzero(run.last_n == run.plan.N).tolist():
+            reference = self._references[i]
+            if reference is not None:
+                self.final[i] = distances(run.last[i], reference[-1])

@@ -1,4 +1,4 @@
-"""Reports on runs and ensembles: data for ``report.json``, Markdown for ``report.md``, cells for tables."""
+"""Reports on runs and ensembles: data for ``report.json``, and tables that show them."""
 
 from __future__ import annotations
 
@@ -6,30 +6,20 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.quantities import FIGURES
-from topcli.analysis.tally import (
-    DEVIATIONS,
-    DOUBTFUL,
-    LOST,
-    PART,
-    QUANTILES,
-    ROUND_OFF_ULPS,
-    SIGNIFICANCE,
-    TERMS,
-    InvariantRow,
-)
-from topcli.contracts import Ending, Outcome
-from topcli.engine.run import NO_FAILURE, Endings
+from topcli.analysis.tally import DEVIATIONS, FIGURES, QUANTILES
+from topcli.analysis.verdict import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, InvariantRow
+from topcli.contracts import Array, Ending, Outcome
+from topcli.engine.endings import Endings
 from topcli.errors import counted
 from topcli.table import Column, Table, number, plus_minus, rounded_up, ten_digits, two_digits
 
 if TYPE_CHECKING:
-    from topcli.analysis.algebraic_growth import DigitGrowth
+    from topcli.analysis.quantities import Quantity
     from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
 
@@ -174,15 +164,6 @@ def heading(experiment: Experiment, name: str, digest: str) -> dict[str, Any]:
     }
 
 
-def precision_data(precision: int | str, library: str, growth: DigitGrowth | None) -> dict[str, Any]:
-    """Entries of ``report.json`` of a run in another precision than double, with the growth of rational numbers."""
-    return {
-        "precision": precision,
-        "library": library,
-        **({} if growth is None else {"digit_growth": growth.as_dict()}),
-    }
-
-
 POWERS = {1: "linearly", 2: "quadratically", 3: "cubically"}
 
 
@@ -216,13 +197,13 @@ QUANTITIES = Table(
 
 
 def report_data(
-    summary: dict[str, Any], rows: Sequence[InvariantRow], quantities: Sequence[dict[str, Any]] = ()
+    about: Mapping[str, Any], rows: Sequence[InvariantRow], quantities: Sequence[dict[str, Any]] = ()
 ) -> dict[str, Any]:
-    """Content of ``report.json``: the ``summary`` of the run, a row for each invariant, and for each quantity."""
+    """Content of ``report.json``: what it is ``about``, a row for each invariant, and for each quantity."""
     return finite(
         {
             "schema_version": SCHEMA_VERSION,
-            **summary,
+            **about,
             "round_off_ulps": ROUND_OFF_ULPS,
             "significance": SIGNIFICANCE,
             "lost": LOST,
@@ -230,6 +211,50 @@ def report_data(
             **({"quantities": list(quantities)} if quantities else {}),
         }
     )
+
+
+def run_report(
+    experiment: Experiment,
+    digest: str,
+    ending: Ending,
+    rows: Sequence[InvariantRow],
+    seconds: Mapping[str, Any],
+    quantities: Sequence[dict[str, Any]],
+    crossings: NDArray[np.int64] | None,
+    further: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Content of ``report.json`` of a run, with ``further`` entries on its precision."""
+    about = {
+        **heading(experiment, experiment.name, digest),
+        "outcome": ending.outcome.value,
+        "message": ending.message + section_note(experiment, crossings),
+        **section_data(crossings),
+        "step": ending.step,
+        "t": ending.t,
+        "left_motion": left_motion(ending),
+        "counters": dict(ending.counters),
+        "seconds": dict(seconds),
+        **further,
+    }
+    return report_data(about, rows, quantities)
+
+
+def quantity_rows(
+    quantities: Sequence[Quantity], figures: Mapping[str, Array], crossings: NDArray[np.int64] | None
+) -> list[dict[str, Any]]:
+    """Plain data for each quantity: name, formula, and its ``figures`` (B,) over all trajectories together.
+
+    First, last and mean are averages over the trajectories; of a section, over those with ``crossings`` (B,).
+    """
+    join, rows = {"min": np.min, "max": np.max}, []
+    for quantity in quantities:
+        row: dict[str, Any] = {"name": quantity.name, "formula": quantity.formula}
+        for figure in FIGURES:
+            values = figures[f"{figure}.{quantity.name}"]
+            values = values if crossings is None else values[crossings > 0]
+            row[figure] = float(join.get(figure, np.mean)(values)) if len(values) else math.nan
+        rows.append(row)
+    return rows
 
 
 def section_data(crossings: NDArray[np.int64] | None) -> dict[str, Any]:
@@ -277,90 +302,6 @@ def comparison_lines(schemes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
         for column in REPORT_COLUMNS
         if column.compared
     ]
-
-
-def report_head(report: dict[str, Any], extent: str = "", listed: Sequence[str] = (), where: str = "") -> list[str]:
-    """First lines of ``report.md``, of a run or an ensemble, up to the table of invariants.
-
-    ``extent`` comes before h, ``listed`` (the verdicts) after the outcome, ``where`` after the word "Counters".
-    """
-    counters = ", ".join(f"{name.replace('_', ' ')}: {count}" for name, count in report["counters"].items())
-    return [
-        f"# {report['name']}",
-        "",
-        f"{report['top_title']}, scheme **{report['scheme']}** ({report['scheme_title']}), "
-        f"{extent}h = {report['h']!r}, N = {report['N']}. All quantities are dimensionless.",
-        "",
-        f"**{report['outcome']}**: {report['message'].removeprefix('completed ')}.",
-        *(["", *listed] if listed else []),
-        *(["", f"{note[0].upper()}{note[1:]}."] if (note := precision_note(report)) else []),
-        *(["", f"Counters{where}: {counters}."] if counters else []),
-        "",
-        "## Conservation laws",
-        "",
-    ]
-
-
-def _quantities_markdown(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Section of ``report.md`` on the user's own observables; empty without them."""
-    if not rows:
-        return []
-    formulas = [f"- {row['name']} = `{row['formula']}`" for row in rows]
-    return ["## Quantities", "", *QUANTITIES.cells({"quantities": rows}).markdown(), "", *formulas, ""]
-
-
-def report_markdown(report: dict[str, Any]) -> str:
-    """Content of ``report.md``."""
-    lines = [
-        *report_head(report, listed=[f"- {row['symbol']}: **{row['statement']}**" for row in report["invariants"]]),
-        *INVARIANTS.cells(report).markdown(),
-        "",
-        *(f"- {row['symbol']} ({row['name']}) {row['verdict']}: {row['reason']}." for row in report["invariants"]),
-        "",
-        "A deviation is the difference from the first value of the invariant. The drift is the slope of a line fitted "
-        "to the deviation over time. The verdicts mean:",
-        "",
-        f"- *exact*: the deviation stays within the round-off bound, {ROUND_OFF_ULPS:g} ulp (units in the last place) "
-        "× √steps of the sum of the magnitudes of the invariant's terms.",
-        f"- *lost*: the deviation exceeds {LOST:g} of the first value. If the first value is a small difference of "
-        f"large terms, the deviation exceeds {LOST * TERMS:g} of the sum of their magnitudes.",
-        f"- *drifting*: the slope exceeds {SIGNIFICANCE:g} standard errors, and the drift over the run is more than "
-        f"{PART:.2g} of the range of the deviation.",
-        f"- *no drift seen*: the slope is below {DOUBTFUL:g} standard errors. With 95 % confidence, the mean rate of "
-        "change over the run is below the bound.",
-        "- *undecided*: none of the above, or the run is too short.",
-        "- *unjudged*: values are not finite, no step is recorded, or the invariant is not conserved on this motion.",
-        "",
-        "The standard error of the slope includes the scatter about the line, as noise or as a random walk, the "
-        "differences between the slopes of the halves and of the thirds of the run, and changes at its ends that "
-        "exceed the range in its middle.",
-        "",
-        *_quantities_markdown(report.get("quantities") or []),
-        seconds_note(report["seconds"]),
-        "",
-    ]
-    return "\n".join(lines)
-
-
-class Timed(Protocol):
-    """A run or an ensemble, with its times in seconds."""
-
-    @property
-    def compile_seconds(self) -> float:
-        """Time to compile or load the code."""
-        ...
-
-    @property
-    def cached(self) -> bool:
-        """True if all code came from disk."""
-        ...
-
-    run_seconds: float
-
-
-def seconds_of(run: Timed) -> dict[str, Any]:
-    """Times of a run, as ``report.json`` holds them."""
-    return {"compile": run.compile_seconds, "compile_cached": run.cached, "run": run.run_seconds}
 
 
 def seconds_note(seconds: Mapping[str, Any]) -> str:
@@ -507,28 +448,3 @@ ENSEMBLE_BRIEF = Table(
     caption="Quantiles over the trajectories; -v prints all values.",
 )
 """Summary of an ensemble as a terminal shows it without ``--verbose``."""
-
-
-def ensemble_markdown(report: dict[str, Any]) -> str:
-    """Content of ``report.md``."""
-    failures = [f"- trajectory {f['trajectory']}: {f['outcome']} at step {f['step']}" for f in report["failures"]]
-    failed = sum(count for outcome, count in report["outcomes"].items() if outcome not in NO_FAILURE)
-    if failed > len(failures):
-        failures.append(f"- and {failed - len(failures)} more")
-    listed = [*failures, *([""] if failures else []), *(f"- {line}" for line in ensemble_statements(report))]
-    lines = [
-        *report_head(
-            report, f"{counted(report['trajectories'], 'trajectory')}, ", listed, ", summed over all trajectories"
-        ),
-        *ENSEMBLE.cells(report).markdown(),
-        "",
-        "The deviation of a trajectory is the difference from its own first value, over its recorded rows. The table "
-        "gives quantiles over the trajectories. A trajectory is *within round-off* if its largest deviation stays "
-        f"below {ROUND_OFF_ULPS:g} ulp (units in the last place) × √steps of the sum of the magnitudes of the "
-        "invariant's terms.",
-        "",
-        *_quantities_markdown(report.get("quantities") or []),
-        seconds_note(report["seconds"]),
-        "",
-    ]
-    return "\n".join(lines)

@@ -1,50 +1,80 @@
-"""Run of an experiment or an ensemble into a folder: decide, compute, record, commit."""
+"""Run of an experiment or an ensemble into its folder: claim, compute with checkpoints, report, finish."""
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
-from topcli.errors import UsageError
-from topcli.runs.decision import Decision, RunOptions, decide, difference
-from topcli.runs.identity import Identity, prepared
-from topcli.runs.recording import Origin, Recording, SingleRecording
-from topcli.store.checkpoint import Checkpoint
-from topcli.store.folder import Folder, Resumable, RunWriter
-from topcli.store.manifest import StoredRun, stored_run
-from topcli.store.provenance import Commit, environment, now
+from topcli.engine.drive import Chunk, drive
+from topcli.errors import RunError
+from topcli.runs.identity import Identity
+from topcli.runs.plans import plans
+from topcli.runs.recording import Recording
+from topcli.schemes.own_tops import top_origin
+from topcli.schemes.plugins import own_sources
+from topcli.store.files import json_text
+from topcli.store.provenance import git_commit, now
+from topcli.store.result_folder import ResultFolder, being_computed
+from topcli.store.results import SWEEP, StoredResult, intact_result, stored_results
 
 if TYPE_CHECKING:
     from topcli.config.ensemble import EnsembleExperiment
 
+CHECKPOINT_SECONDS = 10.0
+"""Seconds between two checkpoints; the first one comes after half of it."""
+COST = 100.0
+"""A checkpoint waits at least this many times the seconds that the last one took: at most 1 % of a run."""
+Progress = Callable[[int, int], None]
+"""Called with (steps done, all steps) between chunks; of an ensemble, with those of all trajectories."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How an experiment is run, of the command as of the function; none of it changes what is computed.
+
+    Attributes
+    ----------
+    force : bool
+        Run again; what the name holds is renamed, not overwritten.
+    checkpoint_every : float
+        Seconds between checkpoints, all that a kill can lose; 0 for one after every chunk.
+    threads : int, optional
+        Threads of an ensemble, by default one for each CPU.
+    stop : callable
+        Asked all the time; once it returns True, the run ends as ``interrupted`` and its rows are stored.
+    on_progress, on_message : callable
+        Called with (steps done, all steps), and with a line for the user.
+    """
+
+    force: bool = False
+    checkpoint_every: float = CHECKPOINT_SECONDS
+    threads: int | None = None
+    stop: Callable[[], bool] = lambda: False
+    on_progress: Progress = lambda done, total: None
+    on_message: Callable[[str], None] = lambda line: None
+
 
 @dataclass(frozen=True)
 class RunResult:
-    """A run folder, its report, and the ``status`` of the call.
+    """A result in its folder and its report.
 
-    The status is ``"ran"``, ``"resumed"`` or ``"up to date"``.
-    ``set_aside`` is the new folder of an earlier run that was moved away, because it is a different one or holds files
-    that this one does not.
+    The ``status`` of the call is ``"ran"``, ``"continued"`` or ``"up to date"``. ``set_aside`` is the new folder of an
+    earlier result that had to make way.
     """
 
-    stored: StoredRun
+    stored: StoredResult
     report: dict[str, Any]
     status: str
     set_aside: Path | None = None
-
-    @property
-    def set_aside_message(self) -> str:
-        """Message about the folder that was moved away; empty if none was."""
-        if self.set_aside is None:
-            return ""
-        earlier = stored_run(self.set_aside)
-        if earlier is not None and earlier.same(self.stored.manifest):
-            return f"renamed the earlier folder of this run to {self.set_aside}; it has files that topcli did not write"
-        return f"renamed the earlier, different run to {self.set_aside}"
 
     @property
     def outcome(self) -> Outcome:
@@ -52,76 +82,138 @@ class RunResult:
         return Outcome(self.report["outcome"])
 
 
-def decision_on(
-    experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions
-) -> tuple[Identity, Decision]:
-    """Identity of an experiment, and the decision on it. Raises UsageError for a run that would be refused."""
-    identity = prepared(experiment, options.resume).identity
-    return identity, decide(identity, Folder.look(out, identity.name), options)
+def outlook(experiment: Experiment | EnsembleExperiment, out: Path, force: bool) -> tuple[Identity, str]:
+    """Identity of an experiment, and what ``run_experiment`` would do. Raises UsageError for what it would refuse."""
+    identity = Identity.of(experiment)
+    next(plans(experiment))
+    return identity, ResultFolder.outlook(out / experiment.name, identity, force)
 
 
 def run_experiment(
     experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions = RunOptions()
 ) -> RunResult:
-    """Run an experiment or ensemble into the folder ``out/<name>``, unless it has been run before.
+    """Run an experiment or ensemble into ``out/NAME``, continue it if it was stopped, or find that it is up to date.
 
-    A finished run of the same experiment and code is not repeated unless ``force``, if it failed ``retry_failed``, or
-    if the format of its tables is another.
-    A different experiment of that name is refused; with ``force`` it is renamed.
-
-    Raises UsageError before anything is written, and RunError if writing fails; what remains can be read or resumed.
+    With ``force`` it begins anew; what the name holds is renamed. A different experiment of that name is refused
+    without. Raises UsageError before anything is written, and RunError if a stored result is damaged or writing fails;
+    then the last checkpoint remains.
     """
-    ready, tell = prepared(experiment, options.resume), options.on_message
-    identity, name = ready.identity, ready.identity.name
-    folder = Folder.look(out, name)
-    decision = decide(identity, folder, options)
-    for note in decision.notes:
-        tell(f"{name}: {note}")
-    if decision.verb != "run":
-        assert folder.run is not None
-        return RunResult(folder.run, folder.run.report(), "up to date")
-    source, displace = decision.source, options.force or options.retry_failed
-    with Commit() as commit, RunWriter(out, name, identity.digests, source and source.where, displace) as writer:
-        if writer.complete is not None:
-            return _put_in_place(writer, writer.complete, tell)
-        start = _checked_start(identity, writer, source, tell) if source else None
-        begun = start.about if start else {"started": now(), "environment": environment(), "resumed": []}
-        origin = Origin(identity, begun["started"], begun["environment"], commit)
-        if isinstance(experiment, Experiment):
-            resumed = [*begun["resumed"], *([{"step": start.done, "at": now()}] if start else [])]
-            recording: Recording = SingleRecording(
-                experiment, writer, origin, ready, resumed, start, options.checkpoint_every
+    identity = Identity.of(experiment)
+    next(plans(experiment))  # an experiment that cannot be computed is refused before anything is written
+    claim = ResultFolder.claim(
+        out / experiment.name, identity, force=options.force, stop=options.stop, tell=options.on_message
+    )
+    with claim as folder:
+        if folder.complete:
+            stored = intact_result(folder.stored.folder)
+            return RunResult(stored, stored.report(), "up to date", folder.set_aside)
+        return _computed(experiment, folder, identity, options)
+
+
+def _computed(
+    experiment: Experiment | EnsembleExperiment,
+    folder: ResultFolder,
+    identity: Identity,
+    options: RunOptions,
+) -> RunResult:
+    """Compute a result into its folder, from the last checkpoint on. Raises OSError."""
+    metadata = {"topcli.config": json.dumps(identity.config), "topcli.digest": identity.digest}
+    metadata |= {"topcli.environment": json.dumps(folder.stored.manifest["environment"])}
+    recording, state = Recording(experiment, folder.working, metadata), folder.checkpoint()
+    continued, begun = bool(state), int(state.pop("plan", np.array(0)))
+    save, run = Checkpoints(folder, options), None
+    N, count = recording.first.N, 1 if isinstance(experiment, Experiment) else experiment.count
+    if continued:
+        options.on_message(f"{experiment.name}: continues from the last checkpoint")
+    with ExitStack() as open_tables:
+        for table in recording.tables:
+            open_tables.enter_context(table)
+        for number, plan in enumerate(plans(experiment)):
+            if number < begun:
+                continue
+
+            def on_chunk(chunk: Chunk, number: int = number) -> None:
+                save(number, chunk)
+                options.on_progress(chunk.run.plan.first * N + chunk.run.taken, count * N)
+
+            run = drive(
+                plan, recording.consumers, start=state, stop=options.stop, on_chunk=on_chunk, threads=options.threads
             )
-        else:
-            from topcli.runs.ensemble import EnsembleRecording
+            recording.add_seconds(run)
+            state = {}
+            if Outcome.INTERRUPTED in run.endings.outcomes:
+                break
+        assert run is not None
+        report = recording.report(run.plan, run.endings, identity.digest)
+        outcome = Outcome(report["outcome"])
+        left = {"topcli.left_motion": json.dumps(report["left_motion"])} if report.get("left_motion") else {}
+        tables = recording.finish(outcome, report["message"], left)
+    entries = {
+        "kind": "run" if isinstance(experiment, Experiment) else "ensemble",
+        "outcome": report["outcome"],
+        "message": report["message"],
+        **({"step": report["step"]} if "step" in report else {"trajectories": tables[-1].name}),
+        "series": tables[0].name,
+        "scheme_origin": recording.first.scheme.origin,
+        "top_origin": top_origin(type(recording.first.top)),
+        "seconds": recording.seconds,
+        **git_commit(),
+        **({"continued": now()} if continued else {}),
+    }
+    folder.finish(entries, _texts(recording, identity, report), tables)
+    return RunResult(folder.stored, report, "continued" if continued else "ran", folder.set_aside)
 
-            recording = EnsembleRecording(experiment, writer, origin)
-        try:
-            stored, report = recording.carry_out(start, options)
-        except OSError as error:
-            raise recording.failure(error) from error
-    return RunResult(stored, report, "resumed" if start else "ran", writer.set_aside)
+
+def _texts(recording: Recording, identity: Identity, report: dict[str, Any]) -> dict[str, str]:
+    """Texts of a result by file name: the report, the config, and a user's own sources."""
+    from topcli.config.text import to_yaml
+
+    own = own_sources(type(recording.first.top), recording.first.scheme)
+    return {"report.json": json_text(report), "config.yaml": to_yaml(identity.config), **own}
 
 
-def _checked_start(identity: Identity, writer: RunWriter, source: Resumable, tell: Callable[[str], None]) -> Checkpoint:
-    """Checkpoint of a run to be resumed, now that this process holds its lock.
+class Checkpoints:
+    """Saves the state of a run between chunks: the first time after half of the seconds, and when it is stopped."""
 
-    Raises UsageError if the folder has changed since ``source`` was seen.
+    def __init__(self, folder: ResultFolder, options: RunOptions) -> None:
+        self._folder, self._options = folder, options
+        self._due = time.monotonic() + 0.5 * options.checkpoint_every
+
+    def __call__(self, plan: int, chunk: Chunk) -> None:
+        """Save the state after a chunk of plan number ``plan``, if that is due. Raises OSError."""
+        seconds, began = self._options.checkpoint_every, time.monotonic()
+        if chunk.run.plan.precise is None and (began >= self._due or chunk.stopping):
+            self._folder.save({"plan": np.array(plan), **chunk.state()})
+            ended = time.monotonic()
+            self._due = ended + (max(seconds, COST * (ended - began)) if seconds else 0.0)
+
+
+def listed_runs(out: Path) -> list[dict[str, Any]]:
+    """Runs in ``out`` by name, as plain data for ``topcli list runs``; what is not known is None.
+
+    The outcome is ``running`` while a process computes the run, ``killed`` if it no longer does, or ``damaged``.
     """
-    start, name = writer.checkpoint, identity.name
-    if start is None or not identity.same(start.about):
-        raise UsageError(f"{source.where.folder}: changed while it was being resumed; try again")
-    tell(f"{name}: continues from step {start.done} of {identity.config['N']}")
-    if changed := difference(start.about["environment"], environment()):
-        tell(f"{name}: started in another environment ({changed}); the last bits may differ from an uninterrupted run")
-    return start
+    return [_listed(name, stored) for name, stored in stored_results(out).items() if not _is_sweep(stored)]
 
 
-def _put_in_place(writer: RunWriter, complete: StoredRun, tell: Callable[[str], None]) -> RunResult:
-    """Finish a run that was killed after its manifest was written. Raises RunError."""
-    try:
-        stored = writer.put_in_place(complete.manifest)
-    except OSError as error:
-        raise writer.failure(error) from error
-    tell(f"{writer.name}: the run was complete when it was killed; it has been renamed into place")
-    return RunResult(stored, stored.report(), "resumed", writer.set_aside)
+def _is_sweep(stored: StoredResult | RunError) -> bool:
+    return isinstance(stored, StoredResult) and stored.manifest.get("kind") == SWEEP
+
+
+def _listed(name: str, stored: StoredResult | RunError) -> dict[str, Any]:
+    manifest = stored.manifest if isinstance(stored, StoredResult) else {}
+    config, outcome = manifest.get("config", {}), manifest.get("outcome") or "damaged"
+    if isinstance(stored, StoredResult) and stored.outcome is None:
+        outcome = "running" if being_computed(stored.folder) else "killed"
+    return {
+        "name": name,
+        "kind": "ensemble" if "ensemble" in config else "run",
+        "outcome": outcome,
+        "step": manifest.get("step"),
+        "scheme": config.get("scheme", {}).get("name"),
+        "h": config.get("h"),
+        "N": config.get("N"),
+        "digest": manifest["digest"][:8] if manifest else None,
+        "ended": manifest.get("ended"),
+        **({} if manifest else {"reason": str(stored)}),
+    }

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from topcli.config.files import parse_override
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
+from topcli.config.overrides import parse_override
 from topcli.contracts import Array
-from topcli.engine.ensemble import EnsembleCode, EnsembleRun, Execution, tile_of
-from topcli.engine.tangent import BlockCode, TangentCode, tangent_code
+from topcli.engine.drive import drive
+from topcli.engine.machine import lanes_of
+from topcli.engine.tangent import TangentCode, tangent_code
 from topcli.errors import UsageError
+from topcli.runs.plans import plans
 
 
 class StepMap:
@@ -41,9 +44,8 @@ class StepMap:
         self.experiment, self.h = experiment, experiment.h
         self.components = type(experiment.top).components
         self.initial = np.array(experiment.y0, dtype=float)
-        self._method = experiment.method()
-        self._codes: dict[int, EnsembleCode] = {}
-        self._tangents: dict[int, TangentCode | BlockCode] = {}
+        self._plan = replace(next(plans(experiment)), invariants=(), quantities=())
+        self._tangents: dict[int, TangentCode] = {}
 
     def __repr__(self) -> str:
         experiment = self.experiment
@@ -72,13 +74,7 @@ class StepMap:
         y, shape = self._rows(states, "states", steps)
         if not len(y):
             return y.reshape(shape)
-        tile, top = tile_of(len(y)), self.experiment.top
-        if tile not in self._codes:
-            self._codes[tile] = EnsembleCode(top, self._method, tile)
-        execution = Execution(code=self._codes[tile])
-        run = EnsembleRun(top, self._method, y, self.h, steps, steps, on_piece=lambda piece: None, execution=execution)
-        for _ in run:
-            pass
+        run = drive(replace(self._plan, states=np.ascontiguousarray(y), N=steps, every=steps, tallied=0))
         return np.where((run.last_n == steps)[:, None], run.last, np.nan).reshape(shape)
 
     def tangent(self, states: ArrayLike, vectors: ArrayLike, steps: int = 1) -> tuple[Array, Array]:
@@ -106,15 +102,16 @@ class StepMap:
         except ValueError as error:
             raise UsageError(f"states and vectors do not fit: {error}") from None
         (y, shape), (v, _) = (self._rows(array, "states and vectors", steps) for array in arrays)
-        lanes = tile_of(len(y))
+        assert self._plan.machine is not None
+        lanes, method = lanes_of(len(y)), self._plan.machine.method
         if lanes not in self._tangents:
-            self._tangents[lanes] = tangent_code(self.experiment.scheme, self.experiment.top, self._method, lanes)
+            self._tangents[lanes] = tangent_code(self.experiment.scheme, self.experiment.top, method, lanes)
         found = np.full((2, *y.shape), np.nan)
         for first in range(0, len(y), lanes):
             part = slice(first, first + lanes)
             run = self._tangents[lanes].run(self.h, y[part], v[part])
-            run.advance(1, steps, renormalise=False)
-            found[0, part], found[1, part] = run.states, run.vectors
+            run.advance(steps)
+            found[0, part], found[1, part] = run.states, run.images
         found[:, ~np.isfinite(found).all(axis=(0, 2))] = np.nan
         return found[0].reshape(shape), found[1].reshape(shape)
 

@@ -193,7 +193,7 @@ def forms(name: str) -> list[type[Top]]:
     """
     key = name.lower()
     if key == CUSTOM:
-        raise UsageError("a custom top is declared in a config; `topcli init --top custom` writes one to start from")
+        raise UsageError("a custom top is declared in a config, by its section top")
     failures = []
     if not (key in TOPS or any(TOPS.kind(form) == key for form in TOPS)):
         failures = plugin_failures()

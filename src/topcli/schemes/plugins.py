@@ -9,7 +9,7 @@ import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -17,6 +17,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from topcli.contracts import Scheme, Top
 from topcli.errors import SchemeCodeError, TopcliError, UsageError
 
 GROUPS = ("topcli.tops", "topcli.schemes", "topcli.figures")
@@ -50,8 +51,23 @@ FILES: dict[Path, PluginFile] = {}
 """Plugin files that have been loaded, by path, in that order."""
 FAILURES: list[PluginFailure] = []
 """Plugins of installed packages that could not be imported so far."""
+SOURCES: dict[Any, dict[str, str]] = {}
+"""Texts of the module of each registered function and class when it was registered, and of those that it needs."""
 REGISTERED: list[str] = []
 """Names of tops, schemes, measures, figures and cases that came from outside topcli."""
+
+
+def made_from(top: type[Top], scheme: Scheme) -> list[Any]:
+    """Class of a top, and the functions ``build`` of a scheme and of those that it is composed of or wraps."""
+    build = inspect.unwrap(scheme.build)
+    cells = [cell.cell_contents for cell in getattr(build, "__closure__", None) or ()]
+    bases = [made_from(top, base)[1:] for base in cells if isinstance(base, Scheme)]
+    return [top, build, *(maker for makers in bases for maker in makers)]
+
+
+def own_sources(top: type[Top], scheme: Scheme) -> dict[str, str]:
+    """``sources_of`` a top and a scheme, as far as they are not topcli's own."""
+    return sources_of(maker for maker in made_from(top, scheme) if not is_built_in(maker))
 
 
 def is_built_in(value: Any) -> bool:
@@ -77,6 +93,8 @@ def origin_of(value: Any) -> str:
         return "topcli"
     file = file_of(value)
     REGISTERED.append(getattr(value, "__name__", ""))
+    with suppress(SchemeCodeError):  # without a file; refused where a result is stored
+        SOURCES[value] = _texts(value.__module__)
     return value.__module__.partition(".")[0] if _is_installed(file) else file
 
 
@@ -173,24 +191,50 @@ def plugin_failures() -> list[PluginFailure]:
     return FAILURES
 
 
-def sources_of(values: Iterable[Any]) -> dict[str, str]:
-    """Source of the functions and classes of plugins, by the names under which a run keeps it.
+def _texts(name: str) -> dict[str, str]:
+    """Texts of a user's module and of those that it needs, by the names of their copies in a run folder.
 
-    For a file that ``--plugin`` names, this includes the modules beside it that it imports; for a package, it is the
-    module.
+    Of a package these are all its files, of a file those beside it that it imports. Raises SchemeCodeError for a module
+    without a file.
     """
-    content: dict[str, bytes] = {}
-    for value in values:
-        file = Path(file_of(value))
-        loaded = FILES.get(file.resolve())
-        if loaded:
-            content |= loaded.content
-        elif file.is_file():
-            content[f"{value.__module__}.py"] = file.read_bytes()
+    place = getattr(sys.modules.get(name), "__file__", None)
+    if not place:
+        raise SchemeCodeError(
+            f"what is defined in {name} has no file, by whose text results could be told apart; "
+            "write it into a file, or use topcli.simulate, which stores nothing"
+        )
+    file, package = Path(place), name.partition(".")[0]
+    files, top = [file], file.parent
+    if package != name or file.name == "__init__.py":
+        root = next((folder for folder in file.parents if folder.name == package), top)
+        files, top = sorted(root.rglob("*.py")), root.parent
+    elif not _is_installed(str(file)):
+        for path in files:  # which grows
+            files += [helper for helper in _beside(path) if helper not in files]
     return {
-        f"source.{re.sub(r'[^A-Za-z0-9_.-]', '.', name)}": text.decode("utf-8", "replace")
-        for name, text in content.items()
+        f"source.{re.sub(r'[^A-Za-z0-9_.-]', '.', str(path.relative_to(top)))}": path.read_text("utf-8", "replace")
+        for path in files
     }
+
+
+def _beside(path: Path) -> list[Path]:
+    """Files of the modules and packages beside a file that it may import, also inside its functions."""
+    imports = re.findall(r"^\s*(?:from|import)\s(.*)", path.read_text("utf-8", "replace"), re.MULTILINE)
+    words = set(re.findall(r"\w+", " ".join(imports))) - sys.stdlib_module_names - {"topcli"}
+    modules = (path.with_name(f"{word}.py") for word in sorted(words))
+    packages = (file for word in sorted(words) for file in sorted((path.parent / word).rglob("*.py")))
+    return [*filter(Path.is_file, modules), *packages]
+
+
+def sources_of(values: Iterable[Any]) -> dict[str, str]:
+    """Texts of the modules of users' functions and classes and of those that they need, by the names of their copies.
+
+    It is the text at the time when they were registered. Raises SchemeCodeError for what has no file.
+    """
+    texts: dict[str, str] = {}
+    for value in values:
+        texts |= SOURCES.get(value) or _texts(value.__module__)
+    return texts
 
 
 TOPCLI = str(Path(__file__).parents[1])

@@ -14,8 +14,7 @@ from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
-from topcli.runs.decision import CHECKPOINT_SECONDS, RunOptions
-from topcli.runs.run import RunResult, run_experiment
+from topcli.runs.run import CHECKPOINT_SECONDS, RunOptions, RunResult, run_experiment
 from topcli.show.progress import Progress
 from topcli.show.report import Report, draw_panel
 from topcli.store.series import read_series, series_names
@@ -63,7 +62,7 @@ class RunReport(Report):
 
     @property
     def status(self) -> str:
-        """``"ran"``, ``"resumed"`` or ``"up to date"``, depending on what the call of ``topcli.run`` did."""
+        """``"ran"``, ``"continued"`` or ``"up to date"``, depending on what the call of ``topcli.run`` did."""
         return self.result.status
 
     @property
@@ -164,8 +163,6 @@ def run(
     *,
     overrides: Sequence[str] = (),
     force: bool = False,
-    resume: bool = False,
-    retry_failed: bool = False,
     checkpoint_every: float = CHECKPOINT_SECONDS,
     threads: int | None = None,
     progress: bool = True,
@@ -183,14 +180,10 @@ def run(
         Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line. They are applied
         after ``changes``.
     force : bool, optional
-        True to repeat a finished run. If the folder contains a different run, that run is renamed, not overwritten.
-    resume : bool, optional
-        True to continue an interrupted or killed run from its last checkpoint.
-    retry_failed : bool, optional
-        True to repeat a run that failed before.
+        True to repeat a run that exists already; the earlier result is renamed, not overwritten.
     checkpoint_every : float, optional
-        Seconds between checkpoints, from which an interrupted run can continue. With 0, a checkpoint is written after
-        every chunk of steps (the engine divides a run into chunks). An ensemble has no checkpoints.
+        Seconds between checkpoints, from which an interrupted run continues when it is run again. With 0, a checkpoint
+        is written after every chunk of steps (the engine divides a run into chunks).
     threads : int, optional
         Number of threads for an ensemble, by default one per CPU. The results do not depend on this number.
     progress : bool, optional
@@ -230,7 +223,7 @@ def run(
     """
     experiment = load(config, overrides, changes, rename=True)
     with Progress(experiment.name, progress) as bar:
-        options = RunOptions(force, resume, retry_failed, checkpoint_every, threads, on_progress=bar)
+        options = RunOptions(force, checkpoint_every, threads, on_progress=bar)
         return RunReport(run_experiment(experiment, Path(out), options))
 
 
@@ -288,7 +281,7 @@ class SweepReport(Report):
     def chapter(self, name: str | None) -> Chapter:
         """Return the chapter of a page."""
         from topcli.pages.results import sweep_chapter
-        from topcli.store.verify import intact_sweep
+        from topcli.sweeps.sweep_list import intact_sweep
 
         return sweep_chapter(intact_sweep(self.folder), name)
 

@@ -12,7 +12,7 @@ from topcli.errors import UsageError, nearest, quoted
 from topcli.figures.figure import Figure
 from topcli.runs.report import ENSEMBLE, INVARIANTS
 from topcli.store.files import SEAL, DamagedError, check_study, read_json
-from topcli.store.manifest import StoredRun, read_run
+from topcli.store.results import read_result
 from topcli.studies import imported
 from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
 from topcli.studies.study import Data, Study, stored_result, study_file, study_of
@@ -66,8 +66,8 @@ def tables_of(study: Study, data: Any) -> Tables:
 
 def stored_tables(place: Path) -> Tables:
     """Tables of a run, an ensemble, a benchmark or a study at ``place``. Raises UsageError and RunError."""
-    run = read_run(place) if os.path.isdir(place) else None
-    if isinstance(run, StoredRun):
+    run = read_result(place) if os.path.isdir(place) else None
+    if run is not None and run.outcome is not None:
         report = run.report()
         if run.manifest.get("kind") == "bench":
             return Tables(report, [DECADE_TABLE, POINT_TABLE])

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import json
 import os
-import stat
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from topcli.errors import RunError, UsageError
-from topcli.store.provenance import Commit, now
+from topcli.store.provenance import git_commit, now
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 SEAL = "content_sha256"
 """Entry of a study with the checksum of all others."""
-_LARGEST_JSON = 1 << 26
-_BLOCK = 1 << 20
 
 
 class DamagedError(ValueError):
@@ -88,31 +89,15 @@ def require_writable(out: Path) -> None:
         ) from None
 
 
-def sha256_of(path: Path, length: int | None = None) -> str:
-    """SHA-256 of a file, or of its first ``length`` bytes. Raises OSError."""
-    digest = hashlib.sha256()
-    with path.open("rb", buffering=0) as file:
-        left = length
-        while block := file.read(_BLOCK if left is None else min(_BLOCK, left)):
-            digest.update(block)
-            left = None if left is None else left - len(block)
-    return digest.hexdigest()
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    """Open a file; if it is a named pipe, do not wait for a writer."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_json(path: str | Path) -> dict[str, Any]:
     """JSON object in a file. Raises OSError, and DamagedError for any other content."""
-    with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode):
-            raise DamagedError("not a regular file")
-        if status.st_size > _LARGEST_JSON:
-            raise DamagedError(f"longer than {_LARGEST_JSON} bytes")
-        text = file.read()
+    text = Path(path).read_bytes()
     try:
         content = json.loads(text)
     except RecursionError:
@@ -122,6 +107,27 @@ def read_json(path: str | Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise DamagedError("not a JSON object")
     return content
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write arrays by name into one file atomically, with their SHA-256 at its end. Raises OSError."""
+    import numpy as np
+
+    content = io.BytesIO()
+    np.savez(content, **arrays)
+    content.write(hashlib.sha256(content.getbuffer()).digest())
+    write_whole(path, lambda temporary: temporary.write_bytes(content.getbuffer()))
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Arrays by name, as ``write_arrays`` stored them. Raises OSError, and DamagedError if the checksum differs."""
+    import numpy as np
+
+    content = path.read_bytes()
+    if hashlib.sha256(content[:-32]).digest() != content[-32:]:
+        raise DamagedError("its SHA-256 differs from that at its end")
+    with np.load(io.BytesIO(content[:-32]), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 def json_text(content: Mapping[str, Any]) -> str:
@@ -157,8 +163,7 @@ def write_study(path: Path, data: Mapping[str, Any]) -> Path:
     Returns the path. Raises UsageError and RunError.
     """
     require_writable(path.parent)
-    with Commit() as commit:
-        complete = {**data, "written": now(), **commit.read()}
+    complete = {**data, "written": now(), **git_commit()}
     text = json_text(sealed(json.loads(json.dumps(complete, allow_nan=False))))
     try:
         write_text(path, text)

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.reference import reference_states
+from topcli.analysis.series_report import invariant_report, uneven_report
 from topcli.analysis.swings import first_swing_spacing, minima_times
-from topcli.analysis.tally import InvariantRow, InvariantTally, uneven_report
+from topcli.analysis.verdict import InvariantRow
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, counted, nearest, quoted
@@ -173,14 +174,13 @@ def _judged(experiment: Experiment, rows: Rows, steps: int) -> tuple[list[Invari
     """Report on the invariants, the index of the first row that left the energy surface, and the kind of times."""
     even, top = _even_steps(experiment, rows), experiment.top
     if even is None:
-        report, left = uneven_report(top.invariants(), rows.t, rows.states, steps, top)
+        report, left = uneven_report(top, top.invariants(), rows.t, rows.states, steps)
         return report, left, "uneven"
     numbers, spacing, own = even
     invariants = (*top.invariants(), *(experiment.modified if own else ()))
-    tally = InvariantTally(invariants, spacing, top)
-    tally.add(numbers, rows.states)
-    left = None if tally.left_step is None else int(np.searchsorted(numbers, tally.left_step))
-    return tally.report(steps), left, "steps of the config's h" if own else "even"
+    report, step = invariant_report(top, invariants, numbers, spacing, rows.states, steps)
+    left = None if step is None else int(np.searchsorted(numbers, step))
+    return report, left, "steps of the config's h" if own else "even"
 
 
 def _reference(experiment: Experiment, rows: Rows) -> tuple[dict[str, Any], Array | None]:

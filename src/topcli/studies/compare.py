@@ -143,7 +143,7 @@ def _shown(name: str) -> Callable[[float | None], str]:
 
 def _order_of(data: Data) -> Callable[[Data], str | None]:
     """Function of an entry that writes the order of its reversal defect."""
-    from topcli.engine.precise_numbers import RATIONAL
+    from topcli.engine.numbers import RATIONAL
 
     return partial(_order, rational=data["config"].get("precision") == RATIONAL)
 

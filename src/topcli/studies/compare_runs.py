@@ -14,16 +14,16 @@ from topcli.analysis.swings import first_swing_spacing, minima_times
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Method, Outcome, Sampler
-from topcli.engine.precise_numbers import MAX_DIGITS
-from topcli.engine.run import nanoseconds_per_step
+from topcli.engine.machine import nanoseconds_per_step
+from topcli.engine.numbers import MAX_DIGITS
+from topcli.runs.plans import precise_of, trajectory_of
 from topcli.runs.references import METHODS, TAYLOR, SharedReferences, reference_of
 from topcli.runs.report import finite, left_motion
-from topcli.runs.simulate import trajectory_of
 from topcli.studies.entries import Entry, Failed, few_rows, read_entries, users_code
 from topcli.studies.study import Result
 
 if TYPE_CHECKING:
-    from topcli.engine.precise import PreciseRun
+    from topcli.engine.numbers import PreciseRun
 
 
 def _padded(values: Array, rows: int) -> Array:
@@ -56,11 +56,7 @@ def _modified_figures(experiment: Experiment, trajectory: Trajectory) -> list[di
 
 def _unlimited(experiment: Experiment) -> PreciseRun | None:
     """Run of an experiment in its precision; None for double. Its limit of digits leaves room for single steps."""
-    if experiment.written is None:
-        return None
-    from topcli.runs.precise import precise_run
-
-    return precise_run(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
+    return precise_of(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
 
 
 def _figures(
@@ -91,7 +87,7 @@ def _figures(
         "first_swing_spacing": first_swing_spacing(trajectory.t, trajectory[top.swing]),
         "swing_times": minima_times(trajectory.t, trajectory[top.swing]).tolist(),
         "nanoseconds_per_step": nanoseconds if reached_end else None,  # of a few steps it says little
-        "compile_seconds": trajectory.compile_seconds,
+        "compile_seconds": trajectory.seconds["compile"],
         "closed_form": isinstance(method, Sampler),
     }
 
@@ -172,7 +168,7 @@ class _EntryRun(NamedTuple):
 def _step_times(experiment: Experiment, runs: Sequence[_EntryRun]) -> list[float]:
     """Nanoseconds a step of each run; in another precision than double from the run itself."""
     if experiment.written is not None:
-        return [1e9 * run.trajectory.run_seconds / max(run.trajectory.ending.step, 1) for run in runs]
+        return [1e9 * run.trajectory.seconds["run"] / max(run.trajectory.ending.step, 1) for run in runs]
     return nanoseconds_per_step(
         [(experiment.top, run.method, experiment.y0, run.entry.experiment.h) for run in runs],
         steps=min(max(experiment.N, 1000), 50_000),

@@ -15,10 +15,10 @@ from typing import Any
 from pydantic import ValidationError, create_model
 
 from topcli.config.document import describe, number_of
-from topcli.config.files import override_label, parse_override
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.config.ranges import steps_over
+from topcli.config.overrides import override_label, parse_override
+from topcli.config.ranges import steps_of
 from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, printable, quoted, shortened
 from topcli.schemes.plugins import users_error
@@ -183,7 +183,7 @@ def _entry(experiment: Experiment, text: str, options: Mapping[str, Any]) -> Ent
             raise UsageError(f"entries share the step h at precision {experiment.precision}; give it with --set h=...")
         h = _step(own.pop(STEP), experiment.h) if STEP in own else experiment.h
         changed = under_scheme(experiment, name, {**options, **own})
-        N = experiment.N if h == experiment.h else steps_over(experiment.duration, h)
+        N = experiment.N if h == experiment.h else steps_of(experiment.duration, h, "h")
     if STEP in shown:
         shown[STEP] = f"{h:g}" if float(f"{h:g}") == h else repr(h)
     label = changed.scheme.name + (":" if shown else "") + ",".join(f"{key}={value}" for key, value in shown.items())

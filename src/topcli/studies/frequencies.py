@@ -69,12 +69,12 @@ def measure(
     """
     import numpy as np
 
-    from topcli.analysis.columns import columns
     from topcli.analysis.frequencies import LEAST_ROWS
     from topcli.config.load import load_experiment
+    from topcli.engine.rows import Rows
     from topcli.errors import UsageError
+    from topcli.runs.plans import plans, trajectory_of
     from topcli.runs.report import finite
-    from topcli.runs.simulate import trajectory_of
 
     experiment = load_experiment(config, overrides)
     top, every, quantities = experiment.top, experiment.output.every, experiment.quantities
@@ -88,7 +88,8 @@ def measure(
     names = list(component) or ([] if pairs else [*top.components, *(quantity.name for quantity in quantities)])
     asked, start = [*names, *(name for pair in pairs for name in pair)], np.array([experiment.y0], dtype=float)
     # an unknown name is refused before the run
-    columns(top, np.zeros(1, dtype=np.int64), experiment.h, start, asked, experiment.modified, quantities=quantities)
+    first = Rows(next(plans(experiment)), np.zeros(1, dtype=np.int64), start)
+    first.columns(asked)
     watch.begin("frequencies", experiment)
     orbit, spacing = trajectory_of(experiment), experiment.h * every
     # the rows that a run which ended early lacks have no values, and so has no frequency

@@ -14,6 +14,7 @@ import numpy as np
 
 from topcli.analysis.algebraic_growth import (
     EXPONENTIAL,
+    LONGEST_HEIGHT,
     MOST_POINTS,
     POLYNOMIAL,
     SURPLUS,
@@ -27,8 +28,8 @@ from topcli.analysis.algebraic_growth import (
 from topcli.analysis.hk_basis import Density, HKBasis, density, hk_bases
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.engine.precise_numbers import Rationals
-from topcli.engine.residues import Modular, RationalMap, rational_map
+from topcli.engine.numbers import rationals
+from topcli.engine.residues import RationalMap, modular_map, rational_map
 from topcli.errors import RunError, UsageError, counted, quoted, shortened
 from topcli.field.polynomial import Polynomial, decimal
 from topcli.schemes.own_tops import forms
@@ -148,9 +149,6 @@ def integrability_study(experiment: Experiment, on_progress: Callable[[int, int]
     d, most = len(top.components), _density_degree(len(top.components))
     seconds: list[float] = []
 
-    def step(h: Fraction, arithmetic: Rationals) -> RationalMap:
-        return rational_map(experiment.scheme, top, experiment.options, h, arithmetic)
-
     def timed(work: Callable[[int], T]) -> T:
         start = time.perf_counter()
         result = _retried(work)
@@ -158,11 +156,12 @@ def integrability_study(experiment: Experiment, on_progress: Callable[[int, int]
         on_progress(len(seconds), 5)
         return result
 
-    modular, other = step(h, Modular()), step(h + OTHER_H, Modular())
+    subject = experiment.scheme, top, experiment.options
+    modular, other = modular_map(*subject, h), modular_map(*subject, h + OTHER_H)
     found = timed(lambda seed: degrees(modular, seed))
     cheap = sum(degree < CHEAP for degree in found)
     again = timed(lambda seed: degrees(other, SEEDS + seed, max(cheap, 1)))
-    bits = timed(lambda seed: heights(step(h, Rationals())))
+    bits = timed(lambda seed: heights(rational_map(*subject, h, rationals(LONGEST_HEIGHT))))
     bases = timed(lambda seed: _bases(modular, seed))
     measure = timed(lambda seed: density(modular, most, seed))
     growth, fit = confirmed_growth(found, bits), digit_growth(np.arange(len(bits)), np.array(bits))

@@ -41,7 +41,7 @@ def measure(
     copies : int, optional
         Run the experiment this many times, from initial states that differ by up to 1e-14 of their values.
     max_exponent : float, optional
-        Report a violation (exit code 4) if a growth exponent exceeds this value by more than two standard errors.
+        Report a violation (exit code 4) if the confidence interval (95 %) of a growth exponent is above this value.
         Round-off grows as the number of steps to the power of the growth exponent: 1/2 for a random walk, 1 for a bias.
     max_drift : float, optional
         Report a violation (exit code 4) if round-off changes an invariant by more than this value in any of the runs.
@@ -84,7 +84,7 @@ def violations_of(form: Data, max_exponent: float | None, max_drift: float | Non
     for row in form["invariants"]:
         where = f"{row['name']} of {form['scheme']} with {form['form']} sums"
         exponent, error = row["exponent"], row["exponent_error"]
-        if max_exponent is not None and exponent is not None and exponent - 2.0 * error > max_exponent:
+        if max_exponent is not None and exponent is not None and exponent - error > max_exponent:
             yield f"{where}: exponent {exponent:.2f} ± {error:.2f} exceeds {max_exponent:g}"
         if max_drift is not None and row["max_drift"] > max_drift:
             yield f"{where}: drift {row['max_drift']:.1e} exceeds {max_drift:g}"
@@ -103,7 +103,7 @@ def _subject(data: Data) -> str:
 
 
 def _with_error(key: str, show: Callable[[float], str]) -> Callable[[Data], str | None]:
-    """Text of a figure with its standard error."""
+    """Text of a figure with half the width of its confidence interval."""
 
     def text(row: Data) -> str | None:
         return None if row[key] is None else f"{show(row[key])} ± {show(row[f'{key}_error'])}"

@@ -7,24 +7,26 @@ motion of the exact map, most accurate with compensated sums; the deviations of 
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import numpy as np
+from scipy.linalg import helmert
 
-from topcli.analysis.leaving import EnergyWatch
 from topcli.analysis.roundoff import MIN_BLOCKS, BlockMeans, growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Ending, Invariant, Outcome, Sampler
-from topcli.engine.run import Run, nanoseconds_per_step
+from topcli.engine.consumer import Consumer
+from topcli.engine.drive import drive
+from topcli.engine.machine import nanoseconds_per_step
+from topcli.engine.plan import Plan
+from topcli.engine.rows import Rows
 from topcli.errors import ConfigError, UsageError
+from topcli.runs.plans import plans
 from topcli.runs.report import finite
 from topcli.schemes.registry import all_schemes
 from topcli.studies.entries import under_scheme
@@ -117,27 +119,27 @@ def _watched(experiment: Experiment) -> tuple[tuple[Invariant, ...], bool]:
     return (claimed, True) if claimed else (known, False)
 
 
-def _copies(experiment: Experiment, count: int) -> list[Array]:
-    """Initial states: that of the experiment, and others so close that only the rounding differs."""
+def _copies(experiment: Experiment, count: int) -> Array:
+    """Initial states (count, d): that of the experiment, and others so close that only the rounding differs."""
     random = np.random.default_rng(1)
     y0 = np.array(experiment.y0)
-    return [y0, *(y0 * (1.0 + SHIFT * random.uniform(-1.0, 1.0, len(y0))) for _ in range(count - 1))]
+    return np.array([y0, *(y0 * (1.0 + SHIFT * random.uniform(-1.0, 1.0, len(y0))) for _ in range(count - 1))])
 
 
-def _followed(
-    experiment: Experiment, watched: Sequence[Invariant], sampling: Sampling, y0: Array, stop: Event
-) -> tuple[BlockMeans, Ending]:
-    tally = BlockMeans(watched, sampling.blocks, sampling.rows)
-    run = Run(
-        experiment.top, experiment.method(), tuple(y0), experiment.h, sampling.steps, sampling.stride, stop.is_set
-    )
-    watch = EnergyWatch(experiment.top, y0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for chunk in run:
-            tally.add(chunk.states)
-            watch.add(chunk.n, chunk.states)
-    assert run.ending is not None
-    return tally, run.ending.with_left(watch.left, experiment.h)
+class CopyMeans(Consumer):
+    """Block means of the ``watched`` invariants along each trajectory of a plan."""
+
+    def __init__(self, watched: Sequence[Invariant], sampling: Sampling) -> None:
+        self._watched, self._sampling = watched, sampling
+
+    def begin(self, plan: Plan) -> None:
+        """Make room for the means of a plan."""
+        self.each = [BlockMeans(self._watched, self._sampling.blocks, self._sampling.rows) for _ in plan.states]
+
+    def add(self, rows: Rows) -> None:
+        """Add rows to the means."""
+        for means, states, length in zip(self.each[rows.first :], rows.states, rows.lengths.tolist(), strict=False):
+            means.add(states[:length])
 
 
 @dataclass(frozen=True)
@@ -155,23 +157,16 @@ class Copies:
 
 
 def copies_followed(experiment: Experiment, watched: Sequence[Invariant], sampling: Sampling, copies: int) -> Copies:
-    """Run all copies of one form, in as many threads as there are processors."""
-    stop = Event()
-    with ThreadPoolExecutor(max_workers=min(copies, os.cpu_count() or 1)) as pool:
-        try:
-            runs = [
-                pool.submit(_followed, experiment, watched, sampling, y0, stop) for y0 in _copies(experiment, copies)
-            ]
-            done = [run.result() for run in runs]
-        finally:  # in particular after an interruption
-            stop.set()
-            pool.shutdown(cancel_futures=True)
-    failed = [ending for _, ending in done if ending.outcome is not Outcome.COMPLETED]
+    """Run all copies of one form."""
+    plan, means = next(plans(experiment)), CopyMeans(watched, sampling)
+    states, N, every = _copies(experiment, copies), sampling.steps, sampling.stride
+    run = drive(replace(plan, states=states, N=N, every=every, tallied=0, quantities=()), [means])
+    failed = np.flatnonzero(~run.endings.is_(Outcome.COMPLETED))
     return Copies(
-        failed[0] if failed else done[0][1],
-        np.stack([tally.means for tally, _ in done], axis=1),
-        np.max([tally.largest for tally, _ in done], axis=0),
-        np.max([tally.scale for tally, _ in done], axis=0),
+        run.endings[int(failed[0]) if len(failed) else 0],
+        np.stack([tally.means for tally in means.each], axis=1),
+        np.max([tally.largest for tally in means.each], axis=0),
+        np.max([tally.scale for tally in means.each], axis=0),
     )
 
 
@@ -185,9 +180,11 @@ def _rows(
         own = not exact and np.array_equal(common[i], runs.means[i].mean(axis=0))
         if not exact:
             drift = drift - drift[:, :1]
+        independent = drift
         if own:  # the mean of the copies absorbs a part of their scatter, and all of a bias
             drift = drift * np.sqrt(len(drift) / (len(drift) - 1.0))
-        fitted = growth(drift, sampling.block_steps, float(runs.scale[i])).as_dict()
+            independent = helmert(len(drift)) @ runs.means[i]
+        fitted = asdict(growth(independent, sampling.block_steps, float(runs.scale[i])))
         if own:
             fitted |= {"bias": None, "bias_error": None}
         scale = float(runs.scale[i])
@@ -232,7 +229,7 @@ def roundoff_study(experiment: Experiment, steps: int, copies: int) -> dict[str,
             f"scheme {experiment.scheme.name!r} is a closed form, which has no steps with errors that add up"
         )
     watched, exact = _watched(experiment)
-    least = 1 if exact else 2
+    least = 2 if exact else 3
     if copies < least:
         raise UsageError(f"--copies {copies}: must be at least {least}")
     sampling = sampling_of(steps, experiment.h, exact)

@@ -7,7 +7,7 @@ the DataFrames show the same data.
 
 The module imports what measures only within ``measure``, so that the help of the command is quick. That is in a module
 of its own, whose name begins with that of the study: ``order_ladders``, ``roundoff_copies``, ``compare_runs``,
-``analyse_series``, ``lax_checks``.
+``analyse_series``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Batches of finished runs that differ only in their initial states: recorded data and measures.
 
-Runs record only the data that the measures need. The results of a run do not depend on the other runs in its batch, and
-sums over rows do not depend on how the rows are divided into pieces. So a run in a batch has the bits of a single run.
+Runs record only the data that the measures need. The results of a run do not depend on the other runs in its batch, so
+that a run in a batch has the bits of a single run.
 """
 
 from __future__ import annotations
@@ -15,27 +15,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.leaving import energy_of
 from topcli.analysis.lyapunov import Growth, growth_of
 from topcli.analysis.order import PROBES as PROBE_STATES
 from topcli.analysis.order import probe_rows
-from topcli.analysis.reference import distances
-from topcli.analysis.tally import BLOCKS, InvariantTally
+from topcli.analysis.tally import BLOCKS, Tally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, StopAsked, check_stop
-from topcli.engine.run import CODES, Endings
-from topcli.engine.tile import Piece
-from topcli.errors import RunError, TopcliError, UsageError
-from topcli.runs.references import REFERENCES, reference_of
+from topcli.engine.collect import Memory
+from topcli.engine.consumer import Consumer
+from topcli.engine.drive import drive
+from topcli.engine.endings import Endings
+from topcli.engine.loops import state_after
+from topcli.engine.machine import SIDE_BY_SIDE, machine_of
+from topcli.engine.plan import Plan
+from topcli.errors import TopcliError, UsageError
+from topcli.runs.references import Errors, reference_of
 from topcli.schemes.plugins import users_error
 from topcli.sweeps.measures import DEVIATION, DRIFT, ERROR, FINAL_ERROR, PROBES, RECORDED, STATES, Measure, integrals_of
 
 OnFault = Callable[[int, str, str], None]
 """Called with the number of a run in its batch, the name of a measure and the reason why it has no value."""
-WHOLE = (CODES[Outcome.COMPLETED], CODES[Outcome.LEFT_MOTION])
-"""Codes of the outcomes of runs that took all their steps."""
-MAX_RUN_BYTES = 1 << 31
-"""Memory that the records of one run may take."""
+WHOLE = (Outcome.COMPLETED, Outcome.LEFT_MOTION)
+"""Outcomes of runs that took all their steps."""
+BATCH_BYTES, MAX_RUN_BYTES, MAX_RUNS = 1 << 26, 1 << 31, 4096
+"""Memory of the records of a batch and of one run, and most runs of a batch."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +71,8 @@ class Batch:
     max_error, final_error : ndarray, shape (runs,)
         Euclidean distances from the reference solution. ``max_error`` is the largest distance over the recorded states,
         and ``final_error`` is the distance at step N.
-    faults : mapping of str to sequence of str
-        The key ``"error"`` belongs to ``max_error``, and ``"final_error"`` to ``final_error``. The value has a text for
-        each run: the reason why this error could not be computed, or an empty text if it was computed.
+    faults : mapping of int to str
+        Reasons why the errors of a run could not be computed, by its number.
     one_step : callable
         ``one_step(states, h)`` takes k states, shape (k, d), and returns the states after one step of ``h`` in an array
         of the same shape. A state is nan if its step fails.
@@ -89,7 +91,7 @@ class Batch:
     drifts: Mapping[str, Array]
     max_error: Array
     final_error: Array
-    faults: Mapping[str, Sequence[str]]
+    faults: Mapping[int, str]
     one_step: Callable[[Array, float], Array]
 
     def __len__(self) -> int:
@@ -111,8 +113,7 @@ class Batch:
     @property
     def whole(self) -> NDArray[np.bool_]:
         """True for each run that took all its steps."""
-        completed, left = WHOLE
-        return (self.endings.outcome == completed) | (self.endings.outcome == left)
+        return self.endings.is_(*WHOLE)
 
     def of(self, which: NDArray[np.int64]) -> Batch:
         """Batch of the runs numbered ``which`` (k,) alone."""
@@ -127,168 +128,106 @@ class Batch:
             columns=cut(self.columns),
             deviations=cut(self.deviations),
             drifts=cut(self.drifts),
-            faults={name: [reasons[i] for i in which.tolist()] for name, reasons in self.faults.items()},
+            faults={new: self.faults[i] for new, i in enumerate(which.tolist()) if i in self.faults},
             **{name: getattr(self, name)[which] for name in each},
         )
 
 
-def bytes_per_run(experiment: Experiment, measures: Sequence[Measure]) -> int:
-    """Memory that recording one run for ``measures`` takes, references included."""
-    needs = {need for measure in measures for need in measure.needs}
-    d, rows = len(experiment.top.components), experiment.N // experiment.output.every + 1
-    numbers = 1 + len(_columns(needs)) + d * (STATES in needs) + (d + 1) * (ERROR in needs)
-    return 8 * (rows * numbers + d * PROBE_STATES + 2 * BLOCKS * len(_named(needs, DRIFT)))
+class Measuring:
+    """Runs of ``experiment``, whose initial state is ignored, with the records that ``measures`` need.
 
-
-def rows_fault(experiment: Experiment, measures: Sequence[Measure]) -> str:
-    """Reason why a run has more rows than its measures can hold in memory; empty if it has not."""
-    size = bytes_per_run(experiment, measures)
-    if size <= MAX_RUN_BYTES:
-        return ""
-    rows, every = experiment.N // experiment.output.every + 1, experiment.output.every
-    names = ", ".join(measure.name for measure in measures)
-    return (
-        f"output.every: {rows} recorded rows do not fit in memory for {names}; "
-        f"record fewer with output.every: {every * math.ceil(size / MAX_RUN_BYTES)} or more"
-    )
-
-
-class BatchRecorder:
-    """Records for ``measures`` of the runs of ``experiment`` from ``initial`` (runs, d), fed with pieces of their rows.
-
-    Pieces of different runs may be added from different threads, those of a run in the order of time. Errors are
-    distances from the reference that ``reference_of`` chooses.
+    ``threads`` is their number, by default one for each CPU. Errors are distances from the reference that
+    ``reference_of`` chooses. Raises UsageError for a run whose records do not fit in memory.
     """
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        measures: Sequence[Measure],
-        initial: Array,
-    ) -> None:
-        if fault := rows_fault(experiment, measures):
-            raise UsageError(fault)
-        self.experiment, self.initial = experiment, initial
-        self._reference = reference_of(experiment.top, judged=experiment.scheme)
-        top, every = experiment.top, experiment.output.every
-        needs = {need for measure in measures for need in measure.needs}
-        self._n = np.arange(0, experiment.N + 1, every, dtype=np.int64)
-        count, m, d = len(initial), len(self._n), len(top.components)
-        self._integrals = {
-            integral.name: integral
-            for integral in integrals_of(top, experiment.scheme, experiment.h, experiment.options)
-        }
-        self._summed = {what: _named(needs, what) for what in (DEVIATION, DRIFT)}
-        tallied = {name for names in self._summed.values() for name in names}
-        energy = energy_of(top)
-        watched = tallied | ({energy.name} if energy else set())
-        summed = [integral for integral in self._integrals.values() if integral.name in watched]
-        last, drifts = int(self._n[-1]), bool(self._summed[DRIFT])
-        self._tally = InvariantTally(summed, experiment.h, top, count, last, drifts)
-        self._columns = {name: np.full((count, m), np.nan) for name in _columns(needs)}
-        self._quantities = {quantity.name: quantity for quantity in experiment.quantities}
-        self._states = np.full((count, m if STATES in needs else 0, d), np.nan)
-        self._probe_rows = np.arange(m)[probe_rows(m)] if PROBES in needs else np.empty(0, dtype=np.int64)
-        self._probes = np.full((count, len(self._probe_rows), d), np.nan)
-        self._needs = needs & {ERROR, FINAL_ERROR}
-        self.max_error, self.final_error = np.full(count, np.nan), np.full(count, np.nan)
-        self._faults = {need: [""] * count for need in self._needs}
-        self._references: list[Array | None] = [self._reference_states(ERROR, i, self._n) for i in range(count)]
-        if ERROR in needs:
-            self.max_error[:] = 0.0
+    def __init__(self, experiment: Experiment, measures: Sequence[Measure], threads: int | None = None) -> None:
+        self.experiment, self.measures, self._threads = experiment, tuple(measures), threads
+        self._needs = needs = {need for measure in measures for need in measure.needs}
+        self._deviations, self._drifts = (
+            sorted(need.removeprefix(f"{what}.") for need in needs if need.startswith(f"{what}."))
+            for what in (DEVIATION, DRIFT)
+        )
+        named = [need for need in needs if need.partition(".")[0] in (DEVIATION, DRIFT)]
+        self._columns = sorted(needs - set(RECORDED) - set(named))
+        top, scheme, h = experiment.top, experiment.scheme, experiment.h
+        self._plan = Plan(
+            top,
+            machine_of(top, scheme, experiment.options),
+            np.empty((0, len(top.components))),
+            h,
+            experiment.N,
+            experiment.output.every,
+            invariants=integrals_of(top, scheme, h, experiment.options),
+            quantities=experiment.quantities,
+        )
+        self._reference = reference_of(top, judged=scheme)
+        bytes_per_run = self._bytes()
+        self.size = max(1, min(MAX_RUNS, BATCH_BYTES // bytes_per_run))
+        """Number of runs whose records fit into memory."""
 
-    def _reference_states(self, need: str, i: int, n: NDArray[np.int64]) -> Array | None:
-        """Reference of run ``i`` at the steps ``n``; None if it is not needed or, with the fault noted, not known."""
-        if need not in self._needs:
-            return None
-        experiment = self.experiment
-        try:
-            return REFERENCES.states(self._reference, self.initial[i], experiment.h, n)
-        except RunError as error:
-            self._faults[need][i] = str(error)
-            return None
+    def _bytes(self) -> int:
+        """Memory that the records of a run take, references included. Raises UsageError for too many."""
+        needs, d, every = self._needs, len(self.experiment.top.components), self.experiment.output.every
+        rows = self.experiment.N // every + 1
+        numbers = 1 + len(self._columns) + d * bool({STATES, PROBES} & needs) + (d + 1) * (ERROR in needs)
+        size = 8 * (rows * numbers + d * PROBE_STATES + 4 * BLOCKS * len(self._drifts))
+        if size > MAX_RUN_BYTES:
+            names = ", ".join(measure.name for measure in self.measures)
+            raise UsageError(
+                f"output.every: {rows} recorded rows do not fit in memory for {names}; "
+                f"record fewer with output.every: {every * math.ceil(size / MAX_RUN_BYTES)} or more"
+            )
+        return size
 
-    def add(self, piece: Piece) -> None:
-        """Add a piece of recorded rows."""
-        first, n, states, kept = piece.first, piece.n, piece.states, piece.kept
-        count, m, d = states.shape
-        if not m:
-            return
-        flat = states.reshape(count * m, d)
-        row = int(n[0]) // self.experiment.output.every
-        runs, rows = slice(first, first + count), slice(row, row + m)
-        with np.errstate(all="ignore"):
-            values = {integral.name: integral.value(flat) for integral in self._tally.invariants}
-        self._tally.add(n, states, values, first, kept)
-        reached = None if (kept == m).all() else np.arange(m) < kept[:, None]
-        for name, column in self._columns.items():
-            recorded = self._column(name, n, states, flat, values)
-            column[runs, rows] = recorded if reached is None else np.where(reached, recorded, np.nan)
-        if self._states.size:
-            self._states[runs, rows] = states if reached is None else np.where(reached[..., None], states, np.nan)
-        if len(self._probe_rows):
-            here = (self._probe_rows >= row) & (self._probe_rows < row + m)
-            self._probes[runs, here] = states[:, self._probe_rows[here] - row]
-        for i, reference in enumerate(self._references[runs]):
-            if reference is not None and kept[i]:
-                error = distances(states[i, : kept[i]], reference[row : row + kept[i]])
-                self.max_error[first + i] = np.maximum(self.max_error[first + i], error.max())
+    def finished(self, initial: Array, stop: Callable[[], bool] = lambda: False) -> Batch:
+        """Batch of the runs from ``initial`` (runs, d); those that ``stop()`` cuts short are interrupted."""
+        plan, needs = replace(self._plan, states=np.ascontiguousarray(initial, dtype=np.float64)), self._needs
+        tally = Tally(sorted({*self._deviations, *self._drifts}), drifts=bool(self._drifts))
+        columns, states, errors = Memory(self._columns), Memory(), Errors(self._reference, ERROR in needs)
+        consumers: list[Consumer] = [columns]
+        consumers += [tally] if self._deviations or self._drifts else []
+        consumers += [states] if {STATES, PROBES} & needs else []
+        consumers += [errors] if {ERROR, FINAL_ERROR} & needs else []
+        run = drive(plan, consumers, stop=stop, threads=self._threads)
 
-    def _column(
-        self, name: str, n: NDArray[np.int64], states: Array, flat: Array, values: Mapping[str, Array]
-    ) -> Array:
-        """Column (runs, m) of a piece."""
-        components = self.experiment.top.components
-        if name in components:
-            return states[..., components.index(name)]
-        if name in values:
-            return values[name].reshape(states.shape[:2])
-        if name in self._quantities:
-            steps, h = np.tile(n, len(states)), self.experiment.h
-            return self._quantities[name].values(self.experiment.top, steps, h, flat).reshape(states.shape[:2])
-        with np.errstate(all="ignore"):
-            return self._integrals[name].value(flat).reshape(states.shape[:2])
-
-    def finish(self, endings: Endings, last: Array, seconds: Array, one_step: Callable[[Array, float], Array]) -> Batch:
-        """Return the batch; ``endings`` of runs that left their energy surface get the outcome ``left_motion``."""
-        endings.mark_left(self._tally.left)
-        experiment = self.experiment
-        for i in range(len(self.initial)):
-            whole = endings.outcome[i] in WHOLE
-            end = self._reference_states(FINAL_ERROR, i, np.array([experiment.N])) if whole else None
-            if end is not None:
-                self.final_error[i] = distances(last[i], end[0])
-            if whole and ERROR in self._needs and self._references[i] is None:
-                self.max_error[i] = np.nan
-        index = {invariant.name: i for i, invariant in enumerate(self._tally.invariants)}
-        slopes = self._tally.slopes(len(self._n), int(self._n[-1]))
+        none, rows = np.full(len(plan.states), np.nan), states.states if states in consumers else None
+        empty = np.empty((len(plan.states), 0, plan.states.shape[1]))
+        tallied, compared = tally in consumers, errors in consumers
+        index = {name: i for i, name in enumerate(tally.names)} if tallied else {}
+        slopes = tally.slopes() if self._drifts else none
         return Batch(
-            experiment=experiment,
-            n=self._n,
-            initial=self.initial,
-            last=last,
-            endings=endings,
-            seconds=seconds,
-            columns=self._columns,
-            states=self._states,
-            probes=self._probes,
-            deviations={name: self._tally.max_deviation[index[name]] for name in self._summed[DEVIATION]},
-            drifts={name: slopes[index[name]] for name in self._summed[DRIFT]},
-            max_error=self.max_error,
-            final_error=self.final_error,
-            faults=self._faults,
-            one_step=one_step,
+            experiment=self.experiment,
+            n=columns.n,
+            initial=plan.states,
+            last=run.last,
+            endings=run.endings,
+            seconds=np.full(len(none), float(run.seconds.sum()) / len(none)),
+            columns=columns.columns,
+            states=rows if rows is not None and STATES in needs else empty,
+            probes=rows[:, probe_rows(len(columns.n))] if rows is not None and PROBES in needs else empty,
+            deviations={name: tally.max_deviation[index[name]] for name in self._deviations},
+            drifts={name: slopes[index[name]] for name in self._drifts},
+            max_error=np.where(run.endings.is_(*WHOLE), errors.largest, np.nan) if compared else none,
+            final_error=errors.final if compared else none,
+            faults=errors.faults if compared else {},
+            one_step=lambda states, h: self._one_step(states, h, len(initial)),
         )
 
-
-def _columns(needs: set[str]) -> list[str]:
-    """Names of the columns among ``needs``."""
-    return sorted(need for need in needs if need not in RECORDED and need.partition(".")[0] not in (DEVIATION, DRIFT))
-
-
-def _named(needs: set[str], what: str) -> list[str]:
-    """Names of the integrals that ``needs`` holds as ``what.NAME``."""
-    return sorted(need.removeprefix(f"{what}.") for need in needs if need.startswith(f"{what}."))
+    def _one_step(self, states: Array, h: float, count: int) -> Array:
+        """States (k, d) after one step of ``h`` from ``states`` (k, d) of ``count`` runs; nan where the step fails."""
+        after, usable = np.full_like(states, np.nan), np.flatnonzero(np.isfinite(states).all(axis=1))
+        machine = self._plan.machine
+        assert machine is not None
+        if count < SIDE_BY_SIDE:  # no machine code for lanes is needed otherwise
+            for i in usable:
+                end = state_after(machine.loop, states[i], machine.p, h)
+                after[i] = np.nan if end is None else end
+        elif len(usable):
+            step = drive(Plan(self._plan.top, machine, states[usable], h, 1), threads=self._threads)
+            stepped = step.last_n == 1
+            after[usable[stepped]] = step.last[stepped]
+        check_stop()
+        return after
 
 
 def _ignore(run: int, name: str, reason: str) -> None:
@@ -325,11 +264,9 @@ def evaluate(measures: Sequence[Measure], batch: Batch, on_fault: OnFault = _ign
             columns[name][which] = _values(
                 measure, rows, lambda i, reason, name=name, which=which: on_fault(int(which[i]), name, reason)
             )
-        for need in (need for need in (ERROR, FINAL_ERROR) if need in measure.needs):
-            for i in whole.tolist():
-                if batch.faults[need][i]:
-                    columns[name][i] = np.nan
-                    on_fault(i, name, batch.faults[need][i])
+        for i in set(whole.tolist()) & set(batch.faults) if {ERROR, FINAL_ERROR} & set(measure.needs) else ():
+            columns[name][i] = np.nan
+            on_fault(i, name, batch.faults[i])
     return columns
 
 

@@ -9,19 +9,18 @@ from __future__ import annotations
 import json
 from array import array
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.config.document import Problems
+from topcli.config.document import Document
 from topcli.config.models import unit_warnings
 from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep
-from topcli.errors import TopcliError, UnknownNameError
-from topcli.runs.identity import method_fingerprint
+from topcli.errors import TopcliError
+from topcli.runs.identity import code_digest
 from topcli.sweeps.journal import DIGEST, Index, Names, short_digest
 from topcli.sweeps.measures import NoCounterError, resolve_measures
 from topcli.sweeps.row_results import Shared, shared_experiment
@@ -106,13 +105,14 @@ def survey(sweep: Sweep) -> Survey:
     types: dict[str, set[type]] = {key: set() for key in sweep.keys}
     tops: dict[str, tuple[str, ...]] = {}
     states: dict[tuple[float, ...], tuple[str, ...]] = {}
-    problems = Problems(sweep.document)
+    document = replace(sweep.document, faults=[])
     lacking: dict[str, list[NoCounterError | None]] = {}
     for row in RowReader(sweep).rows():
         pair = (row.form, row.scheme)
         if pair not in known:
-            _check_measures(row, sweep, problems, lacking)
-            known[pair] = names.setdefault(_code_of(row), len(names))
+            _check_measures(row, sweep, document, lacking)
+            shared = shared_experiment(Shared.of(row))
+            known[pair] = names.setdefault(code_digest(type(shared.top), shared.scheme), len(names))
         if row.top not in tops and len(tops) < WARNED_TOPS:
             tops[row.top] = tuple(moment_warnings(shared_experiment(Shared.of(row)).top))
         if row.initial not in states and len(states) < WARNED_STATES:
@@ -123,8 +123,8 @@ def survey(sweep: Sweep) -> Survey:
             kinds.add(type(value))
     for errors in lacking.values():  # a counter that one scheme has may be lacking elsewhere
         if errors and None not in errors:
-            problems.add(("measure",), str(errors[0]), unknown_name=True)
-    problems.raise_any()
+            document.fault(("measure",), str(errors[0]))
+    document.check()
     columns = {key: _column_type(kinds) for key, kinds in types.items()}
     warnings = tuple(dict.fromkeys(line for lines in (*tops.values(), *states.values()) for line in lines))
     arrays = np.frombuffer(digests, dtype=DIGEST), np.frombuffer(codes, dtype=np.int16)
@@ -139,9 +139,9 @@ def _column_type(kinds: set[type]) -> str:
 
 
 def _check_measures(
-    row: Row, sweep: Sweep, problems: Problems, lacking: dict[str, list[NoCounterError | None]]
+    row: Row, sweep: Sweep, document: Document, lacking: dict[str, list[NoCounterError | None]]
 ) -> None:
-    """Add the measures that do not fit to ``problems``; ``lacking`` gets a counter's error, None where it exists."""
+    """Add the measures that do not fit to ``document``; ``lacking`` gets a counter's error, None where it exists."""
     experiment = shared_experiment(Shared.of(row))
     for name in sweep.measures:
         errors = lacking.setdefault(name, [])
@@ -152,20 +152,7 @@ def _check_measures(
         except NoCounterError as error:
             errors.append(error)
         except TopcliError as error:
-            problems.add(("measure",), str(error), unknown_name=isinstance(error, UnknownNameError))
-
-
-def _code_of(row: Row) -> str:
-    """Digest of the code of a row's scheme; made ready for the default top, so that it is the same for all tops.
-
-    It includes the code of a user's top.
-    """
-    experiment = shared_experiment(Shared.of(row))
-    build, options = experiment.scheme.build, experiment.options
-    for method in (lambda: build(TOPS[row.form].new(), options), experiment.method):
-        with suppress(TopcliError):
-            return method_fingerprint(method()) + experiment.own_code
-    return ""  # the row will fail, and say why
+            document.fault(("measure",), str(error))
 
 
 def plan_sweep(surveyed: Survey, index: Index, retry_failed: bool = False) -> Plan:

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import itertools
 import json
-import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
@@ -19,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from topcli.config.document import Document, Problems
+from topcli.config.document import Document
 from topcli.config.models import Experiment, Output
 from topcli.config.rows import Row
 from topcli.config.sections import read_scheme
@@ -27,8 +25,7 @@ from topcli.contracts import Outcome, Scheme, StopAsked, Top, stopping_when
 from topcli.errors import TopcliError
 from topcli.schemes.plugins import users_error
 from topcli.store.provenance import cpu_name
-from topcli.sweeps.batch import evaluate
-from topcli.sweeps.batch_run import BatchRun
+from topcli.sweeps.batch import Measuring, evaluate
 from topcli.sweeps.measures import Measure, resolve_measures
 from topcli.tops import CUSTOM, TOPS
 
@@ -36,8 +33,6 @@ FAILED = "failed"
 """Outcome of a row that an error ended before it became a run."""
 PIECE_SECONDS = 2.0
 """The results of a call are handed over after the first piece that ends later than this."""
-KEPT_RUNS = 16
-"""Runs ready to start that a thread keeps for later batches."""
 
 
 class Pace(NamedTuple):
@@ -88,7 +83,6 @@ def results_of_rows(
     seconds: float = float("inf"),
     *,
     pace: Pace = Pace(),  # noqa: B008 (never changed)
-    kept: KeptRuns | None = None,
 ) -> Results:
     """Evaluate rows; the results are in their order.
 
@@ -104,8 +98,6 @@ def results_of_rows(
         Time after which no other rows are begun; these are not ``done``. At least one is.
     pace : Pace, optional
         Sizes of the pieces in which the rows are run.
-    kept : KeptRuns, optional
-        Runs that are kept for later batches, by default those of this process.
 
     Returns
     -------
@@ -128,7 +120,7 @@ def results_of_rows(
         return stop() or time.perf_counter() - began > seconds
 
     for shared, places in groups.items():
-        group = _Group(shared, tuple(measures), stop, results, pace, kept or _kept)
+        group = _Group(shared, tuple(measures), stop, results, pace)
         group.run([(at, rows[at].initial) for at in places], ended)
         if ended():
             break
@@ -163,9 +155,9 @@ def _cpu() -> str:
 @lru_cache(maxsize=256)
 def _scheme(text: str, form: str) -> tuple[Scheme, Any]:
     """Scheme and options of a resolved section."""
-    problems = Problems(Document({}))
-    scheme = read_scheme(json.loads(text), TOPS[form], problems)
-    problems.raise_any()
+    document = Document({})
+    scheme = read_scheme(json.loads(text), TOPS[form], document)
+    document.check()
     assert scheme is not None
     return scheme
 
@@ -212,36 +204,16 @@ def shared_experiment(shared: Shared) -> Experiment:
     )
 
 
-class KeptRuns(threading.local):
-    """The runs that a thread keeps, made by ``make``; a batch run is not safe to share."""
-
-    def __init__(self, make: Callable[..., BatchRun] = BatchRun) -> None:
-        self._make = make
-        self._runs: OrderedDict[Any, BatchRun] = OrderedDict()
-
-    def ready(self, shared: Shared, measures: tuple[str, ...], count: int) -> BatchRun:
-        """Run for ``count`` rows, taken from the kept ones if possible."""
-        count = 64 if count > 32 else 8 if count > 1 else 1
-        key = (shared, measures, count)
-        run = self._runs.get(key)
-        if run is None:
-            chosen = _measures(measures, shared)
-            run = self._runs[key] = self._make(shared_experiment(shared), chosen, count=count, threads=1)
-            if len(self._runs) > KEPT_RUNS:
-                self._runs.popitem(last=False)
-        self._runs.move_to_end(key)
-        return run
-
-
-_kept = KeptRuns()
+@lru_cache(maxsize=16)
+def _measuring(shared: Shared, measures: tuple[str, ...]) -> Measuring:
+    """Runs of rows that share these values, ready to start."""
+    return Measuring(shared_experiment(shared), _measures(measures, shared), threads=1)
 
 
 def forget() -> None:
     """Forget what is kept for later batches, after the registered schemes or measures have changed."""
-    global _kept
-    for cached in (_scheme, _top, _measures, shared_experiment):
+    for cached in (_scheme, _top, _measures, shared_experiment, _measuring):
         cached.cache_clear()
-    _kept = KeptRuns()
 
 
 @dataclass
@@ -253,30 +225,29 @@ class _Group:
     stop: Callable[[], bool]
     results: Results
     pace: Pace
-    kept: KeptRuns
 
     def run(self, rows: list[tuple[int, tuple[float, ...]]], ended: Callable[[], bool]) -> None:
         """Run the rows in pieces that fit into memory and take some seconds, until ``ended``; store their results."""
         together = len(rows) >= self.pace.lane_rows or len(rows) * self.shared.N >= self.pace.lane_steps
         try:
-            run = self.kept.ready(self.shared, self.measures, len(rows) if together else 1)
+            run = _measuring(self.shared, self.measures)
         except Exception as error:
             self._failed([place for place, _ in rows], error)
             return
-        start, size = 0, min(run.size, self.pace.first_piece if run.side_by_side else 1)
+        most = run.size if together else 1
+        start, size = 0, min(most, self.pace.first_piece)
         while start < len(rows) and not (start and ended()) and not self.stop():
             began = time.perf_counter()
             self._piece(run, rows[start : start + size])
             start += size
             taken = max(time.perf_counter() - began, 1e-9)
-            size = max(1, min(run.size, 8 * size, int(size * self.pace.seconds / taken)))
+            size = max(1, min(most, 8 * size, int(size * self.pace.seconds / taken)))
 
-    def _piece(self, run: BatchRun, rows: list[tuple[int, tuple[float, ...]]]) -> None:
-        run.stop = self.stop
+    def _piece(self, run: Measuring, rows: list[tuple[int, tuple[float, ...]]]) -> None:
         faults: dict[int, list[str]] = {}
         try:
             with stopping_when(self.stop), np.errstate(all="ignore"):  # extreme values are outcomes
-                batch = run.finished(np.array([state for _, state in rows]))
+                batch = run.finished(np.array([state for _, state in rows]), self.stop)
                 figures = evaluate(
                     run.measures, batch, lambda i, name, reason: faults.setdefault(i, []).append(f"{name}: {reason}")
                 )

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep
-from topcli.store.files import json_text
-from topcli.store.manifest import SWEEP, sealed_manifest
-from topcli.store.provenance import Commit, environment, now
+from topcli.store.files import sha256_of
+from topcli.store.provenance import environment, git_commit, now
+from topcli.store.results import MANIFEST_VERSION, SWEEP, manifest_text
 from topcli.sweeps.journal import JOURNAL, Index, Journal
 from topcli.sweeps.plan import DONE, REPEATED, Plan
 from topcli.sweeps.rows import METADATA, ROWS_FILE
@@ -138,12 +138,13 @@ def _fitting(value: Any, kind: str) -> Any:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-def manifest_text(
-    folder: Path, sweep: Sweep, outcomes: dict[str, int], started: str, seconds: float, commit: Commit
-) -> str:
+def sweep_manifest(folder: Path, sweep: Sweep, outcomes: dict[str, int], started: str, seconds: float) -> str:
     """Manifest of a finished sweep as JSON."""
+    files = {name: folder / name for name in (ROWS_FILE, "sweep.yaml", JOURNAL)}
     content = {
+        "manifest_version": MANIFEST_VERSION,
         "kind": SWEEP,
+        "outcome": "completed",
         **metadata(sweep),
         "rows": sum(outcomes.values()),
         "outcomes": outcomes,
@@ -151,6 +152,7 @@ def manifest_text(
         "ended": now(),
         "seconds": seconds,
         "environment": environment(),
-        **commit.read(),
+        **git_commit(),
     }
-    return json_text(sealed_manifest(folder, content, dict.fromkeys([ROWS_FILE, "sweep.yaml", JOURNAL])))
+    listed = {name: {"size": path.stat().st_size, "sha256": sha256_of(path)} for name, path in files.items()}
+    return manifest_text({**content, "files": listed})

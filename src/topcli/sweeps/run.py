@@ -20,18 +20,17 @@ from typing import Any
 
 from topcli.config.rows import Row, RowReader
 from topcli.config.sweep import Sweep, load_sweep
-from topcli.engine.ensemble import default_threads
+from topcli.engine.drive import default_threads
 from topcli.errors import TopcliError, UsageError
-from topcli.runs.decision import require_no_link
 from topcli.store.files import io_failure, require_writable, sync, write_text, write_whole
-from topcli.store.manifest import MANIFEST
-from topcli.store.parts import LOCK, owner, take_lock
-from topcli.store.provenance import Commit, now
+from topcli.store.provenance import now
+from topcli.store.result_folder import locked, release
+from topcli.store.results import MANIFEST
 from topcli.sweeps.journal import COMPLETED, JOURNAL, FinishedRows, Journal
 from topcli.sweeps.plan import REASONS, Plan, Survey, changes, plan_sweep, survey
 from topcli.sweeps.row_results import Results, Work, batches, unfinished
 from topcli.sweeps.rows import ROWS_FILE
-from topcli.sweeps.rows_file import manifest_text, write_rows
+from topcli.sweeps.rows_file import sweep_manifest, write_rows
 
 SWEEP_FILE = "sweep.yaml"
 SHOWN_WARNINGS = 3
@@ -99,7 +98,6 @@ class _Tally:
 def require_sweep_folder(folder: Path) -> None:
     """Raise UsageError if ``folder`` holds anything but a sweep."""
     try:
-        require_no_link(folder)
         if folder.exists() and not (folder.is_dir() and (is_sweep(folder) or not _others(folder))):
             raise UsageError(
                 f"{folder}: exists and is not a sweep; nothing was written",
@@ -111,7 +109,7 @@ def require_sweep_folder(folder: Path) -> None:
 
 def _others(folder: Path) -> list[Path]:
     """Paths in ``folder`` that no sweep that was killed at its start can have left."""
-    return [path for path in folder.iterdir() if path.name != LOCK and not _TEMPORARY.fullmatch(path.name)]
+    return [path for path in folder.iterdir() if not _TEMPORARY.fullmatch(path.name)]
 
 
 def _remove_temporary(folder: Path) -> None:
@@ -195,25 +193,22 @@ def run_sweep(
         try:
             folder.mkdir(exist_ok=True)
             sync(out)
-            lock = take_lock(folder, {"sweep": sweep.name})
+            lock = locked(folder)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
                 raise io_failure(error, folder, "finished rows are kept") from None
             raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another with --out") from None
         if lock is None:
-            pid = owner(folder).get("pid")
             raise UsageError(
-                f"{folder}: another sweep{f' (process {pid})' if pid else ''} is running in this folder; "
-                "wait for its end, or choose another folder with --out"
+                f"{folder}: another sweep is running in this folder; wait for its end, or choose another with --out"
             )
-        stack.callback(lock.release)
-        commit = stack.enter_context(Commit())
+        stack.callback(release, folder, lock)
         _remove_temporary(folder)
         journal = stack.enter_context(Journal(folder, write=True))
         if journal.damaged:
             options.on_message(f"warning: {journal.path}: {journal.damaged} damaged lines; their rows run again")
         runner = _Runner(surveyed, folder, journal, options)
-        return runner.run(backend, began, commit)
+        return runner.run(backend, began)
 
 
 class _Runner:
@@ -227,7 +222,7 @@ class _Runner:
         self.started = now()
         self._written, self._table_seconds = time.monotonic(), 0.0
 
-    def run(self, backend: Backend | None, began: float, commit: Commit) -> SweepResult:
+    def run(self, backend: Backend | None, began: float) -> SweepResult:
         """Run the rows of the plan, and write the table and the manifest."""
         threads = self.options.threads or default_threads()
         (self.folder / MANIFEST).unlink(missing_ok=True)  # it vouches for the files that now change
@@ -243,7 +238,7 @@ class _Runner:
         interrupted = self.options.stop() and not complete
         seconds = time.perf_counter() - began
         if complete:
-            text = manifest_text(self.folder, self.sweep, outcomes, self.started, seconds, commit)
+            text = sweep_manifest(self.folder, self.sweep, outcomes, self.started, seconds)
             self._write(MANIFEST, text)
         return SweepResult(self.folder, self.plan, outcomes, self.tally.ran, interrupted, seconds)
 

@@ -9,34 +9,24 @@ import tempfile
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from distributed import WorkerPlugin, get_worker
 
 import topcli
-from topcli.engine.ensemble import limit_threads
+from topcli.engine.drive import limit_threads
 from topcli.errors import TopcliError, UsageError
 from topcli.schemes.own_tops import ORIGINS
 from topcli.schemes.plugins import FILES, PluginFile, load_plugin_file
 from topcli.schemes.registry import SCHEMES
 from topcli.store.provenance import cpu_name, installed
+from topcli.store.sources import package_digest
 from topcli.sweeps.measures import MEASURES
 from topcli.sweeps.row_results import Results, Work, forget
 from topcli.tops import TOPS
 
 Versions = dict[str, str]
-
-
-@cache
-def source_digest() -> str:
-    """Digest of the Python files of topcli, which differs between two states of one version."""
-    root = Path(topcli.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()[:12]
 
 
 def versions() -> Versions:
@@ -46,7 +36,7 @@ def versions() -> Versions:
         "topcli": topcli.__version__,
         "python": sys.version.split()[0],
         **packages,
-        "the source of topcli": source_digest(),
+        "the source of topcli": package_digest()[:12],
     }
 
 

@@ -33,21 +33,6 @@ KEYS = ("components", "vectors", "parameters", "body", "field", "invariants", "h
 """Keys of the section beside its kind."""
 TAKEN = frozenset(("n", "t", "h", "trajectory", "normalize", "kind", *KEYS, *FUNCTIONS))
 """Names that mean something else in a config, a formula or a table."""
-EXAMPLE: Mapping[str, Any] = {
-    "kind": CUSTOM,
-    "components": ["w1", "w2", "w3"],
-    "parameters": {"A": 3.0, "B": 2.0, "C": 1.0, "k": 0.3},
-    "field": {
-        "w1": "((B - C)*w2*w3 - k*w2)/A",
-        "w2": "((C - A)*w3*w1 + k*w1)/B",
-        "w3": "(A - B)*w1*w2/C",
-    },
-    "invariants": {
-        "energy": "(A*w1**2 + B*w2**2 + C*w3**2)/2",
-        "momentum": "(A*w1)**2 + (B*w2)**2 + (C*w3 + k)**2",
-    },
-}
-"""The gyrostat of Zhukovski and Volterra, the top of a starting config."""
 
 
 class Declared(Top):

@@ -1,8 +1,6 @@
 """Motion of the Kowalevski top: class of the torus, frequencies, distance to a separatrix.
 
-All from the roots of Kowalevski's curve and integrals over its two real ovals (``schemes.kowalevski.separation``). With
-a, b the integrals of ds/|w| over the ovals of s1 and s2, and P, Q those of |s - sigma| ds/|w|, the periods of s1 and s2
-are 2 (P b + Q a)/b and 2 (P b + Q a)/a.
+All from the roots of Kowalevski's curve and integrals over its two real ovals (``schemes.kowalevski.separation``).
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ from fractions import Fraction
 from itertools import product
 
 from topcli.analysis.motion import Motion, Quantity
-from topcli.analysis.motion.diagram import Region, between, region, separatrix_distance
+from topcli.analysis.motion.diagram import region, separatrix_distance
 from topcli.arithmetic.multiprecision import DIGITS, Real, digits, mp, real
 from topcli.contracts import Floats
 from topcli.schemes.kowalevski.curve import Curve, Integrals, separated, series_step
@@ -22,14 +20,7 @@ from topcli.tops.kowalevski import Kowalevski, field
 
 SHIFTS = (0, 3, 5)
 """Times, in 1/32 of the time in which the state turns, at which s1 and s2 are computed until they are determined."""
-HALVES = 2
-"""Half periods of s2 after which all signs of the state are those of the start."""
 DISTANCE = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
-
-
-def _turns(motion: Separated) -> tuple[int, int]:
-    """Half periods of s1 and of s2 after which all signs of the state are those of the start."""
-    return 1 if motion.one.low == 4 else 2, HALVES
 
 
 def _variables(of: Integrals, y: Floats, c: float) -> tuple[list[Real], Real, Real] | None:
@@ -52,7 +43,9 @@ def shrinks(curve: Curve, y: Floats, c: float) -> bool:
     Then f_i g_i f_j g_j > 0 for the two roots between the ovals, with f_i g_i = ± sqrt(s1 - e_i) sqrt(s2 - e_i). The
     state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``separation``).
     """
-    roots, gap = curve.e[:3], between(curve.e)
+    roots, (first, second, _) = curve.e[:3], curve.occupied()
+    low, high = curve.e[first].real, curve.e[second].real
+    gap = [i for i in range(3) if roots[i].imag == 0 and low < roots[i].real < high]
     with digits(2 * DIGITS):
         variables = _variables(curve.of, y, c) if len(gap) == 2 else None
         if variables is None:
@@ -83,9 +76,10 @@ def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     c = float(top.constants()[0])
     of = Integrals.of(y, c)
     conserved = _integrals(top, of, c)
-    if _at_rest(y, c):
+    w1, w2, w3, _, _, g3 = exact = tuple(map(Fraction, y))
+    if not any(field(exact, (Fraction(c),))):  # type: ignore[arg-type]
         return Motion(top.form, "equilibrium", "equilibrium: omega and gamma are constant", y, conserved)
-    if y[1] == 0 and Fraction(c) * Fraction(y[5]) == Fraction(y[0]) * Fraction(y[2]):
+    if w2 == 0 and Fraction(c) * g3 == w1 * w3:
         return _pendulum(top, y, c, conserved)
     with digits(ROOT_DIGITS):
         curve = Curve.with_integrals(of)
@@ -99,11 +93,6 @@ def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     return Motion(top.form, "separatrix", f"at the integrals of a separatrix: {what}", y, (*conserved, distance))
 
 
-def _at_rest(y: Floats, c: float) -> bool:
-    """True if the state is an equilibrium, exactly."""
-    return not any(field(tuple(map(Fraction, y)), (Fraction(c),)))  # type: ignore[arg-type]
-
-
 def _integrals(top: Kowalevski, of: Integrals, c: float) -> tuple[Quantity, ...]:
     """Place in the bifurcation diagram."""
     unit = Fraction(top.C)
@@ -115,59 +104,30 @@ def _integrals(top: Kowalevski, of: Integrals, c: float) -> tuple[Quantity, ...]
     )
 
 
-def _frequencies(motion: Separated) -> list[Quantity]:
+def _torus(top: Kowalevski, y: Floats, motion: Separated, conserved: Sequence[Quantity]) -> Motion:
+    where = region(motion.curve)
     period1, period2 = (float(2 / rate) for rate in motion.rates)
-    n1, n2 = _turns(motion)
-    about = {1: "once", 2: "twice"}
+    # oscillations of s1 and s2 after which all signs of the state are those of the start
+    n1, n2 = 1 if motion.one.low == 4 else 2, 2
+    times = {1: "once", 2: "twice"}
+    angle = "cycles per unit time of the {} angle; {} oscillates {} in a cycle".format
     first, second = 1.0 / (n1 * period1), 1.0 / (n2 * period2)
-    frequencies = [
-        Quantity(
-            "frequency.1", first, f"cycles per unit time of the first angle; s1 oscillates {about[n1]} in a cycle"
-        ),
-        Quantity(
-            "frequency.2", second, f"cycles per unit time of the second angle; s2 oscillates {about[n2]} in a cycle"
-        ),
-    ]
-    return [
-        *frequencies,
+    quantities = [
+        *conserved,
+        Quantity("tori", where.tori, "number of tori with these integrals"),
+        Quantity("frequency.1", first, angle("first", "s1", times[n1])),
+        Quantity("frequency.2", second, angle("second", "s2", times[n2])),
         Quantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"),
         Quantity("period.s1", period1, "time of one oscillation of s1"),
         Quantity("period.s2", period2, "time of one oscillation of s2, from one zero of ω2 to the next"),
         Quantity("period.omega2", n2 * period2, "mean time of a full oscillation of ω2"),
     ]
-
-
-def _torus(top: Kowalevski, y: Floats, motion: Separated, conserved: Sequence[Quantity]) -> Motion:
-    where, sigma = region(motion.curve), motion.sigma
-    quantities = [
-        *conserved,
-        Quantity("tori", where.tori, "number of tori with these integrals"),
-        *_frequencies(motion),
-    ]
-    for name, (time, weighted), sign in (("s1", motion.one.half, 1), ("s2", motion.two.half, -1)):
-        quantities += [
-            Quantity(f"half_period.{name}.0", float(time), f"integral of ds/|w| over the oval of {name}"),
-            Quantity(
-                f"half_period.{name}.1",
-                float(sigma * time + sign * weighted),
-                f"integral of s ds/|w| over the oval of {name}",
-            ),
-        ]
     distance = separatrix_distance(motion.curve.of, shrinks(motion.curve, y, motion.c))
     if distance is not None:
         quantities.append(Quantity("separatrix.distance", distance, DISTANCE))
-    return Motion(top.form, f"torus {where.name}", torus_title(where, motion), y, tuple(quantities))
-
-
-def torus_title(where: Region, motion: Separated) -> str:
-    """Class of a torus in words."""
     number = "the only torus" if where.tori == 1 else f"one of {where.tori} tori"
-    roots = motion.curve.e
-    # e4, e5, and e1 > e2 > e3 of the cubic
-    cubic = sorted((i for i in range(3) if roots[i].imag == 0), key=lambda i: -roots[i].real)
-    names = {3: "e4", 4: "e5"} | {i: f"e{n}" for n, i in enumerate(cubic, 1)}
-    ends = f"s1 in [{names[motion.one.low]}, e4], s2 in (-∞, {names[motion.two.low]}]"
-    return f"quasi-periodic on {number} in region {where.name} of the bifurcation diagram; {ends}"
+    title = f"quasi-periodic on {number} in region {where.name} of the bifurcation diagram"
+    return Motion(top.form, f"torus {where.name}", title, y, tuple(quantities))
 
 
 def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:

@@ -58,7 +58,7 @@ def motion_of(top: Top, y0: Floats) -> Motion:
 
             return kowalevski_motion(top, y)
         free, notes = True, ("without gravity: the free symmetric top",)
-    described: Described = "no closed form", _without_closed_form(top), ()
+    described: Described = "no closed form", "no closed form is known for a top with these parameters in these axes", ()
     conserved = integrals_of(top, y)
     with digits(ROOT_DIGITS):
         if free:
@@ -83,19 +83,6 @@ def closed_form_top(top: Top) -> Top:
     return top
 
 
-def _without_closed_form(top: Top) -> str:
-    """Title of the motion of a top without a closed form; some heavy tops have one in other axes."""
-    if isinstance(top, Heavy):
-        moments, gravity = (top.A, top.B, top.C), (top.x0, top.y0, top.z0)
-        for i in range(3):
-            (J, x), (K, y) = ((moments[j], gravity[j]) for j in range(3) if j != i)
-            if J == K and (x == y == 0.0 or moments[i] == J):
-                return "no closed form in these axes; with A = B and x0 = y0 = 0 in others, it is a Lagrange top"
-            if J == K == 2.0 * moments[i] and gravity[i] == 0.0:
-                return "no closed form in these axes; with A = B = 2C and y0 = z0 = 0 in others, it is a Kowalevski top"
-    return "no closed form is known for a top with these parameters"
-
-
 def _free(omega: Floats, moments: Floats) -> Described:
     """Motion without gravity from ``omega``, for the moments of inertia ``moments``."""
     w, J = ([Fraction(v) for v in values] for values in (omega, moments))
@@ -104,51 +91,41 @@ def _free(omega: Floats, moments: Floats) -> Described:
     if not twice:
         return "equilibrium", "at rest", ()
     effective = square / twice
-    place = Quantity("moment", float(effective), "m²/(m·ω), the moment of inertia about the axis of rotation")
+    quantities = [Quantity("moment", float(effective), "m²/(m·ω), the moment of inertia about the axis of rotation")]
     low, middle, high = sorted(J)
     different = low < middle < high
     motion = free_motion(omega, moments)
     if motion is None:
         speed = math.hypot(*omega) / (2.0 * math.pi)
-        turning = (place, Quantity("frequency.rotation", speed, "revolutions of the body per unit time"))
-        if low == high:
-            return "steady rotation", "steady rotation of the spherical top", turning
-        unstable = different and effective == middle
-        word = "unstable" if unstable else "stable" if different or effective != middle else "neutral"
-        return "steady rotation", f"{word} steady rotation about a principal axis", turning
+        quantities.append(Quantity("frequency.rotation", speed, "revolutions of the body per unit time"))
+        stability = "" if not different else "unstable " if effective == middle else "stable "
+        return "steady rotation", f"{stability}steady rotation about a principal axis", quantities
     axis, argument = motion.elliptic.axes[0], motion.elliptic.argument
     rate, quarter = argument.rate, argument.quarter
     if quarter is None:
-        period = Quantity("period", math.inf, "time from one steady rotation about the middle axis to the other")
-        rate_quantity = Quantity("rate", float(rate), "approach to the steady rotation, in e-foldings per unit time")
-        return (
-            "separatrix",
-            "separatrix: asymptotic to the rotation about the middle axis",
-            (place, period, rate_quantity),
-        )
-    half = 2 * quarter / rate
-    size = "smallest" if J[axis] == low else "largest"
-    quantities = [
-        place,
+        quantities += [
+            Quantity("period", math.inf, "time from one steady rotation about the middle axis to the other"),
+            Quantity("rate", float(rate), "approach to the steady rotation, in e-foldings per unit time"),
+        ]
+        return "separatrix", "separatrix: asymptotic to the rotation about the middle axis", quantities
+    half, name = 2 * quarter / rate, AXES[axis]
+    quantities += [
         Quantity("frequency", float(0.5 / half), "cycles of ω along the polhode per unit time"),
         Quantity("period", float(2 * half), "time in which ω traverses the polhode"),
         Quantity(
-            "frequency.precession",
-            float(motion.turn),
-            f"mean revolutions of the axis {AXES[axis]} about m per unit time",
+            "frequency.precession", float(motion.turn), f"mean revolutions of the axis {name} about m per unit time"
         ),
     ]
-    if not different:
-        title = f"regular precession of a symmetric top; ω circles about the axis of {AXES[axis]}"
-        return f"polhode about {AXES[axis]}", title, quantities
-    quantities += [
-        Quantity(
-            "separatrix.distance", float(effective - middle), f"m²/(m·ω) - {float(middle):g}; 0 on the separatrix"
-        ),
-        Quantity("separatrix.m1", float(argument.m1), "complementary parameter 1 - k² of the elliptic functions"),
-    ]
-    title = f"polhode about the axis of the {size} moment, {AXES[axis]} = {float(J[axis]):g}"
-    return f"polhode about {AXES[axis]}", title, quantities
+    title = f"regular precession of a symmetric top; ω circles about the axis of {name}"
+    if different:
+        distance, meaning = float(effective - middle), f"m²/(m·ω) - {float(middle):g}; 0 on the separatrix"
+        quantities += [
+            Quantity("separatrix.distance", distance, meaning),
+            Quantity("separatrix.m1", float(argument.m1), "complementary parameter 1 - k² of the elliptic functions"),
+        ]
+        size = "smallest" if J[axis] == low else "largest"
+        title = f"polhode about the axis of the {size} moment, {name} = {float(J[axis]):g}"
+    return f"polhode about {name}", title, quantities
 
 
 @dataclass(frozen=True)

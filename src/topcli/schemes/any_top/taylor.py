@@ -187,7 +187,7 @@ attributes #0 = {{ nounwind "prefer-vector-width"="512" "min-legal-vector-width"
 def series_loop(a: Arrangement, order: int, extended_precision: bool) -> str:
     """Return the time loop of a Taylor series, a module with the function ``advance``.
 
-    Arguments and result are those of the loop in ``engine.loop``. ``work`` contains, in this order: the state at the
+    Arguments and result are those of the loop in ``engine.loops``. ``work`` contains, in this order: the state at the
     expansion point as an unevaluated sum of two vectors; the position of the expansion point in steps of h after the
     last step reached, integer part and fraction; the delay of the expansion point relative to that position, in time;
     the scale of time and the logarithm of the tolerance; the units of the components; the tables of the arrangement;

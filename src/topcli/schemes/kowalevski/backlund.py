@@ -38,7 +38,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Array, Floats, Integrability, Stepper, Top
-from topcli.errors import UsageError
 from topcli.schemes.registry import scheme
 
 LONGEST = 3.6
@@ -292,12 +291,7 @@ def nodes_step(s: Floats, h: float, p: Floats) -> Floats:
 
 
 def enter_nodes(y: Floats, h: float, p: Floats) -> Floats:
-    """omega, gamma; k, 1/k, its error and tau of both lengths; the number of forward steps; the status.
-
-    Raises UsageError for other numbers than doubles.
-    """
-    if not isinstance(h, float):
-        raise UsageError("precision: scheme 'backlund' with nodes: exact computes in doubles; use nodes: plain")
+    """omega, gamma; k, 1/k, its error and tau of both lengths; the number of forward steps; the status."""
     constants = constants_at(y, p[0])
     a = b = math.nan
     count = MOST

@@ -26,9 +26,9 @@ from pydantic import BaseModel
 
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Invariant, Sampler, Scheme
-from topcli.engine.loop import Loop, loop_of
+from topcli.engine.loops import Loop, loop_of
 from topcli.errors import UsageError
-from topcli.runs.identity import scheme_code
+from topcli.runs.identity import code_digest
 from topcli.runs.report import finite
 from topcli.schemes.plugins import FILES, users_error
 from topcli.store.provenance import environment, installed
@@ -459,7 +459,7 @@ def as_rows(measured: Measurements, duration: float) -> list[dict[str, Any]]:
 
 def code_of(line_up: LineUp, problem: Problem) -> str:
     """Digest of the code of all schemes that take part."""
-    codes = [scheme_code(scheme, problem.top) for scheme in line_up.schemes]
+    codes = [code_digest(type(problem.top), scheme) for scheme in line_up.schemes]
     return hashlib.sha256(" ".join(codes).encode()).hexdigest()
 
 

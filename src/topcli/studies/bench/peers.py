@@ -203,18 +203,19 @@ def _compiled(problem: PeerProblem) -> Callable[[float, Any], Any]:
     """Return the right-hand side ``rates(t, y) -> array`` as machine code."""
     from numba import float64, njit
 
-    from topcli.engine.source import compilable_copy
+    from topcli.engine.compile import kernels
 
-    d, jit = len(problem.y0), njit(forceinline=True, error_model="numpy")
+    d = len(problem.y0)
     text = _RATES.format(
         items="".join(f"y[{i}], " for i in range(d)),
         p=repr(tuple(map(float, problem.top.constants()))),
         d=d,
         store="\n    ".join(f"out[{i}] = f[{i}]" for i in range(d)),
     )
-    scope: dict[str, Any] = {"field": jit(compilable_copy(problem.top.field, jit)), "empty": np.empty}
+    scope: dict[str, Any] = {"field": problem.top.field, "empty": np.empty}
     exec(compile(text, "<right-hand side>", "exec"), scope)
-    return njit(float64[::1](float64, float64[::1]), error_model="numpy")(scope["rates"])
+    with kernels():
+        return njit(float64[::1](float64, float64[::1]), error_model="numpy")(scope["rates"])
 
 
 def _scipy_call(problem: PeerProblem, rates: Callable[[float, Any], Any], rtol: float) -> Call:

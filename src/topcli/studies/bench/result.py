@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, UsageError
-from topcli.runs.decision import require_no_link
 from topcli.store.files import json_text
-from topcli.store.folder import RunWriter
-from topcli.store.manifest import MANIFEST, REPORT, StoredRun, stored_runs
-from topcli.store.provenance import Commit
+from topcli.store.provenance import git_commit
+from topcli.store.result_folder import ResultFolder
+from topcli.store.results import MANIFEST, REPORT, StoredResult, stored_results
 from topcli.store.series import write_table
 from topcli.table import Column, Table, number
 
@@ -260,95 +259,61 @@ def ladder_lines(result: dict[str, Any]) -> list[str]:
     ]
 
 
-def report_text(result: dict[str, Any]) -> str:
-    """Return the text of ``report.md``."""
-    not_measured = [*result["skipped_peers"], *result["failed_peers"], *result["left_out"]]
-    lines = [
-        f"# {result['name']}: speed against error",
-        "",
-        f"{result['title']}, t from 0 to {result['duration']:g}, errors at {result['intervals']} times against a "
-        f"{result['reference']}. CPU time in microseconds per unit of simulated time, warm; "
-        f"{result['environment']['cpu']}.",
-        "",
-        *DECADE_TABLE.cells(result).markdown(),
-        "",
-        *(f"- {row['words']}." for row in result["decades"]),
-        *(
-            f"- In closed form, `{row['name']}` is within {number(row['error'])} of the reference at "
-            f"{microseconds(row['seconds_per_state'])} µs a state over {row['states']} states{setup_words(row)}."
-            for row in result["closed_forms"]
-        ),
-        *(f"- Not measured: {row['name']} ({row['reason']})." for row in not_measured),
-        "",
-        "## All points",
-        "",
-        *POINT_TABLE.cells(result).markdown(),
-        "",
-        *(f"- {line}." for line in ladder_lines(result)),
-        "",
-    ]
-    return "\n".join(lines)
-
-
 def setup_words(row: Mapping[str, Any]) -> str:
     """Time of a closed form's set-up, to follow that of a state; empty if it is short."""
     seconds = row["setup_seconds"]
     return f", after a set-up of {number(seconds)} s" if seconds > SETUP else ""
 
 
-def require_bench_folder(out: Path, names: Sequence[str]) -> None:
-    """Raise UsageError if ``out`` is the folder of a run, or the place of a result in it is a symbolic link."""
+def require_bench_folder(out: Path) -> None:
+    """Raise UsageError if ``out`` is the folder of a run."""
     if (out / MANIFEST).exists():
         raise UsageError(f"--out {out}: is the folder of a run; choose another")
-    for name in names:
-        require_no_link(out / name)
 
 
-def store_bench(
-    result: dict[str, Any], code: str, started: str, ended: str, out: Path
-) -> tuple[StoredRun, Path | None]:
-    """Write a result to ``out/<scene>/``; return its folder and the new place of a different earlier result.
+@dataclass(frozen=True)
+class _Identity:
+    """Identity of a benchmark: its problem, and the code of its schemes."""
 
-    ``code`` is the digest of the schemes' code. A result of the same problem, competitors and code is replaced; any
-    other is renamed, whole. Raises RunError if the result cannot be written; then nothing is kept of it.
+    config: dict[str, Any]
+    digest: str
+    code: str
+
+    @property
+    def key(self) -> str:
+        """Eight digits that tell results of one name apart."""
+        return hashlib.sha256(f"{self.digest} {self.code}".encode()).hexdigest()[:8]
+
+
+def store_bench(result: dict[str, Any], code: str, started: str, out: Path) -> tuple[StoredResult, Path | None]:
+    """Write a result to ``out/<scene>/``; return it and the new place of an earlier result, which is renamed.
+
+    ``code`` is the digest of the schemes' code. Raises RunError if the result cannot be written.
     """
     named = sorted(competitor["name"] for competitor in result["competitors"])
     parts = [result["config"], result["duration"], result["intervals"], named]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-    with Commit() as commit, RunWriter(out, result["name"]) as writer:
-        try:
-            about = {"topcli.bench": result["name"], "topcli.digest": digest}
-            write_table(writer.folder / POINTS, points_table(result), about)
-            report = json_text({"schema_version": SCHEMA_VERSION, **result})
-            stored = writer.commit(
-                {
-                    "name": result["name"],
-                    "kind": "bench",
-                    "digest": digest,
-                    "code": code,
-                    "outcome": "completed",
-                    "series": POINTS,
-                    "config": result["config"],
-                    "started": started,
-                    "ended": ended,
-                    "environment": result["environment"],
-                    **commit.read(),
-                },
-                {REPORT: report, "report.md": report_text(result)},
-            )
-        except OSError as error:
-            raise writer.failure(error, "nothing of this benchmark was stored") from error
-    return stored, writer.set_aside
+    claim = ResultFolder.claim(out / result["name"], _Identity(result["config"], digest, code), force=True)
+    with claim as folder:
+        table = folder.working / POINTS
+        write_table(table, points_table(result), {"topcli.bench": result["name"], "topcli.digest": digest})
+        entries = {"kind": "bench", "outcome": "completed", "series": POINTS, "started": started, **git_commit()}
+        report = json_text({"schema_version": SCHEMA_VERSION, **result})
+        folder.finish({**entries, "environment": result["environment"]}, {REPORT: report}, [table])
+    return folder.stored, folder.set_aside
 
 
-def stored_benches(out: Path) -> list[tuple[StoredRun, dict[str, Any]]]:
+def stored_benches(out: Path) -> list[tuple[StoredResult, dict[str, Any]]]:
     """Return the finished results in ``out`` with their reports, without renamed ones.
 
     Raises RunError for a damaged result.
     """
-    stored = [run for run in stored_runs(out) if run.manifest.get("kind") == "bench"]
-    benches = [(run, run.report()) for run in stored if run.folder.name == run.manifest.get("name")]
-    for run, report in benches:
-        if report.get("schema_version") != SCHEMA_VERSION:
-            raise RunError(f"{run.folder}: written by another version of topcli; run topcli bench again")
+    benches = []
+    for name, stored in stored_results(out).items():
+        if isinstance(stored, RunError):
+            raise stored
+        if stored.manifest.get("kind") == "bench" and stored.manifest["name"] == name and stored.complete:
+            benches.append((stored, stored.report()))
+            if benches[-1][1].get("schema_version") != SCHEMA_VERSION:
+                raise RunError(f"{stored.folder}: written by another version of topcli; run topcli bench again")
     return benches

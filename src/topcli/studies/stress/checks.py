@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 
 from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order, observed_order
 from topcli.analysis.reference import reference_states
+from topcli.analysis.series_report import invariant_report
 from topcli.analysis.swings import minima_times
-from topcli.analysis.tally import invariant_report
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
-from topcli.engine.loop import Loop, loop_of
-from topcli.engine.run import Run
+from topcli.contracts import Array, Floats, Invariant, Outcome, Stepper, Top
+from topcli.engine.machine import Machine
+from topcli.engine.plan import Plan
+from topcli.runs.plans import trajectory_along
 from topcli.runs.references import closed_form_of
 
 EPS = float(np.finfo(float).eps)
@@ -86,17 +87,16 @@ class CaseCache:
     """Cache of compiled loops, by scheme and parameters of the top, and of references, by case."""
 
     def __init__(self) -> None:
-        self._methods: dict[Any, tuple[Method, Loop]] = {}
+        self._machines: dict[Any, Machine] = {}
         self._references: dict[Any, Array] = {}
 
-    def method(self, experiment: Experiment) -> tuple[Method, Loop]:
-        """Return the method of an experiment and its loop."""
+    def machine(self, experiment: Experiment) -> Machine:
+        """Return the machine code of an experiment."""
         top = experiment.top
         key = (experiment.scheme.name, top.form, repr(top), repr(experiment.options))
-        if key not in self._methods:
-            method = experiment.method()
-            self._methods[key] = (method, loop_of(method, len(top.components), len(top.constants())))
-        return self._methods[key]
+        if key not in self._machines:
+            self._machines[key] = Machine(top, experiment.method())
+        return self._machines[key]
 
     def reference(self, top: Top, y0: Floats, times: Array) -> Array:
         """Return the reference motion at ``times``, (m, d)."""
@@ -113,7 +113,8 @@ class Trial:
         self.case, self.experiment = case, experiment
         self.scheme, self.top, self.y0 = experiment.scheme, experiment.top, experiment.y0
         self.order = self.scheme.order_for(experiment.options)
-        self.method, self._loop = cache.method(experiment)
+        self._machine = cache.machine(experiment)
+        self.method = self._machine.method
         self._cache = cache
         self.plain = isinstance(self.method, Stepper) and self.method.plain
         factor = max(1, experiment.N // INTERPRETED_STEPS) if self.plain else 1
@@ -125,7 +126,9 @@ class Trial:
         """Run the case and return the trajectory; arguments replace its step size, number of steps or initial state."""
         h, N = h or self.h, N or self.N
         with np.errstate(all="ignore"):
-            motion = Trajectory.of_run(Run(self.top, self._loop, y0 or self.y0, h, N, every), self.scheme.name)
+            start, invariants = np.array([y0 or self.y0]), self.top.invariants()
+            plan = Plan(self.top, self._machine, start, h, N, every, invariants=invariants)
+            motion = trajectory_along(plan, self.scheme.name)
         if not self.counters:
             self.counters = dict(motion.ending.counters)
         return motion
@@ -391,7 +394,7 @@ def does_not_drift(trial: Trial) -> Finding:
     wrong = fault(trial, motion)
     if wrong:
         return wrong
-    rows = invariant_report(claimed, motion.n, motion.h, motion.states)
+    rows, _ = invariant_report(trial.top, claimed, motion.n, motion.h, motion.states)
     figures: dict[str, float] = {}
     biased, drifting = [], []
     for row in rows:

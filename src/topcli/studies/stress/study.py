@@ -40,7 +40,7 @@ def _said(verdict: str) -> str:
 
 def _options(texts: Sequence[str]) -> dict[str, Any]:
     """Options of schemes given by ``--set scheme.KEY=VALUE``. Raises UsageError for other keys."""
-    from topcli.config.files import override_label, parse_override
+    from topcli.config.overrides import override_label, parse_override
 
     options: dict[str, Any] = {}
     for text in texts:

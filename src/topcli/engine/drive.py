@@ -1,0 +1,145 @@
+"""The only driver: advances the trajectories of a plan chunk by chunk and passes their rows to consumers."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from typing import Any
+
+import numpy as np
+
+from topcli.contracts import stopping_when
+from topcli.engine.consumer import Consumer, State
+from topcli.engine.integration import Integration
+from topcli.engine.plan import Plan
+from topcli.engine.watch import Watch
+
+_most_threads: int | None = None
+
+
+def limit_threads(count: int) -> None:
+    """Let ``default_threads`` be at most ``count`` in this process."""
+    global _most_threads
+    _most_threads = count
+
+
+def default_threads() -> int:
+    """Number of CPUs that this process may use, or the limit if there is a lower one."""
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cpus, _most_threads or cpus)
+
+
+class Chunk:
+    """The moment between two chunks of a drive: all that was computed is with the consumers.
+
+    It is the last one if the drive is ``stopping``.
+    """
+
+    def __init__(self, run: Integration, consumers: Sequence[Consumer], stopping: bool) -> None:
+        self.run, self._consumers, self.stopping = run, consumers, stopping
+
+    def state(self) -> State:
+        """The complete state, from which ``drive`` continues: of the trajectories and of all consumers."""
+        states = [self.run.state(), *(consumer.state() for consumer in self._consumers)]
+        return {f"{i}.{name}": array for i, state in enumerate(states) for name, array in state.items()}
+
+
+def drive(
+    plan: Plan,
+    consumers: Sequence[Consumer] = (),
+    *,
+    start: State | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    on_chunk: Callable[[Chunk], None] = lambda chunk: None,
+    threads: int | None = None,
+) -> Integration:
+    """Take all steps of a plan, and pass the rows recorded on the way to the ``consumers``.
+
+    Parameters
+    ----------
+    plan : Plan
+        Trajectories, steps and machine code.
+    consumers : sequence of Consumer
+        They are fed with the same pieces of rows; columns are evaluated once for all of them.
+    start : mapping, optional
+        ``state()`` of a chunk of an equal drive with equal consumers, to continue from there.
+    stop : callable, optional
+        Asked all the time; once it returns True, the trajectories that have steps left are ``interrupted``. A batch
+        stops between two tiles, which may be before the first row of the later ones.
+    on_chunk : callable, optional
+        Called between chunks.
+    threads : int, optional
+        Threads for the tiles of a batch, by default one for each CPU. They change no bit of any row.
+
+    Returns
+    -------
+    Integration
+        ``endings`` tells how the trajectories ended, ``last`` holds their last states.
+    """
+    threads = threads or default_threads()
+    everyone = [Watch(), *consumers]
+    parts = _parts(start, 1 + len(everyone)) if start else []
+    run = Integration(plan, threads, stop, parts[0] if parts else None)
+    for i, consumer in enumerate(everyone):
+        consumer.begin(plan)
+        if parts:
+            consumer.restore(parts[1 + i])
+
+    def advance(tile: int) -> list[Any]:
+        with np.errstate(all="ignore"), stopping_when(stop):  # both are those of a thread
+            rows = run.advance(tile)
+            return [consumer.add(rows) for consumer in everyone]
+
+    threads = min(threads, len(run.done)) if run.lanes > 1 else 1
+    with ThreadPoolExecutor(threads - 1) if threads > 1 else nullcontext() as pool:
+        stopping = False
+        while (tiles := run.waiting) and not stopping:
+            for results in _in_order(advance, tiles, pool, stop if run.lanes > 1 else lambda: False):
+                for consumer, result in zip(everyone, results, strict=True):
+                    consumer.take(result)
+            stopping = stop()
+            on_chunk(Chunk(run, everyone, stopping))
+    run.finish()
+    with np.errstate(all="ignore"):
+        for consumer in everyone:
+            consumer.end(run)
+    return run
+
+
+def _in_order(
+    advance: Callable[[int], list[Any]],
+    tiles: Sequence[int],
+    pool: ThreadPoolExecutor | None,
+    stop: Callable[[], bool],
+) -> list[list[Any]]:
+    """Results of ``advance`` for the ``tiles``, of all of them or, after a ``stop()``, of the first ones.
+
+    No tile is begun after a stop, nor one without those before it, so that the order of rows depends on no stop.
+    """
+    results, waiting, taking = dict[int, list[Any]](), iter(tiles), threading.Lock()
+
+    def work() -> None:
+        while True:
+            with taking:
+                tile = None if stop() else next(waiting, None)
+            if tile is None:
+                return
+            results[tile] = advance(tile)
+
+    others = [pool.submit(work) for _ in tiles[1:]] if pool else []
+    work()
+    for other in others:
+        other.result()
+    return [results[tile] for tile in tiles if tile in results]
+
+
+def _parts(state: State, count: int) -> list[State]:
+    """States of the trajectories and of the consumers from that of a chunk."""
+    parts: list[State] = [{} for _ in range(count)]
+    for key, array in state.items():
+        i, _, name = key.partition(".")
+        parts[int(i)][name] = array
+    return parts

@@ -1,0 +1,404 @@
+"""Time loops: over the steps of one orbit, over the lanes of a tile, and over parts of single steps.
+
+numba needs tuples of known length, so each loop is a text for the lengths of the working state, the recorded state and
+the constants. The same text runs in the interpreter.
+
+Parts of steps are the states between two steps. A scheme is a family of maps, one for each length of the step: from the
+state y after a step, the steps of length theta h, 0 <= theta <= 1, lead from y to the state after the next step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.arithmetic.fused import unlikely
+from topcli.arithmetic.vectors import VECTOR_VARIANTS
+from topcli.contracts import Array, Block, Floats, Method, Outcome, Sampler, Stepper, Top, check_stop, same_state
+from topcli.engine.compile import (
+    NO_VARIANTS,
+    CompileError,
+    Native,
+    Variants,
+    digest,
+    native,
+    native_text,
+    place_of,
+    reaches,
+)
+from topcli.errors import SchemeCodeError
+
+SINGLE, LANES, PARTS = "pppdqqq", "pppdqqqq", "ppppdq"
+"""Signatures of the machine code of the three loops."""
+
+_SINGLE = """
+def drive(work, out, params, h, steps, every, until_record):
+    # returns the number of steps done, or minus the number of the first step whose result is not finite;
+    # that result is left in work
+    p = ({constants})
+    begin = ({state})  # numba refuses more than 30 items for a variable with several values
+    s = begin
+    k, left = 0, until_record
+    for i in range(steps):
+        {advance}
+        if unlikely(not ({total} * 0.0 == 0.0)):  # so for all that is not finite and for some that is huge
+            if not ({finite} == 0.0):
+                {state} = s
+                return -(i + 1)
+        left -= 1
+        if left == 0:
+            {row} = leave(s, h, p)[:{d}]
+            k, left = k + {d}, every
+    {state} = s
+    return steps
+"""
+_STEP = "s = step(s, h, p)"
+_CHECKED_STEP = """s = step(s, h, p)
+        if len(s) != {width}:
+            raise SchemeCodeError(f"{{place_of(step)}}: the step returns {{len(s)}} numbers; expected {width}")"""
+_STAGES = """for stage in range(int(params[{count}])):
+            s = step(s, params[{count} + 1 + stage] * h, p)
+            if unlikely(not ({all_finite} == 0.0)):
+                break"""
+_LANES = """
+def drive(work, out, params, h, steps, every, until_record, stride):
+    p = ({constants})
+    k, left = 0, until_record
+    for i in range(steps):
+        for stage in range({stages}):
+            part = {part}
+            for j in range({lanes}):
+                s = step(({state}), part, p)
+                {state} = s
+                work[{width} * {lanes} + j] += {total}
+        left -= 1
+        if left == 0:
+            for j in range({lanes}):
+                {row} = leave(({state}), h, p)[:{d}]
+            k, left = k + {d}, every
+    return steps
+"""
+_PARTS = """
+def part_steps(before, theta, out, params, h, count):
+    p = ({constants})
+    for k in range(count):
+        part = theta[k] * h
+        s = step(enter(({before}), part, p), part, p)
+        {row} = leave(s, part, p)[:{d}]
+        if not ({finite} == 0.0):
+            {row} = ({failed})
+    return 1
+"""
+
+
+def _items(text: str, count: int) -> str:
+    """Items of a tuple, or targets of an assignment: ``text`` for each number below ``count``."""
+    return "".join(text.format(i) + ", " for i in range(count))
+
+
+def _sum(terms: Sequence[str]) -> str:
+    """Sum of ``terms`` in pairs, of which a processor adds several at a time."""
+    half = len(terms) // 2
+    return f"({_sum(terms[:half])} + {_sum(terms[half:])})" if half else terms[0]
+
+
+@cache
+def _compiled_text(text: str) -> Any:
+    return compile(text, "<time loop>", "exec")
+
+
+def _function(
+    template: str, stepper: Stepper, d: int, constants: int, *, lanes: int = 1, plain: bool = False
+) -> Callable[..., int]:
+    """The loop of a ``template`` for a step; its parameters are the constants of the top and ``more_parameters``."""
+    width, checked, count = stepper.width, stepper.checked or stepper.width, constants + len(stepper.constants)
+    staged, advance = stepper.stages, _CHECKED_STEP if plain else _STAGES if stepper.stages else _STEP
+    all_finite, finite = (" + ".join(f"(s[{i}] - s[{i}])" for i in range(size)) for size in (width, checked))
+    rows = {_SINGLE: "out[k + {}]", _LANES: "out[k + j * stride + {}]", _PARTS: f"out[{d} * k + {{}}]"}
+    text = template.format(
+        constants=_items("params[{}]", count),
+        state=_items("work[{}]" if lanes == 1 else f"work[{{}} * {lanes} + j]", width),
+        before=_items(f"before[{d} * k + {{}}]", d),
+        row=_items(rows[template], d),
+        advance=advance.format(count=count, all_finite=all_finite, width=width),
+        total=_sum([f"s[{i}]" for i in range(checked)]),
+        finite=finite,
+        failed=_items("nan", d),
+        stages=f"int(params[{count}])" if staged else "1",
+        # without stages, terms of h alone are computed before the loop; otherwise every step would wait for them
+        part=f"params[{count} + 1 + stage] * h" if staged else "h",
+        width=width,
+        lanes=lanes,
+        d=d,
+    )
+    scope: dict[str, Any] = {
+        "step": staged[0] if staged else stepper.step,
+        "enter": stepper.enter or same_state,
+        "leave": stepper.leave or same_state,
+        "unlikely": unlikely,
+        "nan": math.nan,
+        "place_of": place_of,
+        "SchemeCodeError": SchemeCodeError,
+        "__name__": __name__,
+    }
+    exec(_compiled_text(text), scope)
+    return scope["part_steps" if template == _PARTS else "drive"]
+
+
+def more_parameters(stepper: Stepper) -> tuple[float, ...]:
+    """Parameters of compiled loops that follow the constants of the top.
+
+    These are the constants of the step, then the number of stages of a composition and their fractions of h. Tops
+    whose steps differ in constants only, and all compositions of a scheme, thus share their code.
+    """
+    stages = (len(stepper.stages[1]), *stepper.stages[1]) if stepper.stages else ()
+    return (*stepper.doubles, *map(float, stages))
+
+
+def loop_code(
+    stepper: Stepper, d: int, constants: int, lanes: int = 1, *, variants: Variants = NO_VARIANTS, duals: bool = False
+) -> Native:
+    """Machine code of the loop over steps and ``lanes`` for states of length ``d``; see ``native`` on its options.
+
+    With several lanes, ``work`` holds ``width`` rows of ``lanes`` numbers and one more, which gathers the sums of the
+    checked numbers: the loop cannot stop for one lane, but an infinity or a nan in any step makes its sum infinite or
+    nan. ``out`` gets ``d`` numbers for every recorded step of a lane; the rows of a lane follow each other and begin
+    ``stride`` numbers after those of the lane before. Raises CompileError for a step that cannot be compiled.
+    """
+    template, signature = (_SINGLE, SINGLE) if lanes == 1 else (_LANES, LANES)
+    plain = _function(template, stepper, d, constants, lanes=lanes)
+    return native(plain, signature, variants=variants, duals=duals)
+
+
+def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:
+    """Error for a step that the compiler refuses, with its file and line."""
+    return SchemeCodeError(
+        f"{place_of(method.step)}: the step cannot be compiled for a state of length {d} "
+        f"(working state {method.width}): {error}"
+    )
+
+
+def lanes_code(stepper: Stepper, d: int, constants: int, width: int) -> Native:
+    """Machine code of ``loop_code`` over ``width`` lanes of a scheme's step, as vector instructions can take it.
+
+    A lane whose sum is not finite is to repeat its steps alone: a step of it failed or took a rare branch, of which
+    vector code makes nan. Raises SchemeCodeError for a step that cannot be compiled.
+    """
+    # the nan of a rare branch may be in any number but the counters
+    lane = replace(stepper, checked=stepper.width - len(stepper.counters))
+    # it is noticed in the working state only, so what is recorded must not come from a variant
+    variants = {} if stepper.leave and reaches(stepper.leave, VECTOR_VARIANTS) else VECTOR_VARIANTS
+    try:
+        return loop_code(lane, d, constants, width, variants=variants)
+    except CompileError as error:
+        raise step_refused(stepper, d, error) from None
+
+
+def same_code(method: Method, other: Method) -> bool:
+    """True if both methods surely have the same machine code; its arguments are the constants of their steps."""
+    if method is other or not isinstance(method, Stepper) or not isinstance(other, Stepper):
+        return method is other
+    if method.plain or other.plain or method.advice is not other.advice:
+        return False
+    try:
+        return _code_key(method) == _code_key(other)
+    except SchemeCodeError:  # of ``enter``, which is not compiled
+        return False
+
+
+def _code_key(method: Stepper) -> str:
+    """Digest of all that a run uses of a method but its constants."""
+    stages = method.stages[0] if method.stages else None
+    layout = method.width, method.checked, method.counters, method.iterative, len(method.constants)
+    return digest(layout, stages, method.step, method.enter, method.leave)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A method ready to run: ``enter(y, work, p, h)``, then ``drive(work, out, p, h, steps, every, until_record)``.
+
+    ``work`` has ``width`` slots, the last ones counting the events named in ``counters``; with ``iterative`` the one
+    before them is nan after a step that did not converge. ``seconds`` is the time to compile or load; ``cached`` is
+    true if the machine code came from disk, ``compiled`` if there is machine code at all. A call of any length may be
+    interrupted if it ``returns_early``.
+    """
+
+    enter: Callable[..., int]
+    drive: Callable[..., int]
+    width: int
+    counters: tuple[str, ...] = ()
+    seconds: float = 0.0
+    cached: bool = True
+    iterative: bool = False
+    compiled: bool = True
+    returns_early: bool = False
+    advice: Callable[[Sequence[float], float], str] | None = None
+    sampled: bool = False
+    """True for a closed form: the time of a call is that of the states that it records."""
+    code: Callable[..., int] | None = None
+    """``drive`` for all parameters, if a step has more than the constants of the top."""
+
+    def of(self, stepper: Stepper) -> Loop:
+        """The same loop for a method that differs in the constants of its step."""
+        return replace(self, drive=_with_parameters(self.code, stepper)) if self.code else self
+
+    def failure(self, work: Array) -> Outcome:
+        """Outcome of a run whose failed step left ``work``."""
+        status = work[len(work) - len(self.counters) - 1]
+        return Outcome.NO_CONVERGENCE if self.iterative and status != status else Outcome.BLEW_UP  # nan
+
+
+def _with_parameters(code: Callable[..., int], stepper: Stepper) -> Callable[..., int]:
+    """The loop ``code`` as a function of the constants of the top alone."""
+    more = more_parameters(stepper)
+    if not more:
+        return code
+
+    def drive(work: Array, out: Array, params: Any, *rest: Any) -> int:
+        return code(work, out, np.concatenate([params, more]), *rest)
+
+    return drive
+
+
+def _loop_over(code: Callable[..., int], method: Stepper, **about: Any) -> Loop:
+    """Loop of a step with the ``code`` for all parameters; ``enter`` runs once and remains plain Python."""
+    inner = method.enter or same_state
+
+    def enter(y: Array, work: Array, params: Any, h: Any) -> int:
+        work[:] = inner(tuple(y), h, tuple(params))
+        return 0
+
+    drive, extended = _with_parameters(code, method), code if more_parameters(method) else None
+    return Loop(enter, drive, code=extended, **_traits(method), **about)
+
+
+def _traits(method: Stepper | Block) -> dict[str, Any]:
+    return {name: getattr(method, name) for name in ("width", "counters", "iterative", "advice")}
+
+
+def _sampled_loop(sampler: Sampler, d: int) -> Loop:
+    """Loop for a closed form: the working state is the initial state and the number of steps done."""
+
+    def enter(y: Array, work: Array, params: Array, h: float) -> int:
+        work[:d] = y
+        work[d] = 0.0
+        return 0
+
+    def drive(work: Array, out: Array, params: Array, h: float, steps: int, every: int, until_record: int) -> int:
+        done = int(work[d])
+        n = np.arange(done + until_record, done + steps + 1, every, dtype=np.int64)
+        states = sampler.states(work[:d], h, n, tuple(params))
+        good = np.isfinite(states).all(axis=1)
+        count = len(n) if good.all() else int(np.argmin(good))
+        out[: count * d] = states[:count].ravel()
+        if count < len(n):
+            return done - int(n[count])
+        work[d] = done + steps
+        return steps
+
+    return Loop(enter, drive, d + 1, returns_early=True, sampled=True)  # it takes no steps
+
+
+def loop_of(method: Method, d: int, constants: int) -> Loop:
+    """Time loop of a method for states of length ``d``, as machine code unless the method is a plain one.
+
+    Raises SchemeCodeError for a step that cannot be compiled.
+    """
+    if isinstance(method, Sampler):
+        return _sampled_loop(method, d)
+    if isinstance(method, Block):
+        code = native_text(method.text(), "advance", SINGLE)
+        about = {"seconds": code.seconds, "cached": code.cached, "returns_early": True}
+        return Loop(method.enter, code, **_traits(method), **about)
+    if method.plain:
+        return interpreted(method, d, constants)
+    try:
+        code = loop_code(method, d, constants)
+    except CompileError as error:
+        raise step_refused(method, d, error) from None
+    return _loop_over(code.checked, method, seconds=code.seconds, cached=code.cached)
+
+
+def interpreted(method: Method, d: int, constants: int) -> Loop:
+    """Time loop of a method without compiling, which is quicker for single steps.
+
+    A step that does not return as many numbers as it takes raises SchemeCodeError.
+    """
+    if not isinstance(method, Stepper):
+        return loop_of(method, d, constants)
+    whole = replace(method, stages=None)  # the step of a composition takes all of them
+    return _loop_over(_function(_SINGLE, whole, d, constants, plain=True), whole, compiled=False)
+
+
+def state_after(loop: Loop, y: Array, p: Array | None, h: Any, steps: int = 1) -> Array | None:
+    """State after some steps of ``h`` from ``y`` (d,), in the numbers of ``y``; None if a step fails."""
+    work, end, left = np.zeros(loop.width, dtype=y.dtype), np.full_like(y, math.nan), steps
+    try:
+        with np.errstate(all="ignore"):
+            loop.enter(y, work, p, h)
+            while left > 0:
+                check_stop()
+                taken = loop.drive(work, end, p, h, left, left, left)  # a block may return before all are done
+                if taken < 0:
+                    return None
+                left -= taken
+        return end
+    except (ArithmeticError, ValueError):  # where machine code gives inf or nan, the interpreter may raise
+        return None
+
+
+PartSteps = Callable[[Array, NDArray[np.int64], Array, Array], Array]
+"""``part_steps(y0, n, before, theta)``: states (k, d) a fraction ``theta`` (k,) of a step after the states ``before``
+(k, d), which orbits from ``y0`` (k, d) have after ``n`` (k,) steps. A step that fails gives nan."""
+
+
+def part_steps_of(method: Method, top: Top, h: float) -> PartSteps:
+    """Parts of the steps of ``h`` of a method for ``top``; compiled, if the method is a step that can be compiled."""
+    p, d = top.constants(), len(top.components)
+    if isinstance(method, Sampler):
+        return _by_closed_form(method, p, h)
+    if isinstance(method, Stepper) and not method.plain:
+        whole, params = replace(method, stages=None), np.array(method.parameters(top), dtype=float)
+        try:
+            return _by_code(native(_function(_PARTS, whole, d, len(p)), PARTS), params, h)
+        except CompileError:  # of the way to or from the working state
+            pass
+    return _one_by_one(loop_of(method, d, len(p)), np.array(p, dtype=float), h)
+
+
+def _by_closed_form(sampler: Sampler, p: Floats, h: float) -> PartSteps:
+    def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
+        out = np.full_like(before, np.nan)
+        for start in np.unique(y0, axis=0):
+            here = (y0 == start).all(axis=1)
+            out[here] = sampler.states(start, h, (n + theta)[here], p)
+        return out
+
+    return part_steps
+
+
+def _by_code(code: Native, params: Array, h: float) -> PartSteps:
+    def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
+        out = np.full_like(before, np.nan)
+        code.checked(np.ascontiguousarray(before), np.ascontiguousarray(theta), out, params, h, len(theta))
+        return out
+
+    return part_steps
+
+
+def _one_by_one(loop: Loop, params: Array, h: float) -> PartSteps:
+    def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
+        out = before.copy()
+        for k, part in enumerate(theta.tolist()):
+            if part:
+                end = state_after(loop, before[k], params, part * h)
+                out[k] = np.nan if end is None else end
+        return out
+
+    return part_steps

@@ -1,0 +1,519 @@
+"""Steps in other numbers than doubles: binary floating point of any precision, and rational numbers.
+
+There is no second implementation of a scheme. Its functions for doubles are copied, and the copies refer to constants,
+``math``, ``fma`` and tolerances of the other numbers; they run in the interpreter.
+
+A constant of the source code stands for what its author meant: 0.1 is one tenth, and 1/6, which Python's compiler
+replaces by the nearest double, is one sixth. Any other double with many digits may have been computed, so that its
+digits end where those of a double do. It is left as it is, and is refused as soon as it meets a number: it would bring
+in an error of 1e-17 unnoticed. Short binary fractions (0.5, 2.0) mean the same in all numbers.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import types
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from fractions import Fraction
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.arithmetic.fused import double_of, fma, is_cap, power_of
+from topcli.arithmetic.vectors import sinc_cosc_polynomials
+from topcli.contracts import Outcome, Scheme, StepFunction, Stepper, Top, check_stop, same_state
+from topcli.engine.compile import place_of, plain_function, references
+from topcli.engine.loops import Loop
+from topcli.errors import UsageError
+from topcli.field.polynomial import polynomial_field
+
+DOUBLE, RATIONAL = "double", "rational"
+FEWEST_DIGITS, MOST_DIGITS = 18, 150
+"""Range of ``precision``. Deviations are reported as doubles; the squares of those beyond it would underflow."""
+MAX_DIGITS = 10_000
+"""Default number of digits at which a run in rational numbers stops."""
+DOUBLE_BITS = 53
+SHORT = 2**20
+"""Bound on the odd part of the numerator of a short binary fraction."""
+FEW_DIGITS = 12
+"""Decimal digits up to which a constant is taken as written; a computed double has more."""
+DENOMINATOR = 1000
+"""Largest denominator of a constant that the compiler has folded."""
+LONG = 1 << 14
+"""Binary digits from which on an operation takes so long that each one heeds a request to stop."""
+ROOM = 4
+"""Length of the longest number within a step, in units of ``max_digits``. The numbers of ``hk`` are at most 1.8 times
+as long as those of the state after the step, those of ``rk4`` 1.05 times."""
+FUNCTIONS = (
+    "acos",
+    "asin",
+    "atan",
+    "atan2",
+    "cos",
+    "cosh",
+    "exp",
+    "hypot",
+    "log",
+    "sin",
+    "sinh",
+    "sqrt",
+    "tan",
+    "tanh",
+)
+"""Functions of ``math`` with the same name in mpmath and gmpy2."""
+LEFT = sys.stdlib_module_names | {"gmpy2", "mpmath", "numba", "numpy", "scipy"}
+"""Packages whose functions are not copied; the functions of ``math`` are replaced."""
+
+
+class NotRationalError(UsageError):
+    """A step that needs functions that its numbers do not have (exit code 2)."""
+
+
+class StrayDoubleError(UsageError):
+    """A double that is not a short binary fraction met a number of another kind (exit code 2)."""
+
+    def __init__(self, value: float) -> None:
+        super().__init__(
+            f"precision: the double {float(value)!r} has no exact meaning: it is computed, or has too many digits"
+        )
+
+
+class TooLongError(ArithmeticError):
+    """A rational number longer than its limit."""
+
+
+def is_short(value: float) -> bool:
+    """True if a double is a binary fraction with a short numerator, such as 0.5 or 2.0**-52."""
+    if not math.isfinite(value):
+        return False
+    numerator = abs(value.as_integer_ratio()[0])
+    return numerator < SHORT or numerator // (numerator & -numerator) < SHORT
+
+
+@cache
+def meaning(value: float) -> Fraction | None:
+    """Rational number that a constant of the source code stands for; None if it may have been computed."""
+    if not math.isfinite(value):
+        return None
+    if is_short(value):
+        return Fraction(value)
+    if len(Decimal(repr(value)).as_tuple().digits) <= FEW_DIGITS:
+        return Fraction(repr(value))
+    simple = Fraction(value).limit_denominator(DENOMINATOR)
+    return simple if float(simple) == value else None
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers of ``bits`` binary digits (0: rational numbers), with functions for what operators do not do.
+
+    ``number(fraction)`` is the number nearest to a fraction, ``math`` replaces the module of this name, and
+    ``active()`` is a context in which operators compute with this precision. ``guard`` are numbers of the same
+    precision that refuse doubles, if these do not. ``purpose`` is the use of the numbers, for messages.
+    """
+
+    name: str
+    bits: int
+    library: str
+    number: Callable[[Fraction], Any]
+    math: Any
+    fma: Callable[[Any, Any, Any], Any] = lambda a, b, c: a * b + c
+    active: Callable[[], AbstractContextManager[Any]] = nullcontext
+    guard: Numbers | None = None
+    purpose: str = "precision"
+
+    @property
+    def eps(self) -> float:
+        """Rounding error, as ``sys.float_info.epsilon`` for doubles; 0 for rational numbers."""
+        return 2.0 ** (1 - self.bits) if self.bits else 0.0
+
+    def finite(self, x: Any) -> bool:
+        """True if ``x`` is neither infinite nor nan nor complex, as powers of negative numbers may be."""
+        return bool(x - x == 0 and x.imag == 0)
+
+    def fraction(self, x: Any) -> Fraction:
+        """Exact value of a finite number."""
+        return Fraction(*map(int, x.as_integer_ratio()))  # gmpy2 has integers of its own
+
+    def constant(self, value: float) -> Any:
+        """Number that a constant stands for; a double without exact meaning, infinity or nan as it is."""
+        exact = meaning(value)
+        return value if exact is None else self.number(exact)
+
+    def rebuilt(self, value: Any, done: dict[Any, Any] | None = None) -> Any:
+        """Copy of a function, constant, tuple or array in these numbers; anything else as it is.
+
+        ``done`` are the copies of functions so far. Raises NotRationalError for a function that uses one of ``math``
+        that these numbers do not have.
+        """
+        if done is None:  # the polynomials have the digits of doubles; other numbers use them at 0 only
+            done = {fma: self.fma, sinc_cosc_polynomials: lambda t: (1, self.number(Fraction(1, 2)))}
+        if isinstance(value, float):
+            return self.constant(value)
+        if isinstance(value, Fraction):
+            return self.number(value)
+        if isinstance(value, np.ndarray):
+            return np.frompyfunc(lambda x: self.rebuilt(x, done), 1, 1)(value)
+        if isinstance(value, tuple):
+            items = [self.rebuilt(item, done) for item in value]
+            return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
+        if isinstance(value, types.ModuleType):
+            left = value.__name__.partition(".")[0] in LEFT
+            return self.math if value is math else value if left else _Module(value, lambda x: self.rebuilt(x, done))
+        plain = plain_function(value)
+        if plain is None or (plain not in done and (plain.__module__ or "").partition(".")[0] in LEFT):
+            return value
+        if plain not in done:
+            done[plain] = self._copy(plain, done)
+        return done[plain]
+
+    def _copy(self, plain: types.FunctionType, done: dict[Any, Any]) -> types.FunctionType:
+        """Copy of a function that refers to copies."""
+        values = references(plain)
+        code = self._code(plain.__code__, any(value is math for value in values.values()))
+        new = {name: self._referred(plain.__module__, name, value, done) for name, value in values.items()}
+        cells = tuple(types.CellType(new[name]) for name in code.co_freevars)
+        defaults = self.rebuilt(plain.__defaults__, done)
+        return types.FunctionType(code, {**plain.__globals__, **new}, plain.__name__, defaults, cells)
+
+    def _referred(self, module: str, name: str, value: Any, done: dict[Any, Any]) -> Any:
+        """Form of a global or closed-over variable; tolerances and numbers of iterations follow the precision."""
+        bits = self.bits or DOUBLE_BITS
+        if isinstance(value, int) and is_cap(module, name, value):
+            return math.ceil(value * bits / DOUBLE_BITS)
+        if isinstance(value, float) and (power := power_of(module, name, value)) is not None:
+            return self.number(Fraction(repr(value)) / 2 ** round((bits - DOUBLE_BITS) * power))
+        return self.rebuilt(value, done)
+
+    def _code(self, code: types.CodeType, uses_math: bool) -> types.CodeType:
+        """Code with its constants, and those of inner functions, in these numbers."""
+        for name in code.co_names if uses_math else ():
+            if hasattr(math, name) and not hasattr(self.math, name):
+                raise NotRationalError(f"uses math.{name}, which {self.name} do not have")
+        inner = [self._code(x, uses_math) if isinstance(x, types.CodeType) else self.rebuilt(x) for x in code.co_consts]
+        return code.replace(co_consts=tuple(inner))
+
+
+class _Module:
+    """Module whose functions and constants are rebuilt where they are used."""
+
+    def __init__(self, module: types.ModuleType, rebuilt: Callable[[Any], Any]) -> None:
+        self._module, self._rebuilt = module, rebuilt
+
+    def __getattr__(self, name: str) -> Any:
+        return self._rebuilt(getattr(self._module, name))
+
+
+def _exactly(name: str) -> Callable[..., Any]:
+    """Operator of fractions for rational numbers. Raises StrayDoubleError for a long double."""
+    operator = getattr(Fraction, name)
+
+    def operation(self: Rational, *others: Any) -> Any:
+        if others and isinstance(others[0], float):
+            if not is_short(others[0]):
+                raise StrayDoubleError(others[0])
+            others = (Fraction(others[0]),)
+        result = operator(self, *others)
+        if isinstance(result, float | complex):
+            raise NotRationalError(f"the power {others[0]} of a rational number is not rational")
+        return result if result is NotImplemented else type(self)(result)
+
+    return operation
+
+
+class Rational(Fraction):
+    """Fraction that takes short binary fractions exactly, and refuses other doubles.
+
+    The numbers of a composed step may grow by a power of ten thousands within that step, so a limit that is tested
+    after the step comes too late.
+    """
+
+    __slots__ = ()
+    longest = 0
+    """Binary digits that no number of the class may exceed (TooLongError); 0 for no limit."""
+
+    def __new__(cls, *value: Any) -> Rational:
+        """Rational number with this value, or numerator and denominator."""
+        self = super().__new__(cls, *value)
+        if (bits := max(self.numerator.bit_length(), self.denominator.bit_length())) > LONG:
+            check_stop()
+        if cls.longest and bits > cls.longest:
+            raise TooLongError(f"{bits} binary digits")
+        return self
+
+    __add__, __radd__, __sub__, __rsub__ = map(_exactly, ("__add__", "__radd__", "__sub__", "__rsub__"))
+    __mul__, __rmul__, __truediv__ = map(_exactly, ("__mul__", "__rmul__", "__truediv__"))
+    __rtruediv__, __pow__, __neg__ = map(_exactly, ("__rtruediv__", "__pow__", "__neg__"))
+    __pos__, __abs__ = map(_exactly, ("__pos__", "__abs__"))
+
+    def __float__(self) -> float:
+        return double_of(Fraction(self))
+
+
+def longest(state: Any) -> int:
+    """Binary digits of the longest numerator or denominator of a state in rational numbers; 0 for other numbers."""
+    lengths = [max(x.numerator.bit_length(), x.denominator.bit_length()) for x in state if isinstance(x, Fraction)]
+    return max(lengths, default=0)
+
+
+def _math(**functions: Any) -> types.SimpleNamespace:
+    """Replacement for the module ``math``."""
+    of_any = {"fabs": abs, "copysign": lambda x, y: abs(x) if y >= 0 else -abs(x), "nan": math.nan, "inf": math.inf}
+    tests = {"isnan": lambda x: x != x, "isfinite": lambda x: x - x == 0}
+    return types.SimpleNamespace(**of_any, **tests, **functions)
+
+
+def rationals(longest: int = 0) -> Numbers:
+    """Rational numbers, of at most ``longest`` binary digits (0: any)."""
+    kind = type("Rational", (Rational,), {"__slots__": (), "longest": longest}) if longest else Rational
+    return Numbers("rational numbers", 0, "fractions", kind, _math())
+
+
+def floating(bits: int, name: str = "") -> Numbers:
+    """Binary floating point of ``bits`` binary digits, rounded to nearest (mpmath)."""
+    from mpmath import __version__
+    from mpmath.ctx_mp import MPContext
+    from mpmath.libmp import from_rational, mpf_add, mpf_mul
+
+    context: Any = MPContext()
+    context.prec = bits
+    convert = context.convert
+
+    def converted(x: object, strings: bool = True) -> Any:
+        if isinstance(x, float) and math.isfinite(x) and not is_short(x):
+            raise StrayDoubleError(x)
+        return convert(x, strings)
+
+    def real(function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function with nan instead of complex numbers, as for doubles."""
+
+        def value(*arguments: Any) -> Any:
+            result = function(*arguments)
+            return context.nan if isinstance(result, context.mpc) else result
+
+        return value
+
+    context.convert = converted
+    functions = {name: real(getattr(context, name)) for name in FUNCTIONS} | {"pi": +context.pi}
+
+    def fused(a: Any, b: Any, c: Any) -> Any:
+        a, b, c = map(converted, (a, b, c))
+        return context.make_mpf(mpf_add(mpf_mul(a._mpf_, b._mpf_), c._mpf_, bits, "n"))  # rounded once
+
+    def number(x: Fraction) -> Any:
+        return context.make_mpf(from_rational(x.numerator, x.denominator, bits, "n"))
+
+    return Numbers(name or f"numbers of {bits} bits", bits, f"mpmath {__version__}", number, _math(**functions), fused)
+
+
+def digits(count: int) -> Numbers:
+    """Binary floating point of ``count`` decimal digits: gmpy2's (MPFR), ten times as fast, or mpmath's without it."""
+    guard = floating(math.ceil(count * math.log2(10.0)) + 3, f"numbers of {count} digits")
+    try:
+        gmpy2 = import_module("gmpy2")
+    except ImportError:
+        return guard
+    functions = {name: getattr(gmpy2, name) for name in FUNCTIONS}
+    return replace(
+        guard,
+        library=f"gmpy2 {gmpy2.version()}",
+        number=lambda x: gmpy2.mpfr(gmpy2.mpq(x.numerator, x.denominator), guard.bits),
+        fma=gmpy2.fma,
+        math=_math(**functions, pi=gmpy2.const_pi(guard.bits)),
+        active=lambda: gmpy2.context(precision=guard.bits),  # a new one: gmpy2 crashes where one is entered twice
+        guard=guard,
+    )
+
+
+def _composition(step: StepFunction, weights: tuple[float, ...]) -> StepFunction:
+    """Composed step whose weights are decimal numbers with the sum one; it ends as that of ``compose``."""
+    half = [Fraction(repr(weight)) for weight in weights[: len(weights) // 2]]
+    exact = (*half, 1 - 2 * sum(half), *reversed(half))
+
+    def composed(s: Any, h: Any, p: Any) -> Any:
+        for c in exact:
+            s = step(s, c * h, p)
+            if any(x - x != 0 for x in s):  # true for nan
+                break
+        return s
+
+    return composed
+
+
+def precise(method: Stepper, numbers: Numbers) -> Stepper:
+    """A method in other numbers. Raises NotRationalError if it uses functions that these do not have."""
+    step = _composition(*method.stages) if method.stages else method.step
+    step, enter, leave = map(numbers.rebuilt, (step, method.enter, method.leave))
+    return replace(method, step=step, enter=enter, leave=leave, plain=True, stages=None)
+
+
+def precise_top(top: Top, parameters: Mapping[str, Any]) -> Any:
+    """Top whose parameters are numbers of another kind; not validated again."""
+    return type(top).model_construct(**{**top.model_dump(), **parameters})
+
+
+def refused(scheme: Scheme, numbers: Numbers, reason: str) -> UsageError:
+    """Error for a scheme that has no such precision."""
+    return UsageError(f"{numbers.purpose}: scheme {scheme.name!r} cannot compute with {numbers.name}: it {reason}")
+
+
+def precise_scheme(
+    scheme: Scheme, top: Top, options: Any, parameters: Mapping[str, Fraction], numbers: Numbers
+) -> tuple[Any, Stepper, tuple[Any, ...]]:
+    """The top with exact ``parameters``, the method of the scheme, and the constants of its steps, in other numbers.
+
+    Raises UsageError, naming the scheme and the reason, if it has none.
+    """
+    method = scheme.build(top, options)
+    if not isinstance(method, Stepper):
+        reason = "is a closed form or has a time loop of its own: there are no steps to interpret"
+        raise refused(scheme, numbers, reason)
+    if method.plain:
+        raise refused(scheme, numbers, "calls library functions that compute with doubles")
+    if method.iterative and not numbers.bits:
+        raise refused(scheme, numbers, "solves its equations by iteration, and the solution is not rational")
+    with numbers.active():
+        other = precise_top(top, {name: numbers.number(value) for name, value in parameters.items()})
+        exact = precise_top(top, parameters)
+        # generated code is made from fractions, which are not rounded at all
+        built = scheme.build(exact if method.source else other, options)
+        assert isinstance(built, Stepper)
+        try:
+            if built.source:
+                _check_field(exact, other, numbers)
+            made = precise(built, numbers)
+        except NotRationalError as error:
+            raise refused(scheme, numbers, str(error)) from None
+        return other, made, (*map(numbers.rebuilt, other.constants()), *map(numbers.number, built.constants))
+
+
+def _check_field(exact: Any, other: Any, numbers: Numbers) -> None:
+    """Raise NotRationalError unless the polynomials of generated code are the field in these numbers.
+
+    They are made by other means than the copies of functions: a constant that passes through a double shows here.
+    """
+    d = len(exact.components)
+    state = [numbers.number(Fraction(j + 2, 2 * j + 7)) for j in range(d)]
+    rates = numbers.rebuilt(type(exact).field)(tuple(state), tuple(map(numbers.rebuilt, other.constants())))
+    for rate, polynomial in zip(rates, polynomial_field(type(exact).field, d, exact.constants()), strict=True):
+        terms = [numbers.number(c) * math.prod(state[j] for j in monomial) for monomial, c in polynomial.terms.items()]
+        if abs(float(rate - sum(terms))) > 100.0 * numbers.eps * float(sum(map(abs, terms))):
+            raise NotRationalError("has constants that are computed in doubles")
+
+
+@dataclass(frozen=True)
+class PreciseLoop(Loop):
+    """Loop whose buffers hold objects; ``limit`` is not empty after a step whose numbers became too long."""
+
+    limit: list[TooLongError] = field(default_factory=list)
+
+    def failure(self, work: NDArray[Any]) -> Outcome:
+        """Outcome of a run whose failed step left ``work``."""
+        return Outcome.DIGIT_LIMIT if self.limit else super().failure(work)
+
+
+def precise_loop(
+    method: Stepper, d: int, constants: tuple[Any, ...], numbers: Numbers, max_bits: int = 0
+) -> PreciseLoop:
+    """Loop over a method in other numbers for states of length ``d``, with the ``constants`` of its steps.
+
+    It stops when a rational number of the state has more than ``max_bits`` binary digits (0: any number). Raises
+    StrayDoubleError if the state after a step has a double, and UsageError for a step that these numbers cannot take.
+    """
+    step, enter, leave = method.step, method.enter or same_state, method.leave or same_state
+    checked, zero, limit = method.checked or method.width, numbers.number(Fraction(0)), list[TooLongError]()
+
+    def stepped(s: Any, h: Any) -> tuple[Any, bool]:
+        """State after a step, and whether the step succeeded."""
+        try:
+            s = step(s, h, constants)
+            if stray := [x for x in s if isinstance(x, float) and math.isfinite(x)]:
+                raise StrayDoubleError(stray[0])
+            if max_bits and longest(s) > max_bits:
+                raise TooLongError
+            return s, all(map(numbers.finite, s[:checked]))
+        except TooLongError as error:
+            limit.append(error)
+        except ZeroDivisionError:
+            pass
+        except (AttributeError, TypeError) as error:
+            raise UsageError(f"{numbers.purpose}: {place_of(step)}: no step in {numbers.name}: {error}") from error
+        return s, False
+
+    def enter_state(y: Any, work: Any, p: Any, h: Any) -> int:
+        with numbers.active():
+            work[:] = [x + zero for x in enter(tuple(y), h, constants)]
+        return 0
+
+    def drive(work: Any, out: Any, p: Any, h: Any, steps: int, every: int, until_record: int) -> int:
+        limit.clear()
+        s, k = tuple(work), 0
+        with numbers.active():
+            for i in range(1, steps + 1):
+                s, good = stepped(s, h)
+                if not good:
+                    work[:] = s
+                    return -i
+                if i >= until_record and (i - until_record) % every == 0:
+                    out[k : k + d] = leave(s, h, constants)
+                    k += d
+        work[:] = s
+        return steps
+
+    return PreciseLoop(
+        enter_state, drive, method.width, method.counters, iterative=method.iterative, compiled=False, limit=limit
+    )
+
+
+@dataclass(frozen=True)
+class PreciseRun:
+    """All that a run in other numbers needs: its ``top`` with these numbers, the ``loop``, ``h`` and ``y0``.
+
+    ``guard`` is the same run in numbers that refuse doubles, if its numbers do not.
+    """
+
+    arithmetic: Numbers
+    top: Top
+    loop: PreciseLoop
+    h: Any
+    y0: NDArray[Any]
+    guard: PreciseRun | None = None
+
+
+def prepared(
+    scheme: Scheme,
+    top: Top,
+    options: Any,
+    precision: int | str,
+    values: tuple[Fraction, Mapping[str, Fraction], tuple[Fraction, ...]],
+    max_digits: int = MAX_DIGITS,
+) -> PreciseRun:
+    """Prepare a run of a scheme; ``values`` are h, the parameters of the top and the initial state, exactly.
+
+    Raises UsageError, naming the scheme and the reason, if it has no such precision.
+    """
+    h, parameters, state = values
+    max_bits = int(max_digits * math.log2(10.0)) if precision == RATIONAL else 0
+    numbers = digits(precision) if isinstance(precision, int) else rationals(ROOM * max_bits)
+
+    def run_in(numbers: Numbers) -> PreciseRun:
+        other, method, constants = precise_scheme(scheme, top, options, parameters, numbers)
+        y0 = np.array([numbers.number(value) for value in state], dtype=np.object_)
+        loop = precise_loop(method, len(y0), constants, numbers, max_bits)
+        return PreciseRun(numbers, other, loop, numbers.number(h), y0)
+
+    run = run_in(numbers)
+    if numbers.guard is None:
+        return run
+    guard = run_in(numbers.guard)
+    work = np.empty(guard.loop.width, dtype=np.object_)
+    guard.loop.enter(guard.y0, work, None, guard.h)
+    guard.loop.drive(work, np.empty(len(state), dtype=np.object_), None, guard.h, 1, 1, 1)
+    return replace(run, guard=guard)

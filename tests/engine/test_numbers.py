@@ -1,0 +1,305 @@
+"""Steps in other numbers: constants, functions, stray doubles, declared invariants at 50 digits and rational."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import operator
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cases import table_of
+from declared import SCHEMES
+from topcli.arithmetic.fused import fma, follow_precision
+from topcli.contracts import Outcome, Scheme, Stepper
+from topcli.engine.collect import Orbit, orbit
+from topcli.engine.machine import Machine
+from topcli.engine.numbers import (
+    FUNCTIONS,
+    RATIONAL,
+    NotRationalError,
+    PreciseRun,
+    Rational,
+    StrayDoubleError,
+    digits,
+    floating,
+    longest,
+    meaning,
+    precise_loop,
+    prepared,
+    rationals,
+)
+from topcli.errors import UsageError
+from topcli.runs.report import ORDINARY
+from topcli.schemes.registry import find_scheme
+from topcli.tops import TOPS
+from topcli.tops.euler import Euler
+
+LIMIT, ROUNDS, ROOTED = 1e-12, 7, 1e-6
+TABLE = np.array([0.1, 1.0 / 3.0])
+PI = math.pi
+follow_precision(__name__, caps=("ROUNDS",), LIMIT=1, ROOTED=0.5)
+
+
+@pytest.mark.parametrize(
+    ("constant", "value"),
+    table_of("""
+0.1                    1/10
+0.16666666666666666    1/6
+-0.8                   -4/5
+2.220446049250313e-16  1/4503599627370496
+1e-16                  1/10000000000000000
+0.0                    0
+0.39216144400731415    None
+1.4142135623730951     None
+"""),
+)
+def test_constants_stand_for_what_was_meant(constant: float, value: str) -> None:
+    assert str(meaning(constant)) == str(value)
+
+
+def kernel(x: float, y: float = 0.1) -> float:
+    """Constant, default, global, array, fma and a function of math in one place."""
+    return fma(x, y, 1.0 / 6.0) + LIMIT * ROUNDS + math.sqrt(x) + ROOTED + TABLE[1]
+
+
+def test_rebuilt_function_has_the_accuracy_of_its_numbers(library: str) -> None:
+    numbers = digits(60)
+    with numbers.active():
+        found = numbers.fraction(numbers.rebuilt(kernel)(numbers.number(Fraction(2))))
+    scale = 2 ** (numbers.bits - 53)
+    root = Fraction(math.isqrt(2 * 10**140), 10**70)
+    # tolerances shrink with the rounding error, or its root; a number of iterations grows with the digits
+    scaled = Fraction(1, 10**12) / scale * math.ceil(7 * numbers.bits / 53) + Fraction(1, 10**6) / 2 ** round(
+        (numbers.bits - 53) / 2
+    )
+    assert abs(found - (Fraction(2, 10) + Fraction(1, 6) + root + scaled + Fraction(1, 3))) < Fraction(1, 10**59)
+    assert kernel(2.0) == pytest.approx(float(Fraction(7, 10)) + math.sqrt(2.0) + 1e-6, rel=1e-11)
+
+
+class Settings:
+    """A constant of an object, which is not rebuilt."""
+
+    rate = 0.1
+
+
+def computed() -> Callable[..., Any]:
+    """Step with a constant that is computed in doubles."""
+    c = math.sqrt(0.3)
+    return lambda s, h, p: s[0] + h * c
+
+
+STATE = tuple(map(Fraction, ("3/2", "2/5", "-7/10", "2/7", "3/7", "6/7")))
+"""A state in general position; gamma is a rational unit vector."""
+STRAY = {
+    "a global": lambda s, h, p: s[0] + h * PI,
+    "a folded constant": lambda s, h, p: s[0] * 2.0**0.5,
+    "a closure": computed(),
+    "an attribute": lambda s, h, p: s[0] * Settings.rate,
+    "a conversion": lambda s, h, p: h * float(s[0] / 7),
+    "a function": lambda s, h, p: math.atan2(s[0], Settings.rate),
+    "a state": lambda s, h, p: Settings.rate,
+    "numpy": lambda s, h, p: np.sin(s[0]),
+}
+
+
+@pytest.mark.parametrize("value", STRAY.values(), ids=list(STRAY))
+@pytest.mark.parametrize("precision", [40, RATIONAL])
+def test_doubles_are_refused(value: Any, precision: int | str, library: str) -> None:
+    """As operands, as arguments, and in the state after a step; for gmpy2 the first step is tried with mpmath."""
+    step = Stepper(lambda s, h, p: (value(s, h, p), *s[1:]), 6)
+    scheme = replace(find_scheme("rk2", "kowalevski"), build=lambda top, options: step)
+    with pytest.raises(UsageError, match=r"no exact meaning|math.atan2, which|no step in"):
+        carried_out(ready(scheme, precision), 2)
+
+
+@pytest.mark.parametrize("function", [operator.add, operator.sub, operator.mul, operator.truediv, operator.pow])
+def test_operators_take_short_doubles_only(function: Callable[..., Any]) -> None:
+    third = Fraction(1, 3)
+    for number in (floating(200).number(third), Rational(third)):
+        for swapped in (False, True)[: 1 if function is operator.pow else 2]:
+            pair = (2.0, number) if swapped else (number, 2.0)
+            exact = (Fraction(2), third) if swapped else (third, Fraction(2))
+            if function is not operator.pow:
+                value = function(*pair)
+                assert abs(Fraction(*map(int, value.as_integer_ratio())) - function(*exact)) < Fraction(1, 2**196)
+                assert type(value) is type(number)
+            with pytest.raises(StrayDoubleError, match=r"0\.1 has no exact meaning"):
+                function(*(0.1 if x == 2.0 else x for x in pair))
+    with pytest.raises(NotRationalError, match="power 1/2 of a rational number is not rational"):
+        _ = Rational(third) ** 0.5
+
+
+VALUES = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0, -8.0, 700.0, -700.0, 1e10, -1e10, math.inf, -math.inf)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_are_those_of_doubles(name: str, library: str) -> None:
+    """At 60 bits, and nan where a double is nan: never a complex number, never an exception."""
+    numbers = digits(17)
+    known = {"acos": np.arccos, "asin": np.arcsin, "atan": np.arctan, "atan2": np.arctan2}
+    expected = known.get(name) or getattr(np, name)
+    with numbers.active(), np.errstate(all="ignore"):
+        one = numbers.number(Fraction(1))
+        for arguments in itertools.product(VALUES, repeat=expected.nin):
+            values = [x * one if math.isinf(x) else numbers.number(Fraction(x)) for x in arguments]
+            value, other = float(getattr(numbers.math, name)(*values)), float(expected(*arguments))
+            assert value == pytest.approx(other, rel=4e-16, nan_ok=True), arguments
+        assert not numbers.finite(numbers.number(Fraction(-1)) ** 0.5)
+    with numbers.active():  # again, within that of a study
+        assert abs(numbers.fraction(one / 3) - Fraction(1, 3)) < Fraction(1, 10**17)
+
+
+def test_numbers_within_a_step_are_bounded() -> None:
+    """A step that squares its number twelve times, as a composition does, ends when the number is too long."""
+    longest_seen = [0]
+
+    def step(s: Any, h: Any, p: Any) -> Any:
+        x = s[0]
+        for _ in range(12):
+            x = x * x
+            longest_seen[0] = max(longest_seen[0], longest((x,)))
+        return (x / x,)
+
+    for bits, outcome in ((100, Outcome.DIGIT_LIMIT), (33_000, None)):
+        longest_seen[0] = 0
+        numbers = rationals(4 * bits)
+        loop = precise_loop(Stepper(step, 1), 1, (), numbers, bits)
+        work = np.array([numbers.number(Fraction(3))], dtype=object)
+        taken = loop.drive(work, np.empty(1, dtype=object), None, None, 1, 1, 1)
+        assert taken == (1 if outcome is None else -1)
+        assert outcome is None or loop.failure(work) is outcome
+        assert longest_seen[0] <= 4 * bits
+        assert longest_seen[0] > (bits if outcome else 6000)  # 3^4096 has 6493 binary digits
+
+
+H = Fraction(1, 20)
+BELOW = 1e-45
+CANNOT = [scheme for scheme in SCHEMES if scheme.name in ("dop853", "exact", "hk-exact", "taylor")]
+CAN = [scheme for scheme in SCHEMES if scheme not in CANNOT]
+
+
+def name_of(scheme: Scheme) -> str:
+    return f"{scheme.top}-{scheme.name}"
+
+
+def ready(scheme: Scheme, precision: int | str, max_digits: int = 10_000, **options: Any) -> PreciseRun:
+    top = TOPS[scheme.top].new()
+    parameters = {name: Fraction(str(value)) for name, value in top.model_dump().items() if isinstance(value, float)}
+    values = (H, parameters, STATE[: len(top.components)])
+    return prepared(scheme, top, scheme.options(**options), precision, values, max_digits)
+
+
+def orbit_of(made: PreciseRun, steps: int) -> Orbit:
+    return orbit(
+        made.top, Machine(made.top, Stepper(made.loop.drive, made.loop.width), made.loop), made.y0, made.h, steps
+    )
+
+
+def carried_out(made: PreciseRun, steps: int) -> Orbit:
+    found = orbit_of(made, steps)
+    assert found.ending.outcome is Outcome.COMPLETED
+    return found
+
+
+def declared_deviations(scheme: Scheme, made: PreciseRun, states: Any) -> dict[str, Any]:
+    with made.arithmetic.active():
+        modified = scheme.modified(made.top, made.h, scheme.options()) if scheme.modified else ()
+        watched = [one for one in made.top.invariants() if one.name in scheme.conserves] + list(modified)
+        values = {one.name: one.value(states) for one in watched}
+        return {name: max(abs(x - found[0]) for x in found) for name, found in values.items()}
+
+
+def assert_exact_at_50_digits(scheme: Scheme, steps: int, **options: Any) -> None:
+    """Declared invariants to the last digits, and the states and counted events of doubles: the same algorithm."""
+    made = ready(scheme, 50, **options)
+    found = carried_out(made, steps)
+    deviations = {name: float(x) for name, x in declared_deviations(scheme, made, found.states).items()}
+    assert set(deviations) >= set(scheme.conserves)
+    assert max(deviations.values(), default=0.0) < BELOW, deviations
+    top = TOPS[scheme.top].new()
+    y0 = [float(x) for x in STATE[: len(top.components)]]
+    doubles = orbit(top, scheme.build(top, scheme.options(**options)), y0, float(H), steps)
+    assert found.states.astype(float) == pytest.approx(doubles.states, abs=1e-12)
+    events = {name: count for name, count in doubles.ending.counters.items() if name not in ORDINARY}
+    assert {name: found.ending.counters[name] for name in events} == events
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", CAN, ids=name_of)
+def test_declared_invariants_are_exact_at_50_digits(scheme: Scheme) -> None:
+    assert_exact_at_50_digits(scheme, 25)
+
+
+@pytest.mark.parametrize(
+    ("top", "name"), [("euler+gamma", "hk"), ("kowalevski", "hybrid"), ("lagrange", "midpoint+kahan-li6")]
+)
+def test_declared_invariants_are_exact_over_a_few_steps(top: str, name: str, library: str) -> None:
+    assert_exact_at_50_digits(find_scheme(name, top), 5)
+
+
+@pytest.mark.parametrize("options", [{"compensated": True}, {"project": 2}], ids=str)
+def test_wrapped_steps_are_exact_at_50_digits(options: dict[str, Any], library: str) -> None:
+    assert_exact_at_50_digits(find_scheme("hk", "heavy"), 5, **options)
+
+
+@pytest.mark.parametrize(
+    ("top", "name"),
+    table_of("""
+euler              hk
+lagrange/inertial  bs
+euler+gamma        hk
+lagrange           hk
+"""),
+)
+def test_rational_orbits_keep_declared_invariants_equal(top: str, name: str) -> None:
+    scheme = find_scheme(name, top)
+    made = ready(scheme, RATIONAL)
+    found = carried_out(made, 8)
+    assert set(declared_deviations(scheme, made, found.states).values()) == {0}
+    first = made.top.invariants()[0 if name == "hk" else 3]  # the control: conserved only in its modified form
+    assert first.name not in scheme.conserves
+    values = first.value(found.states)
+    assert max(abs(float(x - values[0])) for x in values) > 1e-4
+
+
+@pytest.mark.parametrize("scheme", CANNOT, ids=name_of)
+def test_schemes_without_steps_of_arithmetic_say_so(scheme: Scheme) -> None:
+    with pytest.raises(UsageError, match=f"scheme '{scheme.name}' cannot compute with numbers of 50 digits: it "):
+        ready(scheme, 50)
+
+
+@pytest.mark.parametrize(
+    ("top", "name", "reason"),
+    [("kowalevski", "hybrid", r"uses math\.s"), ("heavy", "midpoint", "solves its equations by iteration")],
+)
+def test_schemes_that_are_not_rational_say_so(top: str, name: str, reason: str) -> None:
+    with pytest.raises(UsageError, match=f"scheme '{name}' cannot compute with rational numbers: it {reason}"):
+        ready(find_scheme(name, top), RATIONAL)
+
+
+def test_generated_code_with_a_constant_of_doubles_is_refused() -> None:
+    """The polynomials of the field read the decimals of 2/7, and the copy of the field reads 2/7."""
+
+    class Turned(Euler):
+        """Rotation with an own field."""
+
+        field = staticmethod(lambda y, p: (y[1] * y[2] * (2.0 / 7.0), -y[0] * y[2], y[0]))
+
+    scheme = find_scheme("hk", "euler")
+    values = (H, {name: Fraction(str(x)) for name, x in Turned().model_dump().items()}, STATE[:3])
+    with pytest.raises(UsageError, match="'hk' cannot compute with numbers of 40 digits: it has constants that are"):
+        prepared(scheme, Turned(), scheme.options(), 40, values)
+
+
+def test_rational_run_stops_at_the_number_of_digits() -> None:
+    made = ready(find_scheme("hk", "heavy"), RATIONAL, max_digits=300)
+    found = orbit_of(made, 50)
+    assert found.ending.outcome is Outcome.DIGIT_LIMIT
+    assert found.ending.step == len(found.n)
+    assert 30 < max(len(str(x.numerator)) for x in found.states[-1]) <= 300

@@ -1,0 +1,371 @@
+"""The rules of the store: nothing is lost, whoever computes, whatever fails, and whenever it is killed."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import itertools
+import json
+import os
+import resource
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+
+from counting import NAME, Counted, N, compute, tree
+from faults import Disk
+from injected import fork, in_fork
+from topcli.errors import RunError, UsageError
+from topcli.store import result_folder
+from topcli.store.result_folder import ResultFolder, being_computed
+from topcli.store.results import intact_result, read_result, stored_results
+from topcli.store.series import read_series
+
+FILES = {"manifest.json", "report.json", "series.parquet"}
+OTHER = Counted(h=0.2)
+KILLS = [("torn", 1, False), ("power", 5, True)]
+STATUS = ("ran", "continued", "up to date")
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("topcli.store.table.ROW_GROUP", 40)
+    monkeypatch.setattr(result_folder, "POLL_SECONDS", 0.001)
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+
+
+def data(folder: Path) -> dict[str, bytes]:
+    """Files of a result that do not hold times."""
+    return {name: content for name, content in tree(folder).items() if name != "manifest.json"}
+
+
+def whole(folder: Path) -> bool:
+    result = read_result(folder)
+    return result is not None and result.complete and not result.damage()
+
+
+def killed_after(chunks: int) -> object:
+    """``on_chunk`` that ends the process in the middle of the chunk after so many."""
+    asked = itertools.count(1)
+    return lambda n: os.kill(os.getpid(), signal.SIGKILL) if next(asked) > chunks else None
+
+
+def stopped_after(chunks: int) -> object:
+    asked = itertools.count(1)
+    return lambda n: next(asked) >= chunks
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "every", "earlier"), KILLS)
+def test_a_kill_at_any_operation_loses_nothing(tmp_path: Path, how: str, every: int, earlier: bool) -> None:
+    """Also while an earlier, different result makes way; a second kill hits the life that continues.
+
+    A torn operation is one half of which is done; where power fails, what was not flushed is gone.
+    """
+    compute(tmp_path / "whole", every=every)
+    expected, before = data(tmp_path / "whole" / NAME), {}
+    for at in itertools.count(1):
+        out = tmp_path / str(at)
+        out.mkdir()
+        if earlier:
+            compute(out, OTHER)
+            before = data(out / NAME)
+        disk, again = Disk(out, at, how), Disk(out, 2 * at % 17 + 1, how)
+        code = in_fork(lambda disk=disk, out=out: (disk.install(), compute(out, every=every, force=earlier), 0)[2])
+        done = disk.operations()
+        assert code == (0 if len(done) < at else -9)
+        assert not earlier or any(data(path) == before for path in out.iterdir() if path.is_dir())
+        if len(done) < at:
+            break
+        read_result(out / NAME)  # whole or missing
+        retry = earlier and NAME in os.listdir(out) and data(out / NAME) == before
+        in_fork(lambda disk=again, out=out, retry=retry: (disk.install(), compute(out, every=every, force=retry))[0])
+        retry = earlier and NAME in os.listdir(out) and data(out / NAME) == before
+        compute(out, every=every, force=retry)
+        assert whole(out / NAME)
+        assert data(out / NAME) == expected
+        assert set(os.listdir(out / NAME)) == FILES
+        aside = set(os.listdir(out)) - {NAME, f".{NAME}.lock"}
+        assert aside == ({f"{NAME}-{OTHER.key}"} if earlier else set())
+        assert not earlier or whole(out / f"{NAME}-{OTHER.key}")
+    assert at > 40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("how", "form"), [("full", "parquet"), ("full once", "csv")])
+def test_a_full_disk_is_reported_and_loses_nothing(tmp_path: Path, how: str, form: str) -> None:
+    identity = Counted(form=form)
+    compute(tmp_path / "whole", identity)
+    expected = data(tmp_path / "whole" / NAME)
+    for at in itertools.count(1):
+        out = tmp_path / str(at)
+        out.mkdir()
+        with pytest.MonkeyPatch.context() as patch:
+            disk = Disk(out, at, how).install(patch.setattr)
+            with contextlib.suppress(RunError):
+                compute(out, identity)
+        if len(disk.operations()) < at:
+            break
+        compute(out, identity)
+        assert data(out / NAME) == expected
+        assert set(os.listdir(out)) <= {NAME, f".{NAME}.lock"}
+    assert at > 40
+
+
+@pytest.mark.parametrize(("limit", "kept"), [(100, "nothing was lost"), (1000, "nothing of this"), (1400, "continue")])
+def test_the_limit_of_a_file_is_reported(tmp_path: Path, limit: int, kept: str) -> None:
+    def life() -> int:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        with pytest.raises(RunError, match=rf"the file would exceed the size limit; .*{kept}"):
+            compute(tmp_path)
+        return 0
+
+    assert in_fork(life) == 0
+    assert (NAME in os.listdir(tmp_path)) == (kept == "continue")
+    assert compute(tmp_path) == ("continued" if kept == "continue" else "ran")
+
+
+@pytest.mark.parametrize("form", ["parquet", "csv"])
+def test_a_stopped_result_is_readable_and_continues(tmp_path: Path, form: str) -> None:
+    identity = Counted(form=form)
+    compute(tmp_path / "whole", identity)
+    expected = data(tmp_path / "whole" / NAME)
+    for life in range(2):
+        compute(tmp_path, identity, on_chunk=stopped_after(2))
+        stopped = intact_result(tmp_path / NAME)
+        assert (stopped.outcome, stopped.report()["outcome"]) == ("interrupted", "interrupted")
+        assert len(read_series(stopped.series)["n"]) == (life + 1) * 32
+    assert compute(tmp_path, identity) == "continued"
+    assert data(tmp_path / NAME) == expected
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    assert compute(tmp_path, identity) == "up to date"
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+@pytest.mark.parametrize("chunks", [0, 3, None])
+def test_what_a_result_does_when_it_is_in_the_way(tmp_path: Path, chunks: int | None) -> None:
+    """Begun without a checkpoint, killed after three chunks, complete."""
+    begin = (lambda: compute(tmp_path, OTHER)) if chunks is None else None
+    in_fork(begin or (lambda: compute(tmp_path, OTHER, on_chunk=killed_after(chunks))))
+    before = tree(tmp_path / NAME)
+    if chunks == 0:
+        assert compute(tmp_path) == "ran"
+        assert os.listdir(tmp_path) == [NAME]
+        return
+    with pytest.raises(UsageError, match=r"holds a different experiment \(h: 0\.2 stored, 0\.1 requested\)") as caught:
+        compute(tmp_path)
+    assert "--force" in str(caught.value)
+    assert tree(tmp_path / NAME) == before
+    for code, form in (("c", "parquet"), ("d", "parquet"), ("d", "csv")):
+        identity = Counted(h=0.2, code=code * 64, form=form)  # other code and another format need no --force
+        assert compute(tmp_path, identity, force=code == "c") == "ran"
+        assert compute(tmp_path, identity) == "up to date"
+    assert compute(tmp_path, force=True) == "ran"
+    other = Counted(h=0.2, code="d" * 64).key
+    aside = [f"{NAME}-{OTHER.key}", f"{NAME}-{OTHER.key}-2", f"{NAME}-{other}", f"{NAME}-{other}-2"]
+    assert sorted(os.listdir(tmp_path)) == sorted([NAME, *aside])
+    assert tree(tmp_path / aside[0]) == before
+    assert all(whole(tmp_path / name) for name in aside[1:])
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_foreign_files_stay(tmp_path: Path, force: bool) -> None:
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "mine.txt").write_text("mine")
+    place = tmp_path / "out" / NAME
+    place.parent.mkdir()
+    for make in (
+        lambda: place.write_text("mine"),
+        lambda: place.symlink_to("nowhere"),
+        lambda: place.symlink_to(tmp_path / "notes"),
+        lambda: shutil.copytree(tmp_path / "notes", place),
+    ):
+        make()
+        with pytest.raises(UsageError, match="exists and is no result of topcli"):
+            compute(tmp_path / "out", force=force)
+        assert os.listdir(tmp_path / "out") == [NAME]
+        assert "mine" in (place.read_text() if place.is_file() else os.listdir(tmp_path / "notes")[0])
+        shutil.rmtree(place) if place.is_dir() and not place.is_symlink() else place.unlink()
+    place.mkdir()
+    assert compute(tmp_path / "out", force=force) == "ran"
+
+
+def test_files_of_a_user_stay(tmp_path: Path) -> None:
+    """In a result that makes way, in one that has just begun, and in one that is computed through a link."""
+    compute(tmp_path)
+    (tmp_path / NAME / "notes.txt").write_text("mine")
+    compute(tmp_path, force=True)
+    aside = tmp_path / f"{NAME}-{Counted().key}"
+    assert (aside / "notes.txt").read_text() == "mine"
+    with ResultFolder.claim(tmp_path / NAME, OTHER, force=True) as folder:
+        (folder.stored.folder / "notes.txt").write_text("mine")
+    assert (tmp_path / NAME / "notes.txt").read_text() == "mine"
+    (tmp_path / "linked").mkdir()
+    (tmp_path / "linked" / NAME).symlink_to(aside)
+    assert compute(tmp_path / "linked") == "up to date"
+    assert compute(tmp_path / "linked", OTHER, force=True) == "ran"
+    assert whole(aside)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("force", [False, True])
+def test_ten_processes_share_one_name(tmp_path: Path, force: bool) -> None:
+    compute(tmp_path / "whole")
+    expected = data(tmp_path / "whole" / NAME)
+    compute(tmp_path / "out", force=True) if force else None
+    pids = [fork(lambda: STATUS.index(compute(tmp_path / "out", force=force))) for _ in range(10)]
+    statuses = [STATUS[os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])] for pid in pids]
+    computed = statuses.count("ran")
+    assert computed >= 1 if force else computed == 1
+    assert statuses.count("up to date") == 10 - computed
+    assert len(os.listdir(tmp_path / "out")) == 1 + computed * force
+    assert all(whole(path) and data(path) == expected for path in (tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_waiting_process_takes_over_from_a_killed_one(tmp_path: Path, force: bool) -> None:
+    """It does so with --force, too: what it would compute has been begun meanwhile."""
+    (computing, begun), (waiting, begins) = os.pipe(), os.pipe()
+
+    def holder() -> int:
+        asked = itertools.count()
+        compute(tmp_path, on_chunk=lambda n: os.write(begun, b"x") and signal.pause() if next(asked) == 3 else None)
+        return 99
+
+    first = fork(holder)
+    os.close(begun)
+    assert os.read(computing, 1) == b"x"
+    assert being_computed(tmp_path / NAME)
+    second = fork(lambda: STATUS.index(compute(tmp_path, force=force, tell=lambda line: os.write(begins, b"x"))))
+    os.close(begins)
+    assert os.read(waiting, 1) == b"x"
+    os.kill(first, signal.SIGKILL)
+    os.waitpid(first, 0)
+    assert STATUS[os.waitstatus_to_exitcode(os.waitpid(second, 0)[1])] == "continued"
+    assert os.listdir(tmp_path) == [NAME]
+    assert not being_computed(tmp_path / NAME)
+    os.close(computing)
+    os.close(waiting)
+
+
+def test_waiting_ends_when_it_is_interrupted_or_pointless(tmp_path: Path) -> None:
+    def interrupted(line: str) -> None:
+        assert "another process is computing this result; waiting" in line
+        raise KeyboardInterrupt
+
+    with ResultFolder.claim(tmp_path / NAME, Counted()):
+        with pytest.raises(KeyboardInterrupt):
+            compute(tmp_path, tell=interrupted)
+        with pytest.raises(RunError, match="another process is computing this result"):
+            ResultFolder.claim(tmp_path / NAME, Counted(), stop=lambda: True)
+        with pytest.raises(UsageError, match="holds a different experiment"):
+            compute(tmp_path, OTHER)
+    assert os.listdir(tmp_path) == []
+
+
+def flip(path: Path, place: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("form", ["parquet", "csv"])
+def test_a_flipped_bit_is_found_in_every_file(tmp_path: Path, form: str) -> None:
+    compute(tmp_path, Counted(form=form), on_chunk=stopped_after(3))
+    folder = tmp_path / NAME
+    names = sorted(tree(folder))
+    assert len(names) == 7
+    for name in names:
+        path = folder / name
+        for place in {0, path.stat().st_size // 3, path.stat().st_size - 1}:
+            flip(path, place)
+            with pytest.raises(RunError, match=path.name):
+                intact_result(folder)
+            flip(path, place)
+        if name.startswith("unfinished"):
+            content = path.read_bytes()
+            path.write_bytes(content[:-1])
+            assert name in read_result(folder).damage()
+            path.write_bytes(content)
+    (folder / "report.json").unlink()
+    assert read_result(folder).damage() == {"report.json": "missing"}
+
+
+@pytest.mark.parametrize("name", ["checkpoint.npz", "series.000001.arrow"])
+def test_damaged_work_is_never_continued(tmp_path: Path, name: str) -> None:
+    compute(tmp_path / "whole")
+    in_fork(lambda: compute(tmp_path / "out", on_chunk=killed_after(3)))
+    path = tmp_path / "out" / NAME / "unfinished" / name
+    flip(path, path.stat().st_size // 2)
+    before = tree(tmp_path / "out" / NAME)
+    with pytest.raises(RunError, match=rf"{name}: damaged .*--force"):
+        compute(tmp_path / "out")
+    assert tree(tmp_path / "out" / NAME) == before
+    assert compute(tmp_path / "out", force=True) == "ran"
+    assert data(tmp_path / "out" / NAME) == data(tmp_path / "whole" / NAME)
+    assert (tmp_path / "out" / f"{NAME}-{Counted().key}" / "unfinished" / name).exists()
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"manifest_version": 2}', "{"])
+def test_a_damaged_manifest_is_named_and_stays(tmp_path: Path, text: str) -> None:
+    compute(tmp_path)
+    manifest = tmp_path / NAME / "manifest.json"
+    manifest.write_text(text)
+    for force in (False, True):
+        with pytest.raises(RunError, match=r"manifest\.json: .*move the folder away"):
+            compute(tmp_path, force=force)
+    assert manifest.read_text() == text
+    assert isinstance(stored_results(tmp_path)[NAME], RunError)
+
+
+def test_results_are_listed_whatever_their_state(tmp_path: Path) -> None:
+    compute(tmp_path, OTHER)
+    compute(tmp_path, on_chunk=stopped_after(1), force=True)
+    (tmp_path / "plain").mkdir()
+    outcomes = {name: result.outcome for name, result in stored_results(tmp_path).items()}
+    assert outcomes == {NAME: "interrupted", f"{NAME}-{OTHER.key}": "completed"}
+    assert stored_results(tmp_path / "none") == {}
+    shutil.rmtree(tmp_path / NAME)
+    in_fork(lambda: compute(tmp_path, on_chunk=killed_after(2)))
+    assert stored_results(tmp_path)[NAME].outcome is None
+    with pytest.raises(UsageError, match="the run is unfinished; run it again to continue it"):
+        intact_result(tmp_path / NAME)
+    with pytest.raises(UsageError, match=r"no run is stored here .*give one of the runs in it, such as "):
+        intact_result(tmp_path)
+
+
+def test_places_that_cannot_be_written_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compute(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=r"output folder .*file: cannot be written to"):
+        compute(tmp_path / "file")
+
+    def denied(*arguments: object, **options: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tempfile.TemporaryFile", denied)
+        assert compute(tmp_path) == "up to date"
+        with pytest.raises(UsageError, match=r"cannot be written to .*choose another with --out"):
+            compute(tmp_path, force=True)
+
+    def without_locks(handle: int, mode: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", without_locks)
+    with pytest.raises(RunError, match=r"the file system has no locks \(No locks available\)"):
+        compute(tmp_path, force=True)
+    assert whole(tmp_path / NAME)
+
+
+def test_a_manifest_says_from_the_first_moment_what_the_folder_holds(tmp_path: Path) -> None:
+    with ResultFolder.claim(tmp_path / NAME, Counted()) as folder:
+        manifest = json.loads((tmp_path / NAME / "manifest.json").read_text())
+        assert (manifest["outcome"], manifest["name"], manifest["config"]) == (None, NAME, Counted().config)
+        assert folder.checkpoint() == {}
+    compute(tmp_path)
+    manifest = json.loads((tmp_path / NAME / "manifest.json").read_text())
+    assert set(manifest["files"]) == {"report.json", "series.parquet"}
+    assert len(read_series(tmp_path / NAME / "series.parquet")["n"]) == N
