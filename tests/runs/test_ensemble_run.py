@@ -273,7 +273,7 @@ def test_memory_does_not_grow_with_the_members(
         tracemalloc.start()
         try:
             found = experiment(N=2, output={"every": 1}, ensemble=ensemble, **changes)
-            run_experiment(found, tmp_path / name, RunOptions(threads=1))
+            run_experiment(found, tmp_path / name, RunOptions(checkpoint_every=1e6, threads=1))
             return tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()

@@ -17,6 +17,9 @@ from topcli.engine.integration import Integration
 from topcli.engine.plan import Plan
 from topcli.engine.watch import Watch
 
+# glibc keeps freed memory up to twice the largest block freed before, which saves the page faults of temporaries
+np.empty(1 << 21)
+
 _most_threads: int | None = None
 
 
@@ -80,8 +83,6 @@ def drive(
         ``endings`` tells how the trajectories ended, ``last`` holds their last states.
     """
     threads = threads or default_threads()
-    # glibc keeps freed memory up to twice the largest block freed before, which saves the page faults of temporaries
-    np.empty(1 << 21)
     everyone = [Watch(), *consumers]
     parts = _parts(start, 1 + len(everyone)) if start else []
     run = Integration(plan, threads, stop, parts[0] if parts else None)
