@@ -79,7 +79,11 @@ $(VENV)/.installed-peers: $(VENV)/.installed-dev
 	@touch $@
 
 bench: $(VENV)/.installed-peers
-	$(BIN)/topcli bench
+	@mkdir -p results/bench
+	$(BIN)/topcli bench --config kowalevski_generic_hk --set T=1000 --save results/bench/1.json --force
+	$(BIN)/topcli bench --config kowalevski_hk --set T=50 --save results/bench/2.json --force
+	$(BIN)/topcli bench --config euler_hk --set T=100 --save results/bench/3.json --force
+	$(BIN)/topcli bench --config lagrange_hk --set T=100 --save results/bench/4.json --force
 	$(BIN)/topcli plot work-precision
 
 bench-steps: $(VENV)/.installed-dev

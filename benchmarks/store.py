@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 import topcli
 from topcli.engine.columns import column_names
-from topcli.store.series import arrow_table, write_parquet
+from topcli.store.series import arrow_table, parquet_options
 
 
 def main() -> None:
@@ -32,7 +32,7 @@ def main() -> None:
         ours, theirs = Path(folder) / "ours.parquet", Path(folder) / "theirs.parquet"
         for _ in range(repetitions + 1):
             start = time.perf_counter()
-            write_parquet(ours, data, {})
+            pq.write_table(arrow_table(data), ours, **parquet_options(data))
             middle = time.perf_counter()
             pq.write_table(arrow_table(data), theirs)
             ratios.append((middle - start) / (time.perf_counter() - middle))

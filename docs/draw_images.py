@@ -27,19 +27,15 @@ OF_CATALOGUE = (
 )
 PICTURES: dict[str, tuple[str, ...]] = {
     **{name: (f"plot {name} --format png",) for name in OF_CATALOGUE},
-    "compare": ("compare hk bohlin-a bohlin-b bohlin-c hybrid --plot --force",),
-    "stress": ("stress --plot --force",),
+    "compare": ("compare hk bohlin-a bohlin-b bohlin-c hybrid --plot results/figures/compare.png --force",),
+    "stress": ("stress --plot results/figures/stress.png --force",),
     "swings": (
         f"sweep {SWINGS}",
         "plot sweep swings --x initial.gamma3 --y first_swing_spacing --by scheme --format png",
     ),
 }
 """The pictures, each with the commands that draw it."""
-FILES = {
-    "compare": "compare_kowalevski_hk",
-    "stress": "stress_all",
-    "swings": "swings_first_swing_spacing_over_initial.gamma3_by_scheme",
-}
+FILES = {"swings": "swings_first_swing_spacing_over_initial.gamma3_by_scheme"}
 """File names of figures that are not called as their pictures are."""
 TIMES = "work-precision"
 """Picture of times, which no other machine repeats: its data have no summary."""
@@ -55,10 +51,10 @@ def draw(name: str, folder: Path) -> Path:
 
 def summary(data: Path) -> dict[str, Any]:
     """Rows and, for each column of the plotted data, its largest magnitude and its root mean square, to 6 digits."""
-    from topcli.store.series import read_series
+    from topcli.figures.figure import read_columns
 
-    columns = read_series(data)
-    numbers = {name: np.asarray(values, dtype=float) for name, values in columns.items()}
+    columns = read_columns(data) or {}
+    numbers = {name: values.astype(float) for name, values in columns.items() if values.dtype.kind in "fiu"}
     return {
         name: [
             int(np.isfinite(values).sum()),
@@ -67,15 +63,6 @@ def summary(data: Path) -> dict[str, Any]:
         ]
         for name, values in numbers.items()
     }
-
-
-def breaks(study: Path) -> dict[str, list[str]]:
-    """For each scheme and top of the stress suite the cases that broke."""
-    found: dict[str, list[str]] = {}
-    for trial in json.loads(study.read_text(encoding="utf-8"))["trials"]:
-        cases = found.setdefault(f"{trial['scheme']} ({trial['top']})", [])
-        cases += [trial["case"]] * (trial["outcome"] == "broke")
-    return found
 
 
 def _copy_small(source: Path, target: Path) -> None:
@@ -112,9 +99,7 @@ def main() -> None:
             continue
         picture = draw(name, arguments.folder)
         _copy_small(picture, IMAGES / f"{name}.png")
-        if name == "stress":
-            known[name] = breaks(arguments.folder / "results" / "stress" / "stress.json")
-        elif name != TIMES:
+        if name != TIMES and picture.with_suffix(".parquet").is_file():
             known[name] = summary(picture.with_suffix(".parquet"))
         print(IMAGES / f"{name}.png")
     SUMMARY.write_text(_listing(known), encoding="utf-8")

@@ -19,6 +19,7 @@ from topcli.cli.commands import GROUPS
 from topcli.contracts import Invariant, Scheme, Top
 from topcli.errors import capitalized
 from topcli.schemes.registry import all_schemes
+from topcli.table import DASH
 from topcli.tops import TOPS
 
 Page = list[str]
@@ -33,19 +34,19 @@ CODE = (
 """Options and commands in a help text."""
 KEYS = ("key", "type", "default", "meaning")
 TYPES = (
-    *("show.report.Report", "show.report.StudyReport", "show.results.RunReport", "show.results.SweepReport"),
+    *("studies.report.Report", "table.Table", "show.results.RunReport", "show.results.SweepReport"),
     *("show.report.MotionReport", "contracts.Stepper", "contracts.Scheme", "contracts.Invariant", "contracts.Sampler"),
-    *("contracts.Block", "contracts.Integrability", "sweeps.batch.Batch"),
+    *("contracts.Block", "sweeps.batch.Batch"),
 )
 """Types of arguments and results outside ``topcli`` itself, named from it on."""
 MEMBERS = {
     "Top": "constants, invariants, euler_poisson, new\n   :exclude-members: model_config",
     "Trajectory": "",
     "Motion": "",
-    "show.report.Report": "save",
-    "show.report.StudyReport": "plot, as_dict",
-    "show.results.RunReport": "folder, outcome, status, is_ensemble, series, plot, as_dict",
-    "show.results.SweepReport": "folder, outcomes, rows, plot, as_dict",
+    "studies.report.Report": "table, plot, save, as_dict",
+    "table.Table": "frame, text",
+    "show.results.RunReport": "folder, outcome, status, is_ensemble, series, plot, save, as_dict",
+    "show.results.SweepReport": "folder, outcomes, rows, plot, save, as_dict",
     "contracts.Scheme": "",
 }
 """Members of classes that the page shows."""
@@ -160,11 +161,11 @@ def keys_of(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
 
 def config_part() -> Page:
     """Keys of a config, from the models that read it."""
-    from topcli.config.draws import Random
-    from topcli.config.ensemble import Section
+    from topcli.config.ensemble import EnsembleSection
     from topcli.config.formulas import CustomSection
     from topcli.config.models import Config, Output, PoincareSection
     from topcli.config.ranges import Range
+    from topcli.config.states import Random
 
     sections = {
         "`output`": ("", Output),
@@ -172,7 +173,7 @@ def config_part() -> Page:
             "A [Poincaré section](chaos.md#poincare-sections). Give either `component` or `quantity`.",
             PoincareSection,
         ),
-        "`ensemble`": ("An [ensemble](ensembles.md). Give one of `states`, `grid` and `random`.", Section),
+        "`ensemble`": ("An [ensemble](ensembles.md). Give one of `states`, `grid` and `random`.", EnsembleSection),
         "`ensemble.grid`": ("Evenly spaced values can be written as a range, which is a section.", Range),
         "`ensemble.random`": ("Besides these keys, a key for each vector says how the vector is drawn.", Random),
         "`top` with `kind: custom`": ("[A top of your own](own-top.md).", CustomSection),
@@ -292,9 +293,35 @@ def api_part() -> Page:
     return lines
 
 
+def literal(text: str) -> str:
+    """Text without the marks of Markdown."""
+    return re.sub(r"([*_])", r"\\\1", text)
+
+
 def claims_part() -> Page:
-    """All claims of the paper, with their verdicts; this runs their experiments."""
-    return [topcli.claims().to_markdown()]
+    """All claims of the paper by section, with their verdicts; this runs their experiments."""
+    from topcli.paper.claims import all_claims, excluded
+
+    wrong = "What does not hold"
+    rows: dict[str, list[Sequence[str]]] = {wrong: []}
+    claims, _, experiments = (table.cells() for table in topcli.claims().tables)
+    for claim, line, details in zip(all_claims().values(), claims.lines, experiments.lines, strict=True):
+        verdict, measured, bound, statement, source = line[1:]
+        measures, _, note, corrected, experiment = map(literal, details[1:])
+        about = f"**{claim.id}**: {literal(statement)} ({literal(source)})<br>{experiment}"
+        if corrected != DASH:
+            measured += f"; corrected: {corrected}"
+        row = (about, verdict, measures, f"{measured} ({note})" if note else measured, bound)
+        rows.setdefault(claim.section, []).append(row)
+        if not verdict.startswith("holds"):
+            rows[wrong].append(row)
+    lines: Page = []
+    for section, listed in rows.items():
+        header = ("statement and experiment", "verdict", "quantity", "measured", "bound")
+        lines += [f"## {section}", "", *table(header, listed)]
+    lines += ["## Statements that are not tested", "", "No experiment tests these statements of the paper.", ""]
+    left = [(f"**{id}**: {literal(statement)} ({source})", reason) for id, statement, source, reason in excluded()]
+    return [*lines, *table(("statement", "reason"), left)]
 
 
 PARTS = {

@@ -1,4 +1,4 @@
-"""Equations (1) to (3), (5), (7) and (8) of the page on the exact Kowalevski top, evaluated at one state."""
+"""Equations (1) to (3), (5), (7) and (8) of the page on the Kowalevski top, evaluated at one state."""
 
 import itertools
 

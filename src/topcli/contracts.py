@@ -17,7 +17,7 @@ import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from fractions import Fraction
 from typing import Any, ClassVar, Self
@@ -471,30 +471,6 @@ class Block:
 Method = Stepper | Sampler | Block
 
 
-UNKNOWN = "none known to us"
-
-
-@dataclass(frozen=True)
-class Integrability:
-    """Lax pair and Poisson bracket of a scheme that is an integrable map.
-
-    Parameters
-    ----------
-    lax : str
-        Description of the discrete Lax pair in a few words, or ``UNKNOWN`` if none is known.
-    poisson : str
-        Description of the Poisson bracket that the map preserves, in a few words, or ``UNKNOWN`` if none is known.
-    bracket : str, optional
-        ``"lie-poisson"`` if the map preserves the Lie-Poisson bracket of the angular momentum m and of the vertical or
-        the axis of the top. If the state contains neither of these two, it is the bracket of m alone. The tests check
-        this declaration.
-    """
-
-    lax: str
-    poisson: str
-    bracket: str = ""
-
-
 @dataclass(frozen=True)
 class Scheme:
     """Numerical scheme for one form of a top (one choice of state variables), with its declared properties.
@@ -550,8 +526,6 @@ class Scheme:
     formula: str = ""
     """Step as display formulas in LaTeX, without delimiters, separated by empty lines. A prime marks the new state, a
     bar marks the mean of the old and the new state, and f is the right-hand side of the equations of motion."""
-    integrable: Integrability | None = None
-    """Lax pair and Poisson bracket of an integrable map; None for other schemes."""
 
     def order_for(self, options: Any) -> int | None:
         """Order of convergence if the scheme has these ``options``."""
@@ -607,13 +581,6 @@ class Ending:
     left: int | None = None
     left_t: float | None = None
     advice: str = ""
-
-    def with_left(self, step: int | None, h: float) -> Ending:
-        """Return this ending for a run with step size ``h`` that left its energy surface at ``step`` (None: never)."""
-        if step is None:
-            return self
-        outcome = Outcome.LEFT_MOTION if self.outcome is Outcome.COMPLETED else self.outcome
-        return replace(self, outcome=outcome, left=step, left_t=step * h)
 
     @property
     def message(self) -> str:

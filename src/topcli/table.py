@@ -1,20 +1,4 @@
-"""Tables: columns over the rows of plain data, for terminals, pages, Markdown and DataFrames.
-
-A report declares its figures once, as columns, and every rendering follows::
-
-    DRIFTS = Table(
-        "invariants",
-        (
-            Column("invariant", "symbol"),
-            Column("drift", "drift", number),
-            Column("± standard error", "drift_error", two_digits),
-        ),
-        heading="Drifts",
-        index="symbol",
-    )
-    DRIFTS.cells(report).lines   # texts, as the terminal and a page show them
-    DRIFTS.frame(report)         # a DataFrame with all digits
-"""
+"""Tables: rows of plain data with all digits, and their texts for terminals, pages, Markdown, LaTeX and CSV."""
 
 from __future__ import annotations
 
@@ -28,10 +12,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 if TYPE_CHECKING:
     import pandas as pd
 
+Row = Mapping[str, Any]
+Format = str | Callable[[Any], str]
 DASH = "–"
 """Text of a missing value."""
-EVERY = range(10**6)
-"""Indices of all columns."""
 
 
 def significant(value: float, digits: int) -> str:
@@ -91,14 +75,6 @@ def ten_digits(value: float | None) -> str:
     return DASH if value is None else f"{value:.10g}"
 
 
-def at(data: Any, path: str) -> Any:
-    """Value at a dotted ``path`` in nested mappings and lists; None below a None."""
-    for key in path.split("."):
-        if data is not None:
-            data = data[int(key)] if isinstance(data, list) else data[key]
-    return data
-
-
 @dataclass(frozen=True)
 class Cells:
     """Texts of a table under a header, as pages and terminals show them.
@@ -116,18 +92,29 @@ class Cells:
     numbers: bool | Sequence[int] = True
     marks: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def right(self) -> Sequence[int]:
+        """Indices of the right-aligned columns."""
+        return range(1, len(self.header or self.lines[0])) if self.numbers is True else self.numbers or ()
+
     def markdown(self) -> list[str]:
         """Lines of a Markdown table."""
         return markdown_table([self.header or [""] * len(self.lines[0]), *self.lines])
 
     def latex(self, title: str = "") -> list[str]:
         """Lines of a LaTeX table, with ``title`` before the caption."""
-        count = len(self.header or self.lines[0])
-        right = range(1, count) if self.numbers is True else self.numbers or ()
-        aligned = "".join("r" if i in right else "l" for i in range(count))
+        aligned = "".join("r" if i in self.right else "l" for i in range(len(self.header or self.lines[0])))
         said = [escaped(f"{text.rstrip('.')}.") for text in (title, self.caption) if text]
         body = [[latex_text(cell) for cell in line] for line in self.lines]
         return latex_table(list(map(escaped, self.header)), body, aligned, " ".join(said))
+
+    def text(self, form: str, title: str = "") -> str:
+        """Table in a format, "markdown" or "latex", under ``title`` or its own."""
+        title = title or self.title
+        if form == "latex":
+            return "\n".join(self.latex(title)) + "\n"
+        said = [f"{line}\n" for line in (title, self.caption) if line]
+        return "\n".join([*said[:1], *self.markdown(), "", *said[1:]])
 
 
 def markdown_table(lines: Sequence[Sequence[str]]) -> list[str]:
@@ -217,133 +204,115 @@ def latex_table(
     ]
 
 
-@dataclass(frozen=True)
-class Column:
-    """One figure of each row.
-
-    Attributes
-    ----------
-    head : str
-        Heading in texts, blank for none; an empty one keeps the column out of them.
-    of : str or callable
-        Dotted path into a row, or a function of the row. A value of None is shown as a dash.
-    show : callable
-        Text of a value.
-    key : str or None
-        Name in DataFrames; by default the path, and none for a function. An empty one keeps the column out of them.
-    detail : bool
-        True for a column that a terminal shows only with ``--verbose``; pages and files always have it.
-    """
-
-    head: str
-    of: str | Callable[[Any], Any]
-    show: Callable[[Any], str] = str
-    key: str | None = None
-    detail: bool = False
-
-    @property
-    def name(self) -> str:
-        """Name of the column in DataFrames; empty if it is in none."""
-        if self.key is not None:
-            return self.key
-        return self.of if isinstance(self.of, str) else ""
-
-    def value(self, row: Any) -> Any:
-        """Figure of a row, with all digits."""
-        return at(row, self.of) if isinstance(self.of, str) else self.of(row)
-
-    def text(self, row: Any) -> str:
-        """Figure of a row, as tables show it."""
-        value = self.value(row)
-        return DASH if value is None else self.show(value)
+def heading_of(key: str) -> str:
+    """Heading of a column: its key, with spaces for the underscores of a name."""
+    return key.replace("_", " ") if key.isidentifier() else key
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns over the rows of some data.
+    """Rows under a heading.
 
     Attributes
     ----------
-    rows : str or callable
-        Dotted path to the rows, or a function of the data.
-    columns : sequence of Column, or callable
-        The columns, or a function of the data that returns them.
-    name : str
-        Attribute of the Python result that has the DataFrame.
     heading : str
-        Title on a page.
-    title, caption : str or callable
-        Lines above the table on a terminal, and below it everywhere.
-    index : str
-        Column that is the index of the DataFrame.
-    across : Column, optional
-        Column that is the header if each row of the data is a column of the text, and each column a line.
-    ruled : bool
-        False to leave out the header.
-    detail : bool
-        True for a table that a terminal shows only with ``--verbose``.
-    keys, numbers, marks
-        As in ``Cells``.
+        Title of the table.
+    rows : sequence of dict
+        Plain values by column, with all digits; None for a missing one. The first column names the row.
+    formats : mapping, optional
+        Format specification, such as ``".2f"``, or function of a value, by column. Other numbers have three digits.
+    detail : bool or sequence of str, optional
+        Columns that a terminal shows only with ``--verbose``; True for all.
+    names : mapping, optional
+        Headings of columns; by default the key, with spaces for underscores.
+    right : sequence of str, optional
+        Columns that are right-aligned; by default those without texts.
+    across : bool, optional
+        True to show each row as a column, and each column as a line.
+    caption : str, optional
+        Line below the table.
+    marks : mapping, optional
+        Looks of cells with certain texts, as in ``Cells``.
+    stored : Cells, optional
+        Texts of a stored table, whose formats are gone.
     """
 
-    rows: str | Callable[[Any], Sequence[Any]]
-    columns: Sequence[Column] | Callable[[Any], Sequence[Column]]
-    name: str = "table"
-    heading: str = ""
-    title: str | Callable[[Any], str] = ""
-    caption: str | Callable[[Any], str] = ""
-    index: str = ""
-    across: Column | None = None
-    ruled: bool = True
-    detail: bool = False
-    keys: int = 1
-    numbers: bool | Sequence[int] = True
+    heading: str
+    rows: Sequence[Row]
+    formats: Mapping[str, Format] = field(default_factory=dict)
+    detail: bool | Sequence[str] = ()
+    names: Mapping[str, str] = field(default_factory=dict)
+    right: Sequence[str] | None = None
+    across: bool = False
+    caption: str = ""
     marks: Mapping[str, str] = field(default_factory=dict)
+    stored: Cells | None = None
 
-    def content(self, data: Any) -> tuple[Sequence[Any], Sequence[Column]]:
-        """Rows and columns of the table of ``data``."""
-        rows = at(data, self.rows) if isinstance(self.rows, str) else self.rows(data)
-        return rows, self.columns(data) if callable(self.columns) else self.columns
+    @property
+    def name(self) -> str:
+        """Heading as a name, for files and ``topcli table --table``."""
+        return "".join(letter if letter.isalnum() else "_" for letter in self.heading.lower())
 
-    def cells(self, data: Any, detail: bool = True) -> Cells:
-        """Texts of the table of ``data``, with or without the columns that are details."""
-        rows, columns = self.content(data)
-        headed = [column for column in columns if column.head]
-        places = [i for i, column in enumerate(headed) if detail or not column.detail]
-        shown = [headed[i] for i in places]
-        if self.across is None:
-            header = ["" if column.head.isspace() else column.head for column in shown]
-            lines = [[column.text(row) for column in shown] for row in rows]
-        else:
-            header = [self.across.head, *map(self.across.text, rows)]
-            lines = [[column.head, *map(column.text, rows)] for column in shown]
-        caption = self.caption(data) if callable(self.caption) else self.caption
-        header = header if self.ruled else []
-        numbers = self.numbers
-        if self.across is None and not isinstance(numbers, bool):
-            numbers = [i for i, place in enumerate(places) if place in numbers]
-        return Cells(self.heading, header, lines, caption, self.keys, numbers, self.marks)
+    def columns(self, verbose: bool = True) -> list[str]:
+        """Keys of the columns, with or without details, in the order of their first appearance."""
+        hidden = () if verbose or isinstance(self.detail, bool) else self.detail
+        return [key for key in dict.fromkeys(key for row in self.rows for key in row) if key not in hidden]
 
-    def title_of(self, data: Any) -> str:
-        """Line above the table on a terminal."""
-        return self.title(data) if callable(self.title) else self.title
+    def cell(self, key: str, value: Any) -> str:
+        """Text of a value in the column ``key``."""
+        if value is None:
+            return DASH
+        form = self.formats.get(key)
+        if form is not None:
+            return format(value, form) if isinstance(form, str) else form(value)
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return number(value) if isinstance(value, float) else str(value)
 
-    def text(self, data: Any, form: str) -> str:
-        """Table of ``data`` with all columns in a format: "csv" with all digits, "markdown" or "latex"."""
-        if form == "csv":
-            return str(self.frame(data).to_csv(index=bool(self.index), lineterminator="\n"))
-        cells, title = self.cells(data), self.title_of(data) or self.heading
-        if form == "latex":
-            return "\n".join(cells.latex(title)) + "\n"
-        said = [f"{line}\n" for line in (title, cells.caption) if line]
-        return "\n".join([*said[:1], *cells.markdown(), "", *said[1:]])
+    def cells(self, verbose: bool = True) -> Cells:
+        """Texts of the table, with or without details."""
+        if self.stored is not None:
+            return self.stored
+        keys = self.columns(verbose)
+        header = [self.names.get(key, heading_of(key)) for key in keys]
+        lines = [[self.cell(key, row.get(key)) for key in keys] for row in self.rows]
+        if self.across:
+            header, *lines = map(list, zip(header, *lines, strict=True))
+            return Cells(self.heading, header, lines, self.caption, marks=self.marks)
+        words = {key for row in self.rows for key in keys if isinstance(row.get(key), str)}
+        right = [i for i, key in enumerate(keys) if (key not in words if self.right is None else key in self.right)]
+        return Cells(self.heading, header, lines, self.caption, numbers=right, marks=self.marks)
 
-    def frame(self, data: Any) -> pd.DataFrame:
-        """DataFrame of the table of ``data``, with all digits."""
+    def text(self, form: str) -> str:
+        """Table with all columns in a format: "csv" with all digits, "markdown" or "latex"."""
+        return str(self.frame().to_csv(lineterminator="\n")) if form == "csv" else self.cells().text(form)
+
+    def frame(self) -> pd.DataFrame:
+        """DataFrame with all digits, whose index is the first column."""
         import pandas as pd
 
-        rows, columns = self.content(data)
-        kept = [column for column in (*([self.across] if self.across else []), *columns) if column.name]
-        values = [[column.value(row) for column in kept] for row in rows]
-        frame = pd.DataFrame(values, columns=[column.name for column in kept])
-        return frame.set_index(self.index) if self.index else frame
+        keys = self.columns()
+        frame = pd.DataFrame([dict(row) for row in self.rows], columns=keys)
+        return frame.set_index(keys[0]) if keys else frame
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data: heading, rows with all digits, and cells as they are shown."""
+        cells = self.cells()
+        shown = {"header": cells.header, "lines": cells.lines, "right": cells.numbers}
+        return {"heading": self.heading, "rows": plain(self.rows), "cells": shown}
+
+
+def stored_cells(table: Mapping[str, Any]) -> Cells:
+    """Texts of a table that is stored as plain data."""
+    cells = table["cells"]
+    return Cells(table["heading"], cells["header"], cells["lines"], numbers=cells["right"])
+
+
+def plain(value: Any) -> Any:
+    """Value ready for JSON: plain numbers, None for those that are not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

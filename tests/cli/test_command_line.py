@@ -10,9 +10,9 @@ import pytest
 from typer.main import get_command
 
 from conftest import Said
+from topcli import STUDIES
 from topcli.cli.app import all_commands, app
 from topcli.cli.commands import GROUPS
-from topcli.studies import STUDIES
 
 CONTEXTS = all_commands()
 GROUP = get_command(app)
@@ -59,11 +59,11 @@ def test_an_option_means_the_same_everywhere() -> None:
 
 
 COMMON = {
-    "--out": "run sweep bench compare analyse order roundoff stress lyapunov plot report animate table",
+    "--out": "run sweep plot report animate table",
     "--results": "report plot animate table verify show list-runs",
-    "--format": "table plot compare analyse order roundoff stress lyapunov",
-    "--force": "run plot report animate table init",
-    "--quiet": "run sweep bench plot report animate table verify init",
+    "--format": "table plot",
+    "--force": "run sweep plot report animate table init",
+    "--quiet": "run sweep plot report animate table verify init",
 }
 """Commands that have an option, besides what is said of studies."""
 

@@ -161,7 +161,7 @@ def test_commands_in_the_text_exist(command: str, cli) -> None:
 # the Python interface
 
 
-@pytest.mark.parametrize("name", ["compare", "order", "run", "simulate", "stress", "sweep"])
+@pytest.mark.parametrize("name", ["bench", "compare", "order", "run", "simulate", "stress", "sweep"])
 def test_public_functions_document_every_parameter_and_their_example_runs(name: str) -> None:
     function = getattr(topcli, name)
     text = inspect.getdoc(function) or ""

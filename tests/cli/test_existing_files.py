@@ -17,9 +17,9 @@ WRITERS = {
     "init": "init mine.yaml",
     "compare": "compare hk --save mine.json",
     "check": "check --scheme hk --top euler --save mine.json",
-    "figure": "compare hk --set h=0.01 --set T=1 --plot --format svg --out .",
+    "figure": "compare hk --set h=0.01 --set T=1 --plot mine.svg",
     "plot": "plot fig1 --format svg --out .",
-    "order": "order hk --max-steps 100 --top euler --h 0.05 --h 0.025 --save mine.json",
+    "order": "order hk --max-steps 100 --h 0.05 --h 0.025 --save mine.json",
 }
 """A command that writes a file, by a name for it."""
 
@@ -54,21 +54,6 @@ def test_a_file_of_somebody_else_is_kept(name: str, stored: Callable[..., Said],
     assert "mine" not in {path.read_bytes().decode(errors="replace") for path in written}
 
 
-def test_another_comparison_is_kept_and_replaced_in_all_formats(cli: Callable[..., Said], in_tmp: Path) -> None:
-    command = ("compare", *SHORT, "--plot", "--out", ".", "-q")
-    picture = in_tmp / "compare_kowalevski_hk.svg"
-    assert cli(*command, "hk", "--format", "svg", "--format", "png").code == 0
-    first = picture.read_bytes()
-    assert cli(*command, "hk", "--format", "svg").code == 0
-    said = cli(*command, "rk4", "--format", "svg")
-    assert said.code == 2
-    assert "compare_kowalevski_hk.svg: exists already" in said.err
-    assert picture.read_bytes() == first
-    assert cli(*command, "rk4", "--format", "svg", "--force").code == 0
-    assert picture.read_bytes() != first
-    assert not picture.with_suffix(".png").exists(), "a picture of the earlier comparison"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
@@ -96,16 +81,6 @@ def test_a_stored_result_is_found_by_name_or_path(line: str, stored: Callable[..
     missing = stored(*line.replace(name, "nowhere", 1).split(), *force)
     assert missing.code == 2
     assert "nowhere" in missing.err
-
-
-def test_order_takes_step_sizes_and_duration_from_set(cli: Callable[..., Said]) -> None:
-    given = ("order", "hk", "--top", "euler", "--json")
-    own = cli(*given, "--duration", "2", "--h", "0.02", "--h", "0.01").json()
-    assert own["duration"] == 2.0
-    assert [point["h"] for point in own["schemes"][0]["points"]] == pytest.approx([0.02, 0.01])
-    assert cli(*given, "--set", "T=2", "--set", "h=0.02", "--set", "h=0.01").json()["schemes"] == own["schemes"]
-    wrong = cli("order", "hk", "--set", "T=soon")
-    assert (wrong.code, wrong.err) == (2, "error: --set T=soon: must be a number\n")
 
 
 @pytest.mark.parametrize("name", ["mine", "results/mine", "results/mine/"])

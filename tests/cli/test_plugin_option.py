@@ -44,15 +44,15 @@ def test_an_own_top_is_listed_with_schemes_that_run(gyrostat: Callable[..., Said
 
 
 def test_cite_prints_the_citation_of_an_own_top(gyrostat: Callable[..., Said]) -> None:
-    assert "{Volterra, Vito}" in gyrostat("cite", "gyrostat").out
+    assert "note = {Volterra 1899}" in gyrostat("cite", "gyrostat").out
 
 
 def test_the_studies_take_an_own_top(gyrostat: Callable[..., Said]) -> None:
     compared = gyrostat("compare", "heun", "hk", "--config", "rotor.yaml", "--set", "T=2", "--json").json()
-    errors = {row["scheme"]: row["max_error"] for row in compared["schemes"]}
+    errors = {row["scheme"]: row["max_error"] for row in compared["tables"][0]["rows"]}
     assert 1e-7 < errors["hk"] < errors["heun"] < 1e-3  # 2e-6 and 4e-6
-    ordered = gyrostat("order", "heun", "--config", "rotor.yaml", "--duration", "1", "--json").json()
-    assert ordered["schemes"][0]["order"] == pytest.approx(2.0, abs=0.1)
+    ordered = gyrostat("order", "heun", "--config", "rotor.yaml", "--set", "T=1", "--json").json()
+    assert ordered["tables"][0]["rows"][0]["order"] == pytest.approx(2.0, abs=0.1)
     stressed = gyrostat("stress", "heun", "--json").json()
-    outcomes = {trial["case"]: trial["outcome"] for trial in stressed["trials"]}
+    outcomes = {row["case"]: row["outcome"] for row in stressed["tables"][0]["rows"]}
     assert outcomes == {"backwards": "held", "one-step": "held", "there-and-back": "degraded", "drift": "not tried"}

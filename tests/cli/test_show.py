@@ -9,15 +9,17 @@ from pathlib import Path
 import pytest
 
 from conftest import Said
+from topcli.config.sweep import load_sweep
 from topcli.contracts import Block
 from topcli.schemes.registry import all_schemes
+from topcli.sweeps.store import write_manifest
 from topcli.tops import BUILT_IN, TOPS
 
 
 def test_a_top_is_described_by_what_it_declares_and_what_its_field_says(cli: Callable[..., Said]) -> None:
     said = cli("show", "weierstrass").out
     for line in (
-        "  v' = 6*x**2 - 1.5",
+        "v' = 6*x**2 - 1.5",
         "degree of the equations: 2",
         "divergence: 0 (the flow preserves volume)",
         "time reversal: change the signs of v",
@@ -87,14 +89,14 @@ def test_each_pair_of_scheme_and_top_is_shown_or_refused(cli: Callable[..., Said
         assert bool(made) or "is not made from the field; see " in code.err
 
 
-@pytest.mark.slow
-def test_a_scheme_of_many_tops_is_described_once_for_those_that_it_is_the_same_for(cli: Callable[..., Said]) -> None:
-    paragraphs = [part for part in cli("show", "hk").out.split("\n\n") if len(part) > 100]
-    assert len(set(paragraphs)) > 0.7 * len(paragraphs)
+def test_a_scheme_is_described_once_for_tops_for_which_it_is_the_same(cli: Callable[..., Said]) -> None:
     shown = " ".join(cli("show", "hk").out.split())
-    for form in (scheme.top for scheme in all_schemes() if scheme.name == "hk"):
-        assert re.search(rf"\bhk \([^)]*(?<![\w+/-]){re.escape(form)}[,)]", shown), form
-    assert "compensated (default false)" in shown
+    forms = [scheme.top for scheme in all_schemes() if scheme.name == "hk"]
+    assert f"hk ({', '.join(forms)}): Hirota-Kimura scheme" in shown
+    assert "option compensated (default false): compensated summation" in shown
+    assert "option project (default 0): " in shown
+    assert "m·e₃, modified integrals (lagrange, lagrange-gyrostat); " in shown
+    assert cli("show", "bs").out.count("order: 1") == 2
 
 
 @pytest.mark.slow
@@ -115,11 +117,6 @@ def test_runs_are_listed_with_sweeps_also_unfinished_ones(cli: Callable[..., Sai
     keys = ("kind", "outcome", "step", "N")
     assert [whole["one"][key] for key in keys] == ["run", "completed", 50, 50]
     assert [whole["heavy_drift"][key] for key in keys] == ["sweep", "completed", 8, 8]
-    Path("results/heavy_drift/manifest.json").unlink()
-    journal = Path("results/heavy_drift/journal.jsonl")
-    lines = journal.read_text(encoding="utf-8").splitlines(keepends=True)
-    journal.write_text("".join(lines[:1]), encoding="utf-8")
+    write_manifest(Path("results/heavy_drift"), load_sweep("heavy_drift"))
     item = {item["name"]: item for item in cli("list", "runs", "--json").json()["runs"]}["heavy_drift"]
-    assert [item[key] for key in ("outcome", "N")] == ["unfinished", 8]
-    assert 0 < item["step"] <= 8
-    assert re.search(r"^heavy_drift +sweep +unfinished +\d+ +8 ", cli("list", "runs").out, re.MULTILINE)
+    assert [item[key] for key in ("outcome", "step", "N")] == ["killed", None, None]

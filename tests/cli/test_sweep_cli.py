@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -14,6 +12,7 @@ import pytest
 from cases import table_of
 from conftest import Said
 from topcli.cli.sweep import exit_code
+from topcli.sweeps.run import SweepResult
 
 Cli = Callable[..., Said]
 FILE = """\
@@ -42,33 +41,22 @@ def rows() -> list[dict[str, object]]:
     return pq.read_table("results/study/rows.parquet").to_pylist()
 
 
-def test_a_dry_run_says_what_would_run_and_why_and_writes_nothing(cli: Cli, study: Path) -> None:
+def test_a_dry_run_lists_the_rows_to_run_and_writes_nothing(cli: Cli, study: Path) -> None:
     said = cli("sweep", "study.yaml", "--dry-run")
     assert said.code == 0
     assert said.out.splitlines() == [
-        "study: 4 new, 0 done, 0 failed, in results/study",
-        "varied: scheme (2 values), h (2 values)",
-        "to run: 4 rows, new",
-        "row 0: new: scheme = hk, h = 0.01",
-        "row 1: new: scheme = hk, h = 0.02",
-        "row 2: new: scheme = rk4, h = 0.01",
-        "row 3: new: scheme = rk4, h = 0.02",
+        "study: 4 of 4 rows to run, in results/study",
+        "row 0: scheme = hk, h = 0.01",
+        "row 1: scheme = hk, h = 0.02",
+        "row 2: scheme = rk4, h = 0.01",
+        "row 3: scheme = rk4, h = 0.02",
     ]
     assert not Path("results").exists()
     cli("sweep", "study.yaml")
-    changed = cli("sweep", "study.yaml", "--dry-run", "--set", "grid.h=[0.02, 0.04]").out.splitlines()
-    assert changed == [
-        "study: 2 new, 2 done, 0 failed, in results/study",
-        "varied: scheme (2 values), h (2 values)",
-        "changed: grid.h: [0.01, 0.02] -> [0.02, 0.04]",
-        "to run: 2 rows, new",
-        "row 1: new: scheme = hk, h = 0.04",
-        "row 3: new: scheme = rk4, h = 0.04",
-        "kept, not current: 2 finished rows of an earlier sweep file",
-    ]
     data = cli("sweep", "study.yaml", "--dry-run", "--json", "--set", "grid.h=[0.02, 0.04]").json()
-    assert (data["new"], data["done"], data["failed"], data["not_current"]) == (2, 2, 0, 2)
-    assert data["to_run"][0] == {"row": 1, "reason": "new", "keys": {"scheme": "hk", "h": 0.04}}
+    assert (data["rows"], data["new"]) == (4, 2)
+    rows = [{"row": row, "keys": {"scheme": scheme, "h": 0.04}} for row, scheme in ((1, "hk"), (3, "rk4"))]
+    assert data["to_run"] == rows
 
 
 @pytest.mark.slow
@@ -82,8 +70,7 @@ def test_a_row_that_is_shown_runs_to_the_same_numbers(cli: Cli, study: Path) -> 
     assert report["name"] == "study_3"
     assert (report["scheme"], report["h"], report["N"]) == ("rk4", 0.02, 50)
     assert energy["max_deviation"] == rows()[3]["max_deviation.energy"]
-    as_json = cli("show", "results/study", "--row", "3", "--json").json()
-    assert as_json["row_digest"] == rows()[3]["digest"]
+    assert cli("show", "results/study", "--row", "4").code == 2
 
 
 def test_the_file_of_a_sweep_can_be_shown(cli: Cli, study: Path) -> None:
@@ -139,37 +126,22 @@ def test_failures_after_the_twentieth_are_only_counted(cli: Cli, study: Path) ->
     assert len({row["message"] for row in rows()}) > 1
 
 
-@pytest.mark.slow
 def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
     """Of six rows one fails, two are done before, and one is left over: no two numbers are equal."""
     sweep = ["sweep", "study.yaml", "--set", "base.N=500", "--set", "grid.scheme=[rk4]", "--set"]
-    numbers = ("rows", "new", "done", "failed", "repeated", "not_current")
     cli(*sweep, "grid.h=[0.01, 0.02, 0.07]")
     sweep.append("grid.h=[0.01, 0.02, 0.03, 0.04, 0.05, 9.0]")
-
-    def planned(*options: str) -> list[int]:
-        plan = cli(*sweep, "--dry-run", "--json", *options).json()
-        first = cli(*sweep, "--dry-run", *options).out.splitlines()[0]
-        new, done, failed = plan["new"], plan["done"], plan["failed"]
-        assert first == f"study: {new} new, {done} done, {failed} failed, in results/study"
-        return [plan[key] for key in numbers]
-
-    assert planned() == [6, 4, 2, 0, 0, 1]
     said = cli(*sweep)
     assert said.code == 3
-    assert "(scheme = rk4, h = 9.0): blew up at step" in said.err
+    assert "error: row 5: blew up at step" in said.err
     place = Path("results/study/rows.parquet")
     assert f"study: 6 of 6 rows finished; 1 failed -> {place} (4 ran)" in said.err.splitlines()
-    assert "study: not current: 1 row of an earlier sweep file" in said.err.splitlines()
     assert said.out.split() == ["outcome", "rows", "blew_up", "1", "completed", "5"]
-    again = cli(*sweep, "--retry-failed", "--json").json()
-    expected = {"rows": 6, "finished": 6, "ran": 1, "failed": 1, "not_current": 1}
+    again = cli(*sweep, "--json").json()
     outcomes = {"blew_up": 1, "completed": 5}
-    assert again.items() >= {**expected, "outcomes": outcomes}.items()
+    assert again.items() >= {"rows": 6, "finished": 6, "ran": 0, "failed": 1, "outcomes": outcomes}.items()
     manifest = json.loads(Path("results/study/manifest.json").read_text())
     assert (manifest["rows"], manifest["outcomes"]) == (6, outcomes)
-    assert planned() == [6, 0, 6, 1, 0, 1]
-    assert planned("--retry-failed") == [6, 1, 5, 0, 0, 1]
 
 
 @pytest.mark.parametrize(
@@ -178,13 +150,10 @@ def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
 4  0  False  0
 4  1  False  3
 4  4  False  1
-1  1  False  1
 1  1  True   130
 0  0  False  0
 """),
 )
 def test_exit_codes_count_the_rows_that_finished(finished: int, failed: int, interrupted: bool, code: int) -> None:
-    """Of four rows; of a sweep that was stopped, the only one that finished may have failed."""
-    plan = SimpleNamespace(survey=SimpleNamespace(count=4))
-    result: Any = SimpleNamespace(finished=finished, failed=failed, interrupted=interrupted, plan=plan)
-    assert exit_code(result) == code
+    outcomes = {"completed": finished - failed, "blew_up": failed}
+    assert exit_code(SweepResult(Path(), 4, 4, outcomes, interrupted, 1.0)) == code

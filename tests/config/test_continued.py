@@ -14,10 +14,8 @@ import pytest
 import topcli
 from conftest import Said
 from custom_tops import SECTION
-from json_schema import fits
 from resuming import after
 from topcli.config.load import load, load_experiment
-from topcli.config.schema import config_schema
 from topcli.config.sweep import load_sweep
 from topcli.errors import ConfigError
 from topcli.runs.run import RunOptions, run_experiment
@@ -42,8 +40,10 @@ def rows_of(config: dict[str, Any], out: Path) -> np.ndarray:
     return table[list(load_experiment(config).top.components)].to_numpy()
 
 
-@pytest.mark.parametrize("file_format", ["parquet", "csv"])
-@pytest.mark.parametrize("config", [BODY, CUSTOM, INERTIAL, {**BODY, "scheme": "rk4"}])
+@pytest.mark.parametrize(
+    ("config", "file_format"),
+    [(BODY, "parquet"), (CUSTOM, "csv"), (INERTIAL, "csv"), ({**BODY, "scheme": "rk4"}, "csv")],
+)
 def test_a_run_goes_on_and_back(in_tmp: Path, config: dict[str, Any], file_format: str) -> None:
     """On, with the bits of the run of both lengths; back, to the first state within round-off or the order's error."""
     config = {**config, "output": {"format": file_format}}
@@ -66,7 +66,8 @@ def test_the_config_of_a_continued_run_is_complete(in_tmp: Path) -> None:
     precise = load_experiment({**BODY, "initial": {"from": "one"}, "precision": 30}, any_precision=True)
     assert precise.y0 == tuple(first[-1])
     many = load({**BODY, "initial": {"from": "one"}, "ensemble": {"states": [{}, {"omega": [1, 0, 0]}]}})
-    assert many.members.groups[0].states[:, 3:].tolist() == [first[-1, 3:].tolist()] * 2
+    assert many.ensemble
+    assert many.ensemble.states[:, 3:].tolist() == [first[-1, 3:].tolist()] * 2
 
 
 def test_an_interrupted_run_goes_on_from_where_it_stopped(in_tmp: Path) -> None:
@@ -79,12 +80,10 @@ def test_an_interrupted_run_goes_on_from_where_it_stopped(in_tmp: Path) -> None:
 @pytest.mark.parametrize(
     ("run", "changes", "message"),
     [
-        ({}, {"initial": {"from": "two"}}, "no finished run 'two'; give its name in results, or its folder"),
-        ({}, {"initial": {"from": 3}}, "from must be the name or the folder of a stored run"),
+        ({}, {"initial": {"from": "two"}}, "'two' is no finished run; give its name in results"),
         ({}, {"initial": {"from": "one", "omega": [1, 0, 0]}}, "from gives the whole state; leave out omega"),
-        ({}, {"top": {"kind": "kowalevski", "c0": -0.5}}, "the top of the run .*one differs from this one"),
-        ({}, {"top": "lagrange"}, "the top of the run .*one differs from this one"),
-        ({"output": {"every": 7}}, {}, "did not record its last state; output.every must divide its 300 steps"),
+        ({}, {"top": {"kind": "kowalevski", "c0": -0.5}}, "the run .*one has another top"),
+        ({"output": {"every": 7}}, {}, "did not record its last state, for 300 steps are"),
         ({"output": {"columns": ["t", "omega1", "gamma1"]}}, {}, "did not record omega2, omega3, gamma2, gamma3"),
         ({"section": {"component": "gamma2"}}, {}, "recorded crossings"),
         ({"ensemble": {"states": [{}]}}, {}, "is an ensemble"),
@@ -111,39 +110,24 @@ def test_a_damaged_run_is_not_continued(in_tmp: Path) -> None:
         load({**BODY, "initial": {"from": "one"}})
 
 
-def test_the_schema_of_configs_knows_continued_runs() -> None:
-    schema = config_schema()
-    for top in ("kowalevski", "lagrange", "euler", SECTION):
-        plain = {**BODY, "top": top}
-        assert fits(schema, {**plain, "initial": {"from": "one"}})
-        assert fits(schema, {**plain, "initial": {"from": "one", "normalize": True}})
-
-
 OFF = [0.6, 0.0, 0.8 + 5e-5]
 """gamma² is off by 8e-5."""
 WARNING = "initial gamma is not a unit vector: gamma² is off by 8e-05, which the run keeps"
 
 
 def test_commands_and_functions_warn_of_states_off_the_unit_sphere(cli: Callable[..., Said]) -> None:
-    sets = ("--set", f"initial.gamma={OFF}", "--set", "N=100")
-    for arguments in (("run", "kowalevski_hk", *sets), ("lyapunov", "kowalevski_hk", *sets[:2], "--set", "N=1000")):
-        said = cli(*arguments)
-        assert f"{WARNING}; initial.normalize: true makes it one" in said.err, arguments
-        assert said.err.count("unit vector") == 1
+    said = cli("run", "kowalevski_hk", "--set", f"initial.gamma={OFF}", "--set", "N=100")
+    assert f"{WARNING}; initial.normalize: true makes it one" in said.err
+    assert said.err.count("unit vector") == 1
     assert "unit vector" not in cli("run", "kowalevski_hk", "--set", "N=100").err
     state = [0.3, 0.2, 1.1, *OFF]
-    changes: dict[str, Any] = {"initial": {"omega": state[:3], "gamma": OFF}}
     with pytest.warns(UserWarning, match=WARNING) as caught:
-        assert topcli.simulate({**BODY, **changes}).states[0].tolist() == state
+        topcli.simulate({**BODY, "initial": {"omega": state[:3], "gamma": OFF}})
     assert caught[0].filename == __file__
     with pytest.warns(UserWarning, match=WARNING):
         topcli.simulate(BODY, states=[[0.3, 0.2, 1.1, 0.6, 0.0, 0.8], state])
-    for ensemble in (
-        {"states": [{}, changes["initial"]]},
-        {"grid": {"gamma3": [0.8, OFF[2]], "omega1": [0.1, 0.2]}},
-    ):
-        with pytest.warns(UserWarning, match=WARNING):
-            topcli.simulate({**BODY, "ensemble": ensemble})
+    with pytest.warns(UserWarning, match=WARNING):
+        topcli.simulate({**BODY, "ensemble": {"grid": {"gamma3": [0.8, OFF[2]], "omega1": [0.1, 0.2]}}})
 
 
 def test_sweeps_warn_of_states_off_the_unit_sphere(in_tmp: Path) -> None:
@@ -154,23 +138,3 @@ def test_sweeps_warn_of_states_off_the_unit_sphere(in_tmp: Path) -> None:
     lines: list[str] = []
     run_sweep(sweep, in_tmp, SweepOptions(on_message=lines.append))
     assert sum(WARNING in line for line in lines) == 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("top", "initial"),
-    [
-        ("kowalevski", {"omega": [0.3, 0.2, 1.1], "gamma": [0.6, 0.0, 0.804]}),
-        ("lagrange", {"omega": [0.3, 0.2, 1.1], "gamma": [0.6, 0.0, 0.804]}),
-        ("lagrange", {"m": [0.3, 0.2, 1.1], "a": [0.6, 0.0, 0.804]}),
-        ({"kind": "euler", "A": 3, "B": 2, "C": 1}, {"omega": [0.3, 0.2, 1.1], "gamma": [0.6, 0.0, 0.804]}),
-    ],
-)
-def test_closed_forms_hold_off_the_unit_sphere(top: object, initial: dict[str, Any]) -> None:
-    """A vector of another length is another strength of gravity, for which the closed forms hold as well."""
-    with pytest.warns(UserWarning, match="not a unit vector"):
-        exact, taylor = (
-            topcli.simulate({**BODY, "top": top, "initial": initial, "scheme": scheme})
-            for scheme in ("exact", "taylor")
-        )
-    assert np.abs(exact.states - taylor.states).max() < 1e-12

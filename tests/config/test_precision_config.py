@@ -46,21 +46,24 @@ def test_precision_and_its_keys_enter_the_digest() -> None:
     assert len({exact(config).digest for config in configs}) == len(configs)
 
 
-@pytest.mark.parametrize(("name", "form"), [("x.yaml", "{}: {}"), ("x.toml", "{} = {}")])
-def test_numbers_keep_all_their_written_digits(tmp_path: Path, name: str, form: str) -> None:
-    vectors = "[1.0000000000000000000001, 0, 2]", "[0.6, 0, 0.8]"
-    if name.endswith("yaml"):
-        sections = f"top: {{kind: lagrange, mu: {PI}}}\ninitial: {{omega: {vectors[0]}, gamma: {vectors[1]}}}\n"
-    else:
-        sections = f"[top]\nkind = 'lagrange'\nmu = {PI}\n[initial]\nomega = {vectors[0]}\ngamma = {vectors[1]}\n"
-    heads = [form.format(key, value) for key, value in (("scheme", "'hk'"), ("h", "0.1"), ("N", 3), ("precision", 60))]
-    (tmp_path / name).write_text("\n".join(heads) + "\n" + sections)
-    read = load_experiment(tmp_path / name, any_precision=True)
+OMEGA = "[1.0000000000000000000001, 0, 1e-400]"
+YAML = (
+    f"top: {{kind: lagrange, mu: {PI}}}\ninitial: {{omega: {OMEGA}, gamma: [0.6, 0, 0.8]}}\nscheme: hk\nh: 0.1\nN: 3\n"
+)
+TOML = f"scheme = 'hk'\nh = 0.1\nN = 3\n[top]\nkind = 'lagrange'\nmu = {PI}\n"
+TOML += f"[initial]\nomega = {OMEGA}\ngamma = [0.6, 0, 0.8]\n"
+
+
+@pytest.mark.parametrize(("text", "suffix"), [(f"precision: 60\n{YAML}", "yaml"), (f"precision = 60\n{TOML}", "toml")])
+def test_numbers_keep_all_their_written_digits(tmp_path: Path, text: str, suffix: str) -> None:
+    (tmp_path / f"x.{suffix}").write_text(text)
+    read = load_experiment(tmp_path / f"x.{suffix}", any_precision=True)
     assert read.written is not None
     assert read.written.h == Fraction(1, 10)
     assert read.written.parameters["mu"] == Fraction(PI)
     assert read.written.parameters["C"] == Fraction(1, 2)
-    assert read.written.y0 == (1 + Fraction(1, 10**22), 0, 2, Fraction(3, 5), 0, Fraction(4, 5))
+    assert read.written.y0[:3] == (1 + Fraction(1, 10**22), 0, Fraction(1, 10**400))
+    assert read.written.y0[3:] == (Fraction(3, 5), 0, Fraction(4, 5))
 
 
 def test_fractions_may_be_written() -> None:
@@ -92,19 +95,3 @@ def test_commands_that_compute_in_doubles_refuse_another_precision() -> None:
     with pytest.raises(ConfigError, match="precision: computed in doubles here"):
         load_experiment("kowalevski_hk", ["precision=50"])
     assert load("kowalevski_hk", ["precision=50"]).digest != load("kowalevski_hk").digest
-
-
-@pytest.mark.parametrize("h", ["1/1" + "0" * 5000, "0." + "1" * 5000])
-def test_numbers_of_thousands_of_digits_are_read_and_written(tmp_path: Path, h: str) -> None:
-    path = tmp_path / "long.yaml"
-    h = h.replace("1/1", "1" + "0" * 4990 + "/1") if "/" in h else h
-    path.write_text(
-        f"top: kowalevski\ninitial: {{omega: [1, 0, 0], gamma: [0.6, 0, 0.8]}}\nscheme: rk4\nh: {h}\nN: 1\n"
-        "precision: 40\n"
-    )
-    experiment = load_experiment(path, any_precision=True)
-    assert experiment.written is not None
-    wanted = Fraction(1, 10**10) if "/" in h else Fraction(10**5000 - 1, 9 * 10**5000)
-    assert experiment.written.h == wanted
-    (tmp_path / "again.yaml").write_text(experiment.to_yaml())
-    assert load_experiment(tmp_path / "again.yaml", any_precision=True).digest == experiment.digest

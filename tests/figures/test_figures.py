@@ -1,42 +1,129 @@
-"""Figures as files: what they are made from and when they are drawn again."""
+"""Figures as files: what they are made from and when their columns are computed again."""
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 import topcli
-from drawn_artists import columns_of
-from sweep_rows import write_rows
 from topcli.cli.options import complete_figure
-from topcli.config.load import load_experiment
-from topcli.errors import RunError, UsageError
+from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.figure import Figure, Loaded, NothingMeasuredError, Request, _source, make_figure
-from topcli.figures.picture import Grid, Line, Panel
-from topcli.figures.scenes import scene_figure
-from topcli.figures.sweep import Choice, sweep_figure
-from topcli.runs.run import run_experiment
-from topcli.sweeps.rows import read_rows
+from topcli.figures.figure import Figure, NothingMeasuredError, canvas_of, read_columns
+from topcli.figures.style import looks
+
+QUICK = ("fig1", "fig2", "fig3", "fig4", "modified", "traces", "bifurcation", "body")
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two of the paper's figures, made from the configs of the repository."""
-    folder = tmp_path_factory.mktemp("figures")
-    for name in ("fig1", "fig3"):
-        make_figure(FIGURES[name], Request(folder), folder / "figures")
-    return folder
+def wave(calls: list[str], takes: str = "") -> Figure:
+    """A figure from elsewhere with columns of two lengths, words and a nan."""
+
+    def data() -> dict[str, np.ndarray]:
+        calls.append("data")
+        return {"x": np.linspace(0.0, 1.0, 20), "y": np.array([1.0, np.nan, 2.0]), "name": np.array(["a", "b"])}
+
+    def draw(canvas: Any, columns: Any) -> None:
+        assert {name: len(values) for name, values in columns.items()} == {"x": 20, "y": 3, "name": 2}
+        assert np.isnan(columns["y"]).tolist() == [False, True, False]
+        calls.append("draw")
+        canvas.subplots().plot(columns["x"])
+
+    return Figure("wave", "A wave", data, draw, takes=lambda: takes)
 
 
-BACKENDS = ("", "svg", "nonsense", "QtAgg", "module://matplotlib_inline.backend_inline", "module://nowhere.backend")
+def test_columns_are_computed_again_for_other_results_only(tmp_path: Path) -> None:
+    calls: list[str] = []
+    png, pdf, table = wave(calls).make(tmp_path)
+    assert [path.suffix for path in (png, pdf, table)] == [".png", ".pdf", ".parquet"]
+    first = png.read_bytes()
+    wave(calls).make(tmp_path, ["png"])
+    assert calls == ["data", "draw", "draw"]
+    assert png.read_bytes() == first
+    wave(calls, "other run").make(tmp_path, ["png"])
+    wave(calls, "other run").make(tmp_path, ["png"], force=True)
+    assert calls[3:] == ["data", "draw", "data", "draw"]
+    assert not pdf.exists()  # it showed the earlier columns
+    table.write_bytes(table.read_bytes()[:-9])
+    wave(calls, "other run").make(tmp_path, ["png"], force=True)
+    assert read_columns(table)
+
+
+def test_columns_are_computed_again_for_other_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = wave([]).key
+    monkeypatch.setattr("topcli.figures.figure.package_digest", lambda: "other")
+    assert wave([]).key != before
+
+
+def test_a_scheme_looks_the_same_beside_others() -> None:
+    """Compositions have the colour of their scheme; labels that are no schemes have free colours."""
+    alone = looks(["HK + Kahan-Li 8", "rk4"], markers=True)
+    many = looks(["mine", "hk", "hk+kahan-li6", "HK + Kahan-Li 8", "rk2", "rk4"], markers=True)
+    assert {name: many[name] for name in alone} == alone
+    assert many["hk"]["color"] == many["hk+kahan-li6"]["color"] == many["HK + Kahan-Li 8"]["color"]
+    assert len({str(look) for look in many.values()}) == len(many)
+
+
+def test_other_peoples_files_stay(tmp_path: Path) -> None:
+    (tmp_path / "wave.png").write_text("mine")
+    with pytest.raises(UsageError, match=r"wave\.png: exists already"):
+        wave([]).make(tmp_path)
+    assert (tmp_path / "wave.png").read_text() == "mine"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", QUICK)
+def test_figures_are_drawn_within_their_canvas(name: str) -> None:
+    """No text is outside of the picture; those that compute for long have tests of their own."""
+    figure = FIGURES[name]
+    canvas = canvas_of(figure.draw, figure.data(), figure.size)
+    canvas.draw_without_rendering()
+    box = canvas.get_tightbbox()
+    width, height = canvas.get_size_inches()
+    assert box.x0 > -0.02
+    assert box.y0 > -0.02
+    assert (box.x1, box.y1) < (width + 0.02, height + 0.02)
+
+
+@pytest.mark.slow
+def test_the_figures_of_the_paper_show_what_they_should() -> None:
+    """E runs from 4.99968 to 5.00416 over t in [0, 50]: not "almost constant"."""
+    assert list(FIGURES)[:4] == ["fig1", "fig2", "fig3", "fig4"]
+    hk, bohlin, secular, hybrid = (FIGURES[f"fig{i}"].data() for i in (1, 2, 3, 4))
+    assert np.abs(hk["gamma1"] - hybrid["gamma1"]).max() < 0.01
+    assert np.abs(hk["gamma1"] - bohlin["gamma1"]).max() > 1.5
+    assert secular["energy"].min() == pytest.approx(4.99968, abs=1e-5)
+    assert secular["energy"].max() == pytest.approx(5.00416, abs=1e-5)
+    run = topcli.simulate("kowalevski_bohlin_a")
+    assert list(secular) == ["t", "energy", "two_l"]
+    for name, values in secular.items():
+        np.testing.assert_array_equal(values, run[name])
+
+
+def test_the_command_lists_completes_and_skips(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing() -> dict[str, np.ndarray]:
+        raise NothingMeasuredError("nothing measured")
+
+    figures = {"wave": wave([]), "slow": Figure("slow", "Slow", nothing, lambda canvas, columns: None)}
+    for place in ("figure", "catalogue"):
+        monkeypatch.setattr(f"topcli.figures.{place}.FIGURES", figures)
+    listed = cli("list", "figures", "--json").json()["figures"]
+    assert [item["name"] for item in listed] == ["wave", "slow"]
+    assert complete_figure("w") == ["wave"]
+    said = cli("plot", "--all", "--format", "png")
+    assert said.out == "wave: drawn: results/figures/wave.png, results/figures/wave.parquet\n"
+    assert said.err == "slow: skipped: nothing measured\n"
+    assert cli("plot", "slow").code == 2
+
+
+BACKENDS = ("", "nonsense", "QtAgg", "module://nowhere.backend")
 DRAW = "import sys; from topcli.__main__ import main; sys.argv = ['topcli', 'plot', 'fig3', '--out', 'drawn']; main()"
 
 
@@ -48,120 +135,13 @@ def test_figures_do_not_depend_on_the_backend(in_tmp: Path) -> None:
         environment = os.environ | {"MPLBACKEND": backend}
         subprocess.run([sys.executable, "-c", DRAW], env=environment, check=True, capture_output=True)
         pictures.add((in_tmp / "drawn" / "fig3.png").read_bytes())
-        (in_tmp / "drawn" / "fig3.png").unlink()
     assert len(pictures) == 1
 
 
-@pytest.mark.slow
-def test_the_figures_of_the_paper_show_what_they_should(made: Path) -> None:
-    """E runs from 4.99968 to 5.00416 over t in [0, 50]: not "almost constant"."""
-    request = Request(made)
-    hk, bohlin, secular, hybrid = (FIGURES[f"fig{i}"].load(request).data() for i in (1, 2, 3, 4))
-    assert np.abs(hk["gamma1"] - hybrid["gamma1"]).max() < 0.01
-    assert np.abs(hk["gamma1"] - bohlin["gamma1"]).max() > 1.5
-    assert secular["energy"].min() == pytest.approx(4.99968, abs=1e-5)
-    assert secular["energy"].max() == pytest.approx(5.00416, abs=1e-5)
-
-
-@pytest.mark.slow
-def test_a_different_run_in_the_way_is_refused_unless_forced(made: Path, tmp_path: Path) -> None:
-    messages: list[str] = []
-
-    def drawn(N: int, force: bool = False) -> str:
-        lines = (Line("gamma1", "gamma1"),)
-        figure = scene_figure("x", "X", "kowalevski_hk", (Panel(lines, "gamma1"),), Grid(), overrides=(f"N={N}",))
-        request = Request(tmp_path / "results", force, on_message=messages.append)
-        return make_figure(figure, request, tmp_path, ["png"]).status
-
-    assert [drawn(400), drawn(400)] == ["drawn", "up to date"]
-    with pytest.raises(UsageError, match="holds a different experiment"):
-        drawn(500)
-    assert pq.read_metadata(tmp_path / "x.parquet").num_rows == 401
-    assert drawn(500, force=True) == "drawn"
-    assert pq.read_metadata(tmp_path / "x.parquet").num_rows == 501
-    assert len(messages) == 1
-    assert "renamed the earlier result to" in messages[0]
-    assert not (tmp_path / "x.pdf").exists()
-
-
-@pytest.mark.slow
-def test_columns_beside_the_picture_are_those_of_the_scene(made: Path, tmp_path: Path) -> None:
-    """In the order of the panels."""
-    drawn = make_figure(FIGURES["fig3"], Request(made), tmp_path, ["png"]).files[-1]
-    run, columns = topcli.simulate("kowalevski_bohlin_a"), columns_of(drawn)
-    assert list(columns) == ["t", "energy", "two_l"]
-    for name, values in columns.items():
-        np.testing.assert_array_equal(values, run[name])
-    components = [f"{vector}{i}" for vector in ("gamma", "omega") for i in (1, 2, 3)]
-    assert list(columns_of(made / "figures" / "fig1.parquet")) == ["t", *components]
-
-
-def test_the_manifest_names_what_the_figure_was_made_from(made: Path) -> None:
-    run = run_experiment(load_experiment("kowalevski_hk"), made)
-    source = json.loads(pq.read_schema(made / "figures" / "fig1.parquet").metadata[b"topcli.figure.source"])
-    assert source["runs"] == [[run.stored.manifest["digest"], run.stored.manifest["code"]]]
-
-
-def test_a_run_that_blows_up_is_refused(tmp_path: Path) -> None:
-    large = ("initial.omega=[1e200, 1e200, 1e200]",)
-    panel = Panel((Line("gamma1", "gamma1"),), "gamma1")
-    figure = scene_figure("x", "X", "kowalevski_hk", (panel,), Grid(), overrides=large)
-    with pytest.raises(RunError, match="blew up"):
-        make_figure(figure, Request(tmp_path), tmp_path)
-
-
-def wave(name: str = "wave", version: int = 1, measured: bool = True) -> Figure:
-    """A figure from elsewhere."""
-
-    def load(request: Request) -> Loaded:
-        if not measured:
-            raise NothingMeasuredError("nothing measured")
-        x = np.linspace(0.0, 1.0, 20)
-        panel = Panel((Line("x", "long"), Line("y", "short")), "x")
-        return Loaded((panel,), lambda: {"t": x, "x": np.sin(x), "y": x[:5]}, {"version": version})
-
-    return Figure(name, "A wave", "none", load)
-
-
-@pytest.mark.slow
-def test_a_figure_is_one_entry_of_the_catalogue(cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lists, completion and both ways to draw take it from there; its source decides if it is drawn again."""
-    figures = {"wave": wave(), "slow": wave("slow", measured=False)}
-    monkeypatch.setattr("topcli.figures.catalogue.FIGURES", figures)
-
-    def status(*arguments: str) -> dict[str, str]:
-        return {one["name"]: one["status"] for one in cli("plot", *arguments, "--json").json()["figures"]}
-
-    listed = cli("list", "figures", "--json").json()["figures"]
-    assert listed == [{"name": name, "title": "A wave", "scene": "none", "origin": "topcli"} for name in figures]
-    assert complete_figure("w") == ["wave"]
-    assert status("wave") == {"wave": "drawn"}
-    assert status("wave") == {"wave": "up to date"}
-    said = cli("plot", "--all")
-    assert said.out.startswith("wave: up to date: ")
-    assert said.err == "slow: skipped: nothing measured\n"
-    figures["wave"] = wave(version=2)
-    assert [status("wave") for _ in range(2)] == [{"wave": "drawn"}, {"wave": "up to date"}]
-    Path("results/figures/wave.pdf").unlink()
-    assert status("wave") == {"wave": "drawn"}
-    short = columns_of(Path("results/figures/wave.parquet"))["y"]
-    assert (np.isnan(short) == (np.arange(20) >= 5)).all()
-
-
-@pytest.mark.slow
-def test_a_figure_of_a_sweep_is_drawn_again_for_other_rows_choices_and_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keys = {"h": [0.1, 0.05, 0.1, 0.05], "seed": [1.0, 1.0, 2.0, 2.0]}
-    folder = write_rows(tmp_path / "one", keys, {"v": [1.0, 2.0, 3.0, 4.0]})
-    other = write_rows(tmp_path / "two" / "one", keys, {"v": [1.0, 2.0, 3.0, 5.0]})
-    choice = Choice("h", "v", aggregate="median")
-
-    def source(choice: Choice = choice, folder: Path = folder) -> str:
-        return _source(sweep_figure(read_rows(folder), choice).load(Request()))
-
-    heat = Choice("h", "seed", colour="v")
-    changed = [source(), source(Choice("h", "v", aggregate="max")), source(folder=other), source(heat)]
-    assert source() == changed[0]
-    monkeypatch.setattr("topcli.figures.figure.package_digest", lambda: "other")
-    assert len({*changed, source()}) == 5
+def test_a_run_is_drawn_by_its_name(cli: Callable[..., Any]) -> None:
+    assert cli("run", "kowalevski_generic_hk", "--set", "N=200", "--set", "name=mine", "--quiet").code == 0
+    files = cli("plot", "mine", "--format", "png", "--json").json()["figures"][0]["files"]
+    columns = pq.read_table(files[-1]).to_pydict()
+    run = topcli.simulate("kowalevski_generic_hk", N=200)
+    np.testing.assert_array_equal(columns["gamma2"], run["gamma2"])
+    np.testing.assert_array_equal(columns["energy"], run["energy"])

@@ -8,7 +8,6 @@ import pytest
 
 from topcli.config.load import load
 from topcli.errors import UsageError
-from topcli.figures.figure import Request, make_figure
 from topcli.figures.section import section_figure
 from topcli.runs.run import run_experiment
 
@@ -28,15 +27,13 @@ def test_points_are_the_crossings_of_all_runs(tmp_path: Path) -> None:
     many = {**CONFIG, "name": "many", "ensemble": {"states": states}}
     runs = [run_experiment(load(config), tmp_path).stored for config in (CONFIG, many)]
     figure = section_figure([run.folder for run in runs], "gamma1", "omega3", "verdict")
-    made = make_figure(figure, Request(), tmp_path / "figures", ("png",))
-    assert made.name == "section-one-many-gamma1-omega3-verdict"
-    drawn = pd.read_parquet(made.files[-1])
+    assert figure.name == "section-one-many-gamma1-omega3-verdict"
+    drawn = pd.read_parquet(figure.make(tmp_path / "figures", ("png",))[-1])
     one, two = (pd.read_parquet(run.series) for run in runs)
     for name in ("gamma1", "omega3"):
         assert np.array_equal(drawn[name], np.concatenate([one[name], two[name]]))
     assert np.array_equal(drawn["orbit"], np.concatenate([np.zeros(len(one)), 1 + two["trajectory"]]))
     assert (drawn["verdict"][drawn["orbit"] == 0] == drawn["verdict"][drawn["orbit"] == 1].iloc[0]).all()
-    assert make_figure(figure, Request(), tmp_path / "figures", ("png",)).status == "up to date"
 
 
 def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
@@ -52,7 +49,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
         ([tmp_path / "none"], None, None, "no finished run here"),
         ([steps], None, None, "recorded steps, not a section"),
         ([empty], None, None, "nothing to draw: completed 4000 steps .*; never crossed"),
-        ([folder, apart], None, None, "its section differs from that of"),
+        ([folder, apart], None, None, "its top, scheme, h, section or quantities differ"),
         ([folder], "gama1", None, "no such column; did you mean 'gamma1'"),
         ([folder], None, "drift", "coloured by orbit, or with --colour verdict"),
     ):

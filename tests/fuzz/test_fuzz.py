@@ -27,19 +27,16 @@ from faults import HOW, Disk
 from injected import in_fork
 from mutations import DAMAGES, RUNS, SWEEPS, Damage, damaged, mutants
 from resuming import HK, NAME, content, killed, small
-from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
-from topcli.config.rows import RowReader
 from topcli.config.sweep import load_sweep
 from topcli.contracts import Stepper
 from topcli.engine.loops import interpreted
 from topcli.errors import TopcliError
 from topcli.runs.run import RunOptions, run_experiment
 from topcli.runs.simulate import trajectory_of
-from topcli.store.foreign import ForeignSeries
 from topcli.store.results import read_result
-from topcli.studies.analyse_series import analyse_series
+from topcli.studies.analyse import analyse
 from topcli.studies.health import check_all
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_chunks")]
@@ -93,7 +90,7 @@ def read_otherwise(path: Path) -> Any:
         return None
 
 
-def assert_same_meaning(path: Path, experiment: Experiment | EnsembleExperiment) -> None:
+def assert_same_meaning(path: Path, experiment: Experiment) -> None:
     """Numbers of the experiment are those that another reader finds in the file."""
     read = dict(flat(read_otherwise(path)))
     for key, value in flat(experiment.resolved()):
@@ -134,7 +131,7 @@ def test_a_config_is_refused_or_means_what_it_says(folder: Path, mutant: tuple[s
     assert_same_meaning(path, experiment)
     again.write_text(experiment.to_yaml(), encoding="utf-8")
     assert load(again).digest == experiment.digest
-    if isinstance(experiment, Experiment) and math.isfinite(experiment.h * STEPS):
+    if experiment.ensemble is None and math.isfinite(experiment.h * STEPS):
         assert_steps_of_plain_python(experiment)
 
 
@@ -143,11 +140,11 @@ def test_a_config_is_refused_or_means_what_it_says(folder: Path, mutant: tuple[s
 def test_a_sweep_file_is_refused_or_has_the_rows_that_it_counts(folder: Path, mutant: tuple[str, str]) -> None:
     path, again = written(folder, mutant)
     sweep = accepted(lambda: load_sweep(path))
-    if sweep is None or sweep.count > MOST_ROWS:
+    if sweep is None or sweep.count_left > MOST_ROWS:
         return
-    rows = accepted(lambda: list(RowReader(sweep).rows()))
+    rows = accepted(lambda: [number for group in sweep.groups() for number in group.numbers.tolist()])
     if rows is not None:
-        assert len(rows) == sweep.count_left
+        assert sorted(rows) == list(range(sweep.count_left))
         again.write_text(sweep.to_yaml(), encoding="utf-8")
         assert load_sweep(again).digest == sweep.digest
 
@@ -214,13 +211,13 @@ def files(draw: st.DrawFn) -> File:
 @examples(60)
 @given(data=files())
 def test_a_series_is_refused_or_has_its_rows(folder: Path, data: bytes) -> None:
-    path = folder / "series"
+    path = folder / f"series.{'parquet' if data[:4] == b'PAR1' else 'csv'}"
     path.write_bytes(data)
     with np.errstate(all="ignore"):
-        report = accepted(lambda: analyse_series(SERIES, ForeignSeries(path), {}))
+        report = accepted(lambda: analyse(path, config=SERIES.resolved()))
     if report is not None:
-        assert 2 <= report.data["rows"] <= ROWS
-        assert all(np.isfinite(values).all() for values in ForeignSeries(path).read(["t", "omega1"]).values())
+        assert 2 <= len(report.columns["t"]) <= ROWS
+        assert np.isfinite(report.columns["t"]).all()
 
 
 # damaged and killed runs

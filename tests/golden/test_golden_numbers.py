@@ -1,4 +1,4 @@
-"""Constants of the package, results of all studies, and analyses of made-up series, compared with recorded ones."""
+"""Constants of the package, results of runs, and analyses of made-up series, compared with recorded ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from test_golden_tables import measured
 from topcli.analysis.order import convergence
 from topcli.analysis.roundoff import growth
 from topcli.analysis.swings import first_swing_spacing, minima_times
-from topcli.studies import STUDIES
 
 UNREPEATABLE = (
     "second",
@@ -68,7 +67,7 @@ def repeatable(data: Any) -> Any:
     return data
 
 
-@pytest.mark.parametrize("name", [*STUDIES, "run", "ensemble"])
+@pytest.mark.parametrize("name", ["run", "ensemble"])
 def test_results(name: str, tmp_path: Path) -> None:
     data = json.loads(json.dumps(measured(name, tmp_path).as_dict()).replace(str(tmp_path), "OUT"))
     data.pop("series", None)

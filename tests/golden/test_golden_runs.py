@@ -13,11 +13,8 @@ import golden
 import topcli
 from stored_results import BASE, START
 from test_golden_numbers import repeatable
-from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load, scene_files
-from topcli.sweeps.rows import read_rows
-from topcli.sweeps.table import sweep_table
-from topcli.sweeps.table_text import csv_text, latex, lines, notes, title
+from topcli.sweeps.table import read_rows, sweep_table
 
 DRAWS = {
     "sphere": {"omega": {"sphere": 2.0}, "gamma": "sphere"},
@@ -46,11 +43,7 @@ def test_scenes() -> None:
     scenes = {}
     for name, path in scene_files().items():
         experiment = load(path)
-        states = (
-            experiment.members.groups[0].states[:3].tolist()
-            if isinstance(experiment, EnsembleExperiment)
-            else list(experiment.y0)
-        )
+        states = experiment.ensemble.states[:3].tolist() if experiment.ensemble else list(experiment.y0)
         scenes[name] = {"config": experiment.resolved(), "digest": experiment.digest, "states": states}
     golden.check("scenes", scenes, rel=1e-15)
 
@@ -58,10 +51,9 @@ def test_scenes() -> None:
 @pytest.mark.parametrize("law", DRAWS)
 def test_draws(law: str) -> None:
     experiment = load({**BASE, "scheme": "hk", "ensemble": {"random": {"count": 40, "seed": 3, **DRAWS[law]}}})
-    assert isinstance(experiment, EnsembleExperiment)
-    golden.check(
-        f"draws_{law}", {"digest": experiment.digest, "states": experiment.members.groups[0].states.tolist()}, rel=1e-14
-    )
+    assert experiment.ensemble
+    drawn = {"digest": experiment.digest, "states": experiment.ensemble.states.tolist()}
+    golden.check(f"draws_{law}", drawn, rel=1e-14)
 
 
 @pytest.mark.parametrize("kind", RUNS)
@@ -100,15 +92,15 @@ def test_sweep(tmp_path: Path) -> None:
     folder = topcli.sweep({**SWEEP, "measure": MEASURES}, tmp_path, progress=False).folder
     rows = read_rows(folder)
     table = pq.read_table(folder / "rows.parquet").to_pylist()
-    data: dict[str, Any] = {"rows": [repeatable(row) for row in table], "digests": [row["digest"] for row in table]}
+    data: dict[str, Any] = {"rows": [repeatable({**row, "digest": ""}) for row in table]}
     for aggregate in ("median", "mean", "max"):
         pivot = sweep_table(rows, ["scheme"], "h", ["max_error"], aggregate)
         data[aggregate] = {
-            "title": title(pivot),
-            "lines": [list(line) for line in lines(pivot)],
-            "notes": notes(pivot),
-            "csv": csv_text(pivot).splitlines(),
-            "latex": latex(pivot).splitlines(),
+            "title": pivot.title,
+            "lines": pivot.lines(),
+            "notes": pivot.notes,
+            "csv": pivot.text("csv").splitlines(),
+            "latex": pivot.text("latex").splitlines(),
         }
     golden.check("sweep", data, rel=1e-5)
 

@@ -6,11 +6,11 @@ import json
 import re
 import shutil
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import topcli
 from reading_html import Element, read_html, section_of
@@ -26,14 +26,14 @@ from stored_results import (
     store_stress,
     store_sweep,
 )
+from topcli.config.load import load_experiment
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.figures.picture import Panel
-from topcli.pages.contents import Cells, Chapter, Facts, Notes, Picture, Pictures, Text
+from topcli.figures.run import run_pictures
+from topcli.pages.contents import Cells, Chapter, Facts, Notes, Pictures, Text
 from topcli.pages.page import all_chapters, rendered, report_page
-from topcli.pages.pictures import before_explosion, deviations
-from topcli.runs.report import ENSEMBLE, INVARIANTS
+from topcli.runs.report import report_tables
 from topcli.runs.run import RunOptions, run_experiment
-from topcli.store.files import SEAL, write_study
+from topcli.store.files import SEAL, sealed_text
 
 HOSTILE = "<script>alert('x')</script><img src=http://127.0.0.1/x onerror=y>&amp;\"'"
 
@@ -62,7 +62,7 @@ def copied(results: Path, tmp_path: Path) -> Path:
 
 def shown(results: Path, *places: str) -> Element:
     """Page with empty pictures, which are data until a page is drawn."""
-    return read_html(report_page([str(results / place) for place in places], draw=lambda picture: "<svg></svg>").text)
+    return read_html(report_page([str(results / place) for place in places]).text)
 
 
 def texts(section: Element) -> list[str]:
@@ -74,14 +74,11 @@ def facts_of(section: Element) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_a_run_shows_its_setup_and_its_report(results: Path) -> None:
+def test_a_run_shows_its_report(results: Path) -> None:
     page = shown(results, "one")
-    texts_of_report = INVARIANTS.cells(json.loads((results / "one" / "report.json").read_text()))
+    texts_of_report = report_tables(json.loads((results / "one" / "report.json").read_text()))[0].cells()
     table = section_of(page, "Conservation laws").all("table")[0].cells()
     assert table == [list(texts_of_report.header), *map(list, texts_of_report.lines)]
-    facts = facts_of(section_of(page, "Setup"))
-    assert (facts["step size h"], facts["steps N"], facts["time N h"]) == ("0.01", "400", "4")
-    assert float(facts["initial gamma"].split(", ")[0]) == pytest.approx(np.sqrt(1.0 - 0.01), abs=1e-15)
     assert page.with_class("outcome")[0].text == "completed"
 
 
@@ -94,9 +91,7 @@ def test_config_provenance_and_citation_are_those_of_the_manifest(results: Path)
     facts = facts_of(section_of(page, "Provenance"))
     assert facts["digest of the experiment"] == manifest["digest"]
     assert facts["numba"] == manifest["environment"]["numba"]
-    shown_time, zone = facts["started"].rsplit(" ", 1)
-    started = datetime.fromisoformat(manifest["started"]).astimezone()
-    assert (shown_time, zone) == (f"{started:%Y-%m-%d %H:%M:%S}", started.tzname())
+    assert facts["started"] == manifest["started"]
     assert re.fullmatch(r"Compiling or loading the code took \S+ s, and the run \S+ s", facts["seconds"])
     files = {row[0]: row[1:] for row in section_of(page, "Files").all("table")[0].cells()[1:]}
     assert files == {n: [str(f["size"]), f["sha256"]] for n, f in manifest["files"].items()}
@@ -126,14 +121,11 @@ def test_every_scheme_and_top_that_took_part_is_cited(results: Path, tmp_path: P
     config = {**BASE, "N": 20, "scheme": "rk2"}
     topcli.compare("hk", "hk:h=0.02", "hybrid:branch=sign", "hk+suzuki4", config=config).save(tmp_path / "four.json")
     assert cited(tmp_path, "four.json") == ["Kowalevski top", "HK", "hybrid", "HK + Suzuki 4"]
-    topcli.compare("rk4", config=config, reference="exact", progress=False).save(tmp_path / "many.json")
-    assert cited(tmp_path, "many.json") == ["Kowalevski top", "RK4", "exact"]
     topcli.sweep(TWO_TOPS, tmp_path)
     assert set(cited(tmp_path, "tops")) == {"Kowalevski top", "Heavy top", "RK4", "HK"}
     citations = texts(section_of(shown(tmp_path, "tops"), "Citation"))
     assert sum(text.startswith("HK: ") for text in citations) == 1
     assert cited(results, "order.json") == ["Euler top", "HK", "RK4"]
-    assert cited(results, "stress.json") == ["Kowalevski top", "HK", "Bäcklund"]
     assert cited(results, "many") == ["Kowalevski top", "HK"]
 
 
@@ -147,33 +139,41 @@ def test_a_scheme_that_is_not_here_is_named_without_a_source(copied: Path) -> No
 
 
 def test_deviations_are_from_the_first_value_and_leave_out_constants() -> None:
-    data = {"a": np.array([2.0, 2.0, 1.5, 2.25]), "b": np.array([1.0, 1.0, 1.0, 1.0])}
-    found = deviations(data, ["a", "b"])
-    assert list(found) == ["deviation:a"]
-    np.testing.assert_array_equal(found["deviation:a"], [np.nan, np.nan, 0.5, 0.25])
+    data = {"t": np.arange(4.0), "energy": np.array([2.0, 2.0, 1.5, 2.25]), "m_sq": np.ones(4)}
+    (picture,) = run_pictures(data, load_experiment("euler_hk"))
+    assert picture.caption.endswith("; m_sq did not change")
+    axes = Figure().subplots()
+    picture.draw(axes)
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [np.nan, np.nan, 0.5, 0.25])
 
 
-def test_motion_is_drawn_up_to_its_explosion() -> None:
-    data = {"t": np.arange(5.0), "a": np.array([2.0, 3.0, 1999.0, 2001.0, 0.0]), "b": np.zeros(5)}
-    assert before_explosion(data, ["a", "b"])["t"].tolist() == [0.0, 1.0, 2.0]
-    assert len(before_explosion(data | {"a": np.full(5, 5e3)}, ["a", "b"])["a"]) == 5, "large from the start"
-    missing = data | {"a": np.array([1.0, 1.0, np.nan, 1.0, 1.0])}
-    assert len(before_explosion(missing, ["a", "b"])["a"]) == 2
+@pytest.mark.parametrize(
+    ("values", "caption"),
+    [
+        ([2.0, 3.0, 1999.0, 2001.0, 0.0], "angular velocity ω over time, up to t = 2 before the motion explodes"),
+        ([5e3, 5e3, 5e3, 5e3, 5e3], "angular velocity ω over time"),
+        ([1.0, 1.0, np.nan, 1.0, 1.0], "angular velocity ω over time, up to t = 1 before the motion explodes"),
+    ],
+)
+def test_motion_is_drawn_up_to_its_explosion(values: list[float], caption: str) -> None:
+    data = {"t": np.arange(5.0), "omega1": np.array(values), "omega2": np.zeros(5)}
+    assert run_pictures(data, load_experiment("euler_hk"))[0].caption == caption
 
 
 @pytest.mark.slow
 def test_each_kind_of_result_shows_its_table_and_pictures(results: Path) -> None:
     page = shown(results, "many", "sweep", "compared.json", "order.json", "stress.json")
     parts = [one for one in page.all("section") if one.attributes.get("id", "").startswith("part")]
-    many, sweep, compared, _, stress = parts
-    assert [len(one.all("svg")) for one in parts] == [1, 2, 2, 1, 0]
-    quantiles = ENSEMBLE.cells(json.loads((results / "many" / "report.json").read_text()))
+    many, sweep, _, _, stress = parts
+    assert [len(one.all("img")) for one in parts] == [1, 2, 1, 1, 1]
+    quantiles = report_tables(json.loads((results / "many" / "report.json").read_text()))[0].cells()
     assert many.all("table")[0].cells() == [list(quantiles.header), *map(list, quantiles.lines)]
     cells = section_of(sweep, "Rows").all("table")[0].cells()
     assert cells[0] == ["row", "h", "scheme", "outcome", "max_deviation.energy", "max_error"]
-    captions = ["error of the state over time t", "gamma1 over time t"]
-    assert [one.text for one in compared.all("figcaption")] == captions
-    assert stress.all("table")[0].cells() == [["scheme", "delone", "pole"], ["hk", "·", "·"], ["backlund", "·", "·"]]
+    assert [row[:4] for row in stress.all("table")[0].cells()[:2]] == [
+        ["scheme", "top", "case", "outcome"],
+        ["hk", "kowalevski", "delone", "held"],
+    ]
 
 
 def _all_blocks(text: str) -> Chapter:
@@ -183,16 +183,16 @@ def _all_blocks(text: str) -> Chapter:
         Cells(text, [text, text], [[text, text]], text, marks={text: "good"}),
         Text(text, [text]),
         Notes(text, [text]),
-        Pictures([Picture(Panel((), text), {"t": np.zeros(2)}, text, text)]),
+        Pictures([(b"<svg/>", text)]),
     ]
     return chapter
 
 
 def test_everything_is_escaped() -> None:
-    text = rendered([_all_blocks(HOSTILE), _all_blocks("b")], HOSTILE, lambda picture: "<svg></svg>")
+    text = rendered([_all_blocks(HOSTILE), _all_blocks("b")], HOSTILE)
     page = read_html(text)
     assert not page.all("script")
-    assert not page.all("img")
+    assert all(one.attributes["src"].startswith("data:image/svg+xml;base64,") for one in page.all("img"))
     assert not [one for one in page.all() if any(name.startswith("on") for name in one.attributes)]
     for name in ("h1", "h2", "h3", "dt", "dd", "td", "th", "li", "figcaption", "title", "a"):
         assert any(HOSTILE in one.text for one in page.all(name)), name
@@ -202,14 +202,13 @@ def test_everything_is_escaped() -> None:
 
 @pytest.mark.slow
 def test_control_characters_and_half_pairs_are_shown_as_escapes() -> None:
-    text = rendered([_all_blocks("a\x00\x1b[31m\u202eb\ud800")], "t", lambda picture: "<svg></svg>")
+    text = rendered([_all_blocks("a\x00\x1b[31m\u202eb\ud800")], "t")
     assert "a\\x00\\x1b[31m\\u202eb\\ud800" in text
     text.encode("utf-8")
 
 
 @pytest.mark.slow
-def test_page_needs_nothing_from_elsewhere_and_pictures_follow_its_colours(results: Path) -> None:
-    """Nothing is drawn in a fixed black or white, which would vanish in the dark or on paper."""
+def test_page_needs_nothing_from_elsewhere(results: Path) -> None:
     text = report_page([str(results / name) for name in ("one", "sweep", "compared.json")]).text
     page = read_html(text)
     assert not {"script", "iframe", "object", "embed", "base", "form"} & {one.name for one in page.all()}
@@ -221,14 +220,7 @@ def test_page_needs_nothing_from_elsewhere_and_pictures_follow_its_colours(resul
     policy = next(one.attributes["content"] for one in page.all("meta") if "http-equiv" in one.attributes)
     assert policy.startswith("default-src 'none';")
     ids = [one.attributes["id"] for one in page.all() if "id" in one.attributes]
-    assert len(ids) == len(set(ids)) > 100
-    used = set(re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", text))
-    assert used <= set(ids), "links within pictures hold"
-    svg = page.all("svg")[0]
-    assert svg.attributes["fill"] == "currentColor"
-    styles = " ".join(one.attributes.get("style", "") for one in svg.all())
-    assert "var(--line1)" in styles
-    assert not {"#000000", "#ffffff"} & set(re.findall("#[0-9a-f]{6}", styles))
+    assert len(ids) == len(set(ids))
 
 
 def _damage_series(folder: Path) -> None:
@@ -314,7 +306,7 @@ def test_a_damaged_sweep_is_refused_and_a_failed_comparison_is_not_good(copied: 
     path = copied / "compared.json"
     data = json.loads(path.read_text())
     data.pop(SEAL, None)
-    data["schemes"][1]["outcome"] = "blew_up"
+    data["code"] = 1
     path.write_text(json.dumps(data))
     assert marked(shown(copied, "compared.json").with_class("outcome")[0]).endswith("bad")
 
@@ -324,7 +316,7 @@ def test_a_damaged_sweep_is_refused_and_a_failed_comparison_is_not_good(copied: 
 def test_studies_of_another_form_are_refused(copied: Path, name: str) -> None:
     whole = json.loads((copied / name).read_text())
     whole.pop(SEAL, None)
-    for key in {"schemes", "trials", "cases", "command"} & whole.keys():
+    for key in {"tables", "trials", "cases", "command"} & whole.keys():
         (copied / name).write_text(json.dumps({**whole, key: None}))
         with pytest.raises(UsageError, match=rf"{name}: not (a result|of the form)"):
             shown(copied, name)
@@ -333,7 +325,8 @@ def test_studies_of_another_form_are_refused(copied: Path, name: str) -> None:
 def test_a_changed_comparison_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
     from topcli.studies.health import check_all
 
-    path = write_study(tmp_path / "comparison.json", {"command": "compare", "x": 0.375})
+    path = tmp_path / "comparison.json"
+    path.write_text(sealed_text({"command": "compare", "tables": [], "x": 0.375}), encoding="utf-8")
     assert not check_all(str(path), tmp_path).damage
     whole = path.read_bytes()
     for place in range(len(whole)):

@@ -15,8 +15,8 @@ import topcli
 from cases import table_of
 from conftest import ROOT, random_states
 from topcli.analysis.tally import DEVIATIONS, quantiles
-from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load
+from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.errors import UsageError
 from topcli.runs.report import SHOWN_TRAJECTORIES
@@ -26,7 +26,7 @@ from topcli.store.series import read_series
 RANDOM = {"count": 70, "seed": 3, "gamma": "sphere", "omega": {"near": 0.3}}
 
 
-def experiment(**changes: Any) -> EnsembleExperiment:
+def experiment(**changes: Any) -> Experiment:
     data = {
         "name": "some",
         "top": "kowalevski",
@@ -39,7 +39,7 @@ def experiment(**changes: Any) -> EnsembleExperiment:
         **changes,
     }
     found = load(data)
-    assert isinstance(found, EnsembleExperiment)
+    assert found.ensemble
     return found
 
 
@@ -68,7 +68,7 @@ def test_the_series_holds_single_runs(tmp_path: Path) -> None:
     assert np.array_equal(series["trajectory"], np.repeat(np.arange(70), 21))
     for i in (0, 63, 64, 69):
         rows = series["trajectory"] == i
-        single = topcli.simulate(found.member(i).resolved())
+        single = topcli.simulate(found.trajectory(i).resolved())
         for name in ("n", "t", *found.top.components, "k_sq"):
             assert np.array_equal(series[name][rows], single[name]), name
 
@@ -88,7 +88,7 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path) -> None
     states = np.stack([series[name][order] for name in found.top.components], axis=1).reshape(70, 21, 6)
     for i in range(70):
         assert tuple(table[f"initial_{name}"][i] for name in found.top.components) == tuple(states[i, 0])
-        reports = topcli.simulate(found.member(i).resolved()).invariant_rows()
+        reports = topcli.simulate(found.trajectory(i).resolved()).invariant_rows()
         for one, invariant in zip(reports, found.top.invariants(), strict=True):
             assert table[f"first.{one.name}"][i] == one.first
             assert table[f"max_deviation.{one.name}"][i] == one.max_deviation
@@ -247,13 +247,13 @@ def test_numbers_of_trajectories_are_unique_over_parameters(tmp_path: Path) -> N
         assert set(rows["n"]) == {205}
     assert table["top.c0"].tolist() == [c0 for c0 in (0.5, 1.0, 2.0) for _ in range(90)]
     for i in (0, 89, 90, 269):
-        member = found.member(i)
+        member = found.trajectory(i)
         assert member.top.model_dump()["c0"] == table["top.c0"][i]
         assert list(member.y0) == [table[f"initial_{name}"][i] for name in found.top.components]
         single = topcli.simulate({**member.resolved(), "output": {"every": 205}})
         assert [last[name][i] for name in found.top.components] == single.states[-1].tolist()
     with pytest.raises(IndexError, match="there are 270"):
-        found.member(270)
+        found.trajectory(270)
 
 
 @pytest.mark.slow
@@ -287,14 +287,14 @@ def test_modified_integrals_are_in_every_table(store: str, tmp_path: Path) -> No
     """HK of the Euler top keeps integrals of its own exactly: reported, tallied, and a column where asked for."""
     ensemble = {"random": {"count": 70, "omega": {"near": 0.2}}, "store": store}
     found = experiment(top="euler", initial={"omega": [0.3, 1.0, 0.2]}, ensemble=ensemble)
-    own = [invariant.name for invariant in found.first.modified]
+    own = [invariant.name for invariant in found.modified]
     assert own
     result = run_experiment(found, tmp_path)
     assert [row["name"] for row in result.report["invariants"]][-len(own) :] == own
     table = columns(result.stored.folder / "trajectories.parquet")
     for row in result.report["invariants"][-len(own) :]:
         assert row["within_round_off"] == row["judged"] == 70, row["name"]
-        single = topcli.simulate(found.member(41).resolved())
+        single = topcli.simulate(found.trajectory(41).resolved())
         values = single[row["name"]]
         assert table[f"first.{row['name']}"][41] == values[0]
         assert table[f"max_deviation.{row['name']}"][41] == np.abs(values - values[0]).max()

@@ -15,7 +15,6 @@ from scheme_files import loaded_file
 from topcli.config.load import load_experiment
 from topcli.schemes.plugins import own_sources
 from topcli.schemes.registry import all_schemes, find_scheme, scheme
-from topcli.sweeps.row_results import forget
 from topcli.tops import TOPS
 
 FILES = read_page(ROOT / "docs" / "own-scheme.md").files()
@@ -160,7 +159,6 @@ def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Sai
         if old:
             edit(folder / "gyrostat.py", old, new)
         said.append(cli(*command))
-        forget()
     assert [one.code for one in said] == [0, 0, 0]
     assert ["(2 ran)" in one.out + one.err for one in said] == [True, False, True]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import topcli
 from conftest import Said
 from topcli import simulate
 from topcli.analysis.algebraic_growth import digit_growth
@@ -17,7 +18,6 @@ from topcli.config.models import Experiment
 from topcli.runs.report import precision_note
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
-from topcli.studies.compare_runs import compare_schemes
 
 EULER = ("precision=rational", "h=1/10", "N=12")
 
@@ -143,13 +143,14 @@ def test_growth_law(law: str) -> None:
 
 @pytest.mark.slow
 def test_comparison_shows_the_defects_of_the_precision(library: str) -> None:
-    scene = ("kowalevski_generic_hk", "h=0.1", "N=20")
-    figures = compare_schemes(precise(*scene, "precision=50"), ["hk", "bohlin-a"]).data
-    hk, bohlin = ({row["name"]: row for row in one["invariants"]} for one in figures["schemes"])
-    assert bohlin["k_sq"]["max_deviation"] < 1e-47
-    plain = {row["name"]: row for row in compare_schemes(precise(*scene), ["hk"]).data["schemes"][0]["invariants"]}
-    assert hk["k_sq"]["max_deviation"] == pytest.approx(plain["k_sq"]["max_deviation"], rel=1e-9)
-    assert hk["k_sq"]["max_deviation"] > 1e-4
+    def deviations(*sets: str) -> dict[str, float]:
+        report = topcli.compare("hk", "bohlin-a", config="kowalevski_generic_hk", overrides=["h=0.1", "N=20", *sets])
+        return {row["scheme"]: row["max_deviation"] for row in report.tables[3].rows if row["invariant"] == "k²"}
+
+    precise_ones, plain = deviations("precision=50"), deviations()
+    assert precise_ones["bohlin-a"] < 1e-47
+    assert precise_ones["hk"] == pytest.approx(plain["hk"], rel=1e-9)
+    assert plain["hk"] > 1e-4
 
 
 REVERSIBLE = {"hk": True, "midpoint": True, "rk4": False}
@@ -159,31 +160,25 @@ REVERSIBLE = {"hk": True, "midpoint": True, "rk4": False}
 @pytest.mark.parametrize("digits", [30, 50])
 def test_reversal_is_measured_in_the_digits_of_the_run(digits: int, library: str) -> None:
     """In doubles the defect of a reversible scheme would be 1e-17; that of RK4 is of order 6 down to any size."""
-    scene = precise("kowalevski_generic_hk", f"precision={digits}", "h=1/1000", "N=4")
-    found = compare_schemes(scene, list(REVERSIBLE)).data["schemes"]
-    for one, reversible in zip(found, REVERSIBLE.values(), strict=True):
-        back = one["reversal"]
+    sets = [f"precision={digits}", "h=1/1000", "N=4"]
+    report = topcli.compare(*REVERSIBLE, config="kowalevski_generic_hk", overrides=sets)
+    for row, reversible in zip(report.tables[0].rows, REVERSIBLE.values(), strict=True):
         if reversible:
-            assert one["reversal_order"] is None
-            assert max(back["defects"]) < 100.0 * 10.0**-digits
+            assert row["its_order"] is None
+            assert row["reversal_defect"] < 100.0 * 10.0**-digits
         else:
-            assert one["reversal_order"] == pytest.approx(6.0, abs=0.01)
-            assert 1e-22 < one["reversal_defect"] < 1e-18
-            assert back["defects"][-1] / one["reversal_defect"] == pytest.approx(
-                (back["sizes"][-1] / back["h"]) ** 6, rel=0.7
-            )
+            assert row["its_order"] == pytest.approx(6.0, abs=0.01)
+            assert 1e-22 < row["reversal_defect"] < 1e-18
 
 
 def test_reversal_in_rational_numbers_is_exact(cli: Callable[..., Said]) -> None:
     """Few digits are allowed for the run, and do not limit the steps that are tried."""
     sets = ("precision=rational", "h=1/10", "N=2", "initial.gamma=[3/5, 0, 4/5]", "max_digits=200")
     words = [word for text in sets for word in ("--set", text)]
-    lines = cli("compare", "-v", "hk", "rk2", *words).out.splitlines()
-    cells = {line.split("  ")[0]: line.split()[-2:] for line in lines}
-    order = next(line.split()[-2:] for line in lines if line.startswith("order of the reversal defect "))
-    assert cells["reversal defect at h = 0.1"][0] == "0"
-    assert 1e-6 < float(cells["reversal defect at h = 0.1"][1]) < 1e-2
-    assert (order[0], float(order[1])) == ("exact", pytest.approx(4.0, abs=0.2))
+    hk, rk2 = cli("compare", "hk", "rk2", *words, "--json").json()["tables"][0]["rows"]
+    assert (hk["reversal_defect"], hk["its_order"]) == (0.0, None)
+    assert 1e-6 < rk2["reversal_defect"] < 1e-2
+    assert rk2["its_order"] == pytest.approx(4.0, abs=0.2)
 
 
 def test_long_runs_are_warned_of(cli: Callable[..., Said]) -> None:

@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 
 import topcli
-from topcli.errors import UsageError
-from topcli.studies import STUDIES
 
 POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 LIST = ["h=0.6", "N=2000"]
@@ -52,29 +50,3 @@ def test_overrides_by_position_of_a_run_in_memory() -> None:
     assert len(topcli.simulate("euler_hk", ["N=7"], states=[[1.0, 0.2, 0.3]]).n) == 8
     assert topcli.motion("euler_hk", ["initial.omega=[0, 0, 2]"]).experiment.y0 == (0.0, 0.0, 2.0)
     assert topcli.step("euler_hk", ["h=0.25"]).h == 0.25
-
-
-def singles() -> list[tuple[str, str]]:
-    """All parameters of studies that do not take a sequence."""
-    found = []
-    for name in STUDIES:
-        for parameter in inspect.signature(getattr(topcli, name)).parameters.values():
-            named = parameter.kind is not inspect.Parameter.VAR_KEYWORD and parameter.name not in (
-                "progress",
-                "options",
-            )
-            if named and not any(word in str(parameter.annotation) for word in ("Sequence", "Overrides")):
-                found.append((name, parameter.name))
-    return found
-
-
-@pytest.mark.parametrize(("name", "key"), singles())
-def test_a_list_where_a_study_takes_none_is_refused(name: str, key: str) -> None:
-    function = getattr(topcli, name)
-    parameters = inspect.signature(function).parameters
-    needed = [one.name for one in parameters.values() if one.default is one.empty and one.kind in POSITIONAL]
-    others = {one: "name" for one in needed if one != key}
-    several = parameters[key].kind is inspect.Parameter.VAR_POSITIONAL
-    by_place, by_name = ((*others.values(), LIST), {}) if several else ((), {**others, key: LIST})
-    with pytest.raises(UsageError, match=rf"topcli\.{name}: {key}: a list is not expected here; .* overrides="):
-        function(*by_place, **by_name)

@@ -1,12 +1,10 @@
-"""Speed against error: ladders, errors, repetitions, peers, the line-up, and the results on disk."""
+"""Speed against error: ladders, what counts as a result, peers in processes of their own, decades and the figure."""
 
 from __future__ import annotations
 
 import itertools
 import math
-import os
-import re
-import statistics
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,338 +12,290 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import BaseModel
+from matplotlib.figure import Figure as Canvas
 
+import topcli
 from cases import table_of
-from topcli.analysis.reference import reference_states
-from topcli.contracts import Scheme, Stepper
-from topcli.engine.collect import orbit
-from topcli.errors import UnknownNameError, UsageError
-from topcli.schemes.registry import all_schemes, find_scheme
-from topcli.studies.bench.contest import (
-    LineUp,
-    Problem,
-    Rung,
-    bench_problems,
-    choose,
-    default_names,
+from topcli.analysis.reference import distances, reference_states
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.errors import SchemeCodeError, UsageError
+from topcli.figures.bench import draw_work_precision, work_precision
+from topcli.figures.figure import NothingMeasuredError
+from topcli.studies.bench import (
+    DECADES,
+    PEERS,
+    Curve,
+    NoResultError,
+    Peer,
+    answer_of,
+    decade_rows,
     ladder,
+    measured,
+    point_rows,
+    scheme_calls,
+    take_turns,
+    tolerance_option,
 )
-from topcli.studies.bench.measure import (
-    Effort,
-    FirstCall,
-    Measured,
-    Measurements,
-    SchemeCompetitor,
-    as_rows,
-    bench,
-    explore,
-)
-from topcli.studies.bench.peers import PEERS, NoResultError, Peer, PeerProblem, checked, find_peers, missing
-from topcli.tops import TOPS
+from topcli.studies.report import Report
+
+TIMES = np.arange(21) * 0.5
+SHORT = ["h=0.01", "N=1000"]
 
 
-def test_steps_divide_the_interval_and_get_finer() -> None:
-    for name, ratio in (("hk", 2.0), ("rk4", math.sqrt(2.0)), ("hk+kahan-li8", math.sqrt(2.0))):
-        rungs = list(ladder(find_scheme(name, "kowalevski"), np.array([0.7, -0.4, 1.3, 0.6, 0.48, 0.64]), 10.0))
-        assert all(rung.value * rung.steps == pytest.approx(10.0, rel=1e-15) for rung in rungs)
-        steps = [rung.steps for rung in rungs]
-        assert steps == sorted(set(steps))
-        assert 1.0 < rungs[0].value * 1.3 <= 4.0
-        assert steps[20] / steps[18] == pytest.approx(ratio**2, rel=1e-2)
+def experiment_of(scheme: str, *overrides: str) -> Experiment:
+    return load_experiment("kowalevski_generic_hk", [f"scheme={scheme}", *SHORT, *overrides])
 
 
-def adaptive(options: type[BaseModel]) -> Scheme:
-    base = find_scheme("rk4", "kowalevski")
-    return Scheme(**{**vars(base), "name": "mine", "adaptive": True, "options": options})
+def bench(*schemes: str, **options: Any) -> Report:
+    """Short benchmark."""
+    short = {"overrides": SHORT, "budget": 1e-3, "repetitions": 1, "samples": 20, "against": ["none"]}
+    return topcli.bench(*schemes, **{**short, **options})
 
 
-def test_every_adaptive_scheme_has_a_ladder() -> None:
-    found = [scheme for scheme in all_schemes() if scheme.adaptive]
-    assert found
-    for scheme in found:
-        rungs = list(ladder(scheme, np.ones(6), 1.0))
-        assert len(rungs) > 5
-        for rung in rungs:
-            scheme.options.model_validate(dict(rung.options))
+def rows_of(report: Report, name: str) -> list[Any]:
+    return [row for row in report.tables[1].rows if name in (row["scheme"], row["peer"])]
+
+
+# schemes
 
 
 @pytest.mark.parametrize(
-    ("scenes", "configs", "sets", "message"),
-    table_of("""
-()                    ("heavy_hk",)  ("h=-0.01",)  runs backwards
-("euler", "EULER")    ()              ()            named twice
-()                    ()              ("h=1",)      none is given
-("lagrnge",)          ()              ()            did you mean 'lagrange'
-"""),
+    ("scheme", "interval", "settings"),
+    [
+        ("hk", 10.0, [2.5, 1.25, 0.625]),
+        ("hk", 0.1, [0.1, 0.05, 0.025]),
+        ("rk4", 0.1, [0.1, 0.05, 0.1 / 3.0, 0.025, 0.1 / 6.0]),
+        ("taylor", 10.0, [0.01, 0.0032, 0.001]),
+    ],
 )
-def test_wrong_scenes_are_refused(
-    scenes: tuple[str, ...], configs: tuple[str, ...], sets: tuple[str, ...], message: str
-) -> None:
-    with pytest.raises(UsageError, match=message):
-        bench_problems(scenes, configs, sets)
+def test_ladders_divide_the_interval_or_have_half_decades(scheme: str, interval: float, settings: list[float]) -> None:
+    """The largest component of the initial state is 1.3, which turns by 13 in the longest interval."""
+    assert list(ladder(experiment_of(scheme), interval))[: len(settings)] == pytest.approx(settings)
 
 
-def test_every_scheme_takes_part_or_is_left_out_with_a_reason() -> None:
-    for problem in bench_problems((), ()):
-        line_up = choose(problem, ())
-        taking_part = [scheme.name for scheme in (*line_up.schemes, *line_up.closed_forms)]
-        left_out = dict(line_up.left_out)
-        assert len(set(taking_part)) == len(taking_part)
-        assert {scheme.name for scheme in all_schemes() if scheme.top == problem.top.form} <= {*taking_part, *left_out}
-        assert sorted([*taking_part, *left_out]) == sorted(default_names(problem.top.form))
-        assert all(left_out.values())
-        assert [scheme.name for scheme in line_up.closed_forms] == ["exact"]
-
-
-def test_names_that_do_not_fit_are_refused() -> None:
-    kowalevski, euler = bench_problems(("kowalevski-generic", "euler"), ())
-    assert dict(choose(euler, ("hk", "hybrid")).left_out) == {"hybrid": "does not fit the top euler"}
-    assert [scheme.name for scheme in choose(kowalevski, ("dop853",)).schemes] == ["dop853"]
-    entries = ("backlund:nodes=exact", "backlund:nodes=plain", "dmv+kahan-li8:project=1")
-    assert [scheme.order for scheme in choose(kowalevski, entries).schemes] == [None, 2, 8]
-    for names, message in (
-        (("hk", "HK"), "named twice"),
-        (("midpont",), "did you mean"),
-        (("dmv:projct=1",), r"dmv:projct=1: scheme 'dmv' has no option 'projct'.*project"),
-        (("dmv:project=-1",), "project: "),
-    ):
-        with pytest.raises(UsageError, match=message):
-            choose(euler, names)
-
-
-@pytest.fixture(scope="module")
-def short() -> Problem:
-    """The generic Kowalevski top for a short while."""
-    (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=0.01", "N=1000"), 20)
-    return problem
-
-
-@pytest.mark.parametrize(("name", "order"), [("rk2", 2), ("hk+kahan-li6", 6)])
-def test_errors_fall_as_the_order_says(short: Problem, name: str, order: int) -> None:
-    reference = reference_states(short.top, short.experiment.y0, short.times)
-    mine = SchemeCompetitor(find_scheme(name, "kowalevski"), short)
-    standing = explore(mine, short, reference, Effort(0.02, 1))
-    asymptotic = [rung for rung in standing.rungs if 1e-10 < rung.error < 1e-3]
-    assert len(asymptotic) > 3
-    a, b = asymptotic[-2:]
-    assert math.log(a.error / b.error) / math.log(a.rung.value / b.rung.value) == pytest.approx(order, abs=0.2)
-    assert all(rung.final_error <= rung.error for rung in standing.rungs)
-    assert all(set(rung.drift) == {"gamma_sq", "two_l", "energy", "k_sq"} for rung in standing.rungs)
-
-
-def test_a_run_of_the_bench_is_a_run_of_the_engine(short: Problem) -> None:
-    """The states that errors are taken from are, bit for bit, those that ``orbit`` records."""
-    scheme = find_scheme("hybrid", "kowalevski")
-    mine = SchemeCompetitor(scheme, short)
-    rung = next(rung for rung in mine.rungs() if rung.steps >= 8)
-    states = mine.run(rung).states
-    method, h = scheme.build(short.top, scheme.options()), short.interval / rung.steps
-    run = orbit(short.top, method, short.experiment.y0, h, rung.steps * short.intervals, rung.steps)
-    assert (states == run.states).all()
-
-
-def test_a_block_that_returns_early_is_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its later states are not there; before, memory of an earlier array was taken for them."""
-    monkeypatch.setattr("topcli.schemes.any_top.taylor.MAX_EXPANSIONS", 3)
-    (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=1", "N=50"), 2)
-    with pytest.raises(NoResultError, match=r"returns after step \d+ of \d+"):
-        SchemeCompetitor(find_scheme("taylor", "kowalevski"), problem).run(Rung(problem.interval, 1))
+@pytest.mark.parametrize("scheme", ["hk", "backlund", "taylor"])
+def test_errors_are_those_of_the_run(scheme: str) -> None:
+    report = bench(scheme)
+    row = rows_of(report, scheme)[4]
+    name, _, value = row["setting"].partition("=")
+    steps = round(0.5 / float(value)) if name == "h" else 1
+    override = [f"h={0.5 / steps}", f"N={20 * steps}", *([] if name == "h" else [f"scheme.{row['setting']}"])]
+    experiment = load_experiment("kowalevski_generic_hk", [f"scheme={scheme}", *override])
+    states = topcli.simulate(experiment.resolved()).states[::steps]
+    error = distances(states, reference_states(experiment.top, experiment.y0, TIMES)).max()
+    assert row["error"] == pytest.approx(error, rel=1e-9)
+    assert row["seconds"] > 0.0
+    assert row["set_up"] > 0.0
 
 
 def test_an_adaptive_scheme_gets_nearer_with_its_tolerance() -> None:
-    (problem,) = bench_problems((), ("kowalevski_generic_hk",), ("h=0.01", "N=2000"), 2)
-    reference = reference_states(problem.top, problem.experiment.y0, problem.times)
-    mine = SchemeCompetitor(find_scheme("dop853", "kowalevski"), problem)
-    assert mine.parameter == "rtol"
-    errors = [np.abs(mine.run(rung).states - reference).max() for rung in list(mine.rungs())[::8]]
-    assert len(errors) == 4
-    assert errors[0] == pytest.approx(0.0238, rel=0.05)
-    assert all(a > 30.0 * b for a, b in itertools.pairwise(errors[:3]))
-    assert errors[-1] < 1e-11
+    experiment = experiment_of("dop853")
+    measure = measured(scheme_calls(experiment, TIMES, []), TIMES)
+    reference = reference_states(experiment.top, experiment.y0, TIMES)
+    errors = [distances(measure(rtol, 1)[0], reference).max() for rtol in (1e-4, 1e-7, 1e-10, 1e-13)]
+    assert all(coarse > 30.0 * fine for coarse, fine in itertools.pairwise(errors))
+    with pytest.raises(NoResultError, match="greater than or equal"):
+        measure(1e-16, 1)
 
 
-class Scripted:
-    """A competitor whose errors and times are given."""
-
-    name, kind, parameter, order = "scripted", "topcli", "h", 2
-
-    def __init__(self, errors: list[float], seconds: list[float], problem: Problem, patience: float = 1.0) -> None:
-        self.errors, self.spent, self.patience = errors, seconds, patience
-        self.reference = np.zeros((problem.intervals + 1, 6))
-        self.calls: list[int] = []
-
-    def rungs(self) -> Iterator[Rung]:
-        return (Rung(0.5**k, 2**k) for k in range(len(self.errors)))
-
-    def run(self, rung: Rung) -> FirstCall:
-        k = rung.steps.bit_length() - 1
-        if math.isnan(self.errors[k]):
-            raise NoResultError("fails at step 1 of 2")
-        states = self.reference.copy()
-        states[-1, 0] = self.errors[k]
-        return FirstCall(states, self.spent[k], 0.0)
-
-    def seconds(self, rung: Rung, calls: int) -> list[float]:
-        self.calls.append(rung.steps)
-        if len(self.calls) == 5:
-            raise NoResultError("its process died")
-        return [2.0, 1.0]
+def test_a_block_that_returns_early_is_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("topcli.schemes.any_top.taylor.MAX_EXPANSIONS", 3)
+    times = np.array([0.0, 50.0, 100.0])
+    with pytest.raises(NoResultError, match=r"returns after step \d+"):
+        measured(scheme_calls(experiment_of("taylor"), times, []), times)(1e-10, 1)
 
 
-def test_a_ladder_ends_at_round_off_and_not_before(short: Problem) -> None:
+@pytest.mark.parametrize("states", [np.zeros((20, 6)), np.full((21, 6), math.inf)])
+def test_states_are_complete_and_finite(states: np.ndarray) -> None:
+    with pytest.raises(NoResultError, match="not complete and finite"):
+        measured(lambda setting: lambda: states, TIMES)(0.1, 1)
+
+
+def test_an_adaptive_scheme_needs_a_tolerance() -> None:
+    adaptive = replace(experiment_of("hk").scheme, adaptive=True)
+    with pytest.raises(UsageError, match="no option tol or rtol"):
+        tolerance_option(adaptive)
+
+
+# measurements
+
+
+def made_up(errors: list[float], seconds: float = 1e-4, name: str = "made-up") -> Curve:
+    """Competitor with these errors at h = 1, 1/2, ...; nan fails, and inf is a failure of its code."""
+
+    def measure(setting: float, calls: int) -> tuple[Any, float]:
+        error = errors[round(-math.log2(setting))]
+        if math.isnan(error):
+            raise NoResultError("fails at step 1")
+        if math.isinf(error):
+            raise SchemeCodeError("its process died")
+        return np.full((1, 1), error), seconds
+
+    return Curve(name, "scheme", "h", [0.5**k for k in range(len(errors))], 1.0, measure)
+
+
+def test_a_ladder_ends_at_round_off_and_not_before() -> None:
     errors = [1.0, 2.0, 1.5, 1e-3, 1e-9, 1.2e-9, 0.9e-9, 1e-9, 1e-10]
-    mine = Scripted(errors, [1e-4] * len(errors), short)
-    standing = explore(mine, short, mine.reference, Effort(1.0, 1))
-    assert [rung.error for rung in standing.rungs] == errors[:7]
-    assert "round-off" in standing.ended
+    curve = made_up(errors)
+    curve.climb(np.zeros((1, 1)))
+    assert [point.error for point in curve.points] == errors[:7]
 
 
-def test_a_failing_setting_is_passed_over(short: Problem) -> None:
-    mine = Scripted([math.nan, 1e-2, 1e-3], [1e-4] * 3, short)
-    standing = explore(mine, short, mine.reference, Effort(1.0, 1))
-    assert standing.failed == [(1.0, "fails at step 1 of 2")]
-    assert [rung.error for rung in standing.rungs] == [1e-2, 1e-3]
+def test_a_ladder_ends_at_the_limit() -> None:
+    curve = made_up([0.1, 0.01], seconds=0.6)
+    curve.climb(np.zeros((1, 1)))
+    assert len(curve.points) == 1
 
 
-@pytest.mark.slow
-def test_a_step_that_cannot_be_compiled_stops_nothing_else(short: Problem) -> None:
-    def step(s: Any, h: float, p: Any) -> Any:
-        return print(s)
-
-    bad = replace(find_scheme("hk", "kowalevski"), name="bad", build=lambda top, options: Stepper(step, 6))
-    talk: list[str] = []
-    both = LineUp((bad, find_scheme("rk4", "kowalevski")), (), ())
-    result = bench(short, both, [], Effort(0.001, 1), on_message=talk.append)
-    assert "cannot be compiled" in result["competitors"][0]["broken"]
-    assert len(talk) == 1
-    assert talk[0].startswith("error: kowalevski_generic_hk: bad failed")
-    assert result["competitors"][1]["points"]
+def test_failures_stop_nothing_else() -> None:
+    """A setting that fails is passed over, failed code is named once, and useless points are not repeated."""
+    curves = [made_up([math.nan, 5.0, 1e-3]), made_up([1e-2, math.inf, 1e-3], name="dead"), made_up([1e-2])]
+    progress: list[tuple[int, int]] = []
+    errors = take_turns(curves, np.zeros((1, 1)), 4, lambda done, total: progress.append((done, total)))
+    assert errors == ["dead: its process died"]
+    assert curves[0].failure == "h=1 fails at step 1"
+    assert [[len(point.samples) for point in curve.points] for curve in curves] == [[0, 4], [4], [4]]
+    assert progress[-1] == (15, 15)
+    assert [row["seconds"] for row in point_rows(curves[:1], 2.0)] == [5e-5, 5e-5]
 
 
-def test_a_missing_peer_is_named(short: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    absent = Peer("absent", "not there", "topcli.no_such_module:variants", ("no_such_package_of_anybody",))
-    assert "no_such_package_of_anybody not installed" in missing(absent)
-    talk: list[str] = []
-    result = bench(short, choose(short, ("hk",)), [absent], Effort(0.001, 1), on_message=talk.append)
-    assert result["skipped_peers"] == [{"name": "absent", "reason": missing(absent)}]
-    assert talk == [f"kowalevski_generic_hk: peer absent is skipped: {missing(absent)}"]
+def test_decades_name_the_fastest_of_each_kind() -> None:
+    """Of at most that error: a faster point of a larger error does not count."""
+    points = [
+        {"scheme": None, "peer": None, kind: name, "setting": f"h={error}", "error": error, "seconds": seconds}
+        for name, kind, error, seconds in [
+            ("hk", "scheme", 2e-3, 1e-6), ("rk4", "scheme", 1e-4, 2e-6), ("hk", "scheme", 1e-5, 9e-6),
+            ("scipy", "peer", 1e-4, 8e-6), ("heyoka", "peer", 9e-5, 5e-6),
+        ]
+    ]  # fmt: skip
+    first, second, third, *others = decade_rows(points)
+    assert (first["best scheme"], first["best peer"], first["ratio"]) == ("rk4", "heyoka", 2.5)
+    assert second == {**first, "error": 1e-4}
+    assert (third["best scheme"], third["best peer"], third["ratio"]) == ("hk", None, None)
+    assert [row["error"] for row in others] == list(DECADES[3:])
+    assert answer_of([first, second, third]) == "2.5 to 2.5 times as fast as the best peer at 2 decades of error"
+    assert answer_of([third]) == "for an error of 1e-05 take hk with h=1e-05"
+    assert answer_of(others) == "no scheme reaches an error of 0.001"
+
+
+# peers
+
+PEER = """
+import os
+import numpy as np
+
+def start(experiment, times):
+    print("noise")
+    {start}
+    def prepare(tol):
+        {prepare}
+        return lambda: np.tile(experiment.y0, (len(times), 1)) + tol
+    return prepare
+"""
 
 
 @pytest.fixture
-def peer_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Peer]:
-    """Function that returns the peer of a file with this text."""
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+def peer_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Function that writes a peer, which is then the only one."""
+    monkeypatch.syspath_prepend(tmp_path)
 
-    def write(text: str) -> Peer:
-        (tmp_path / "peer_of_mine.py").write_text(text)
-        return Peer("mine", "", "peer_of_mine:variants", ("numpy",))
+    def write(start: str = "pass", prepare: str = "pass") -> None:
+        (tmp_path / "peer_of_mine.py").write_text(PEER.format(start=start, prepare=prepare))
+        import peer_of_mine  # pyright: ignore[reportMissingImports]
 
-    return write
+        monkeypatch.setitem(PEERS, "mine", Peer("numpy", peer_of_mine.start, [0.5, 0.25, 0.125]))
+
+    yield write
+    sys.modules.pop("peer_of_mine", None)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("text", "reason"),
+    ("text", "error", "settings"),
     [
-        ("import os, sys; print('no luck', file=sys.stderr, flush=True); os._exit(7)", "died with code 7: no luck"),
-        ("raise ImportError('wants gold\\nand more')", "ImportError: wants gold"),
-        ("print('noise')", "AttributeError: module 'peer_of_mine' has no attribute 'variants'"),
+        ({}, "", 3),
+        ({"prepare": "if tol < 0.2: raise ValueError('too small')"}, "", 2),
+        ({"prepare": "if tol < 0.4: os._exit(7)"}, "mine: its process died", 1),
+        ({"start": "raise ImportError('wants gold\\nand more')"}, "mine gave no result: tol=0.5 ImportError: wants", 0),
+        ({"start": "os._exit(7)"}, "mine: its process died", 0),
     ],
 )
-def test_a_peer_that_fails_is_named(short: Problem, peer_file: Callable[[str], Peer], text: str, reason: str) -> None:
-    talk: list[str] = []
-    result = bench(short, choose(short, ("hk",)), [peer_file(text)], Effort(0.001, 1), on_message=talk.append)
-    (failed,) = result["failed_peers"]
-    assert failed["name"] == "mine"
-    assert failed["reason"].endswith(reason)
-    assert "mine failed" in talk[0]
-    assert [row["name"] for row in result["competitors"]] == ["hk"]
-
-
-def test_states_of_a_peer_are_complete_and_finite() -> None:
-    problem = PeerProblem(TOPS["kowalevski"].new(), np.zeros(6), np.arange(3.0))
-    assert checked(np.zeros((3, 6)), problem).shape == (3, 6)
-    for shape, value, reason in (
-        ((2, 6), 0, "shape (2, 6)"),
-        ((3, 5), 0, "expected (3, 6)"),
-        ((3, 6), np.inf, "finite"),
-    ):
-        with pytest.raises(NoResultError, match=re.escape(reason)):
-            checked(np.full(shape, value), problem)
-
-
-def test_wrong_names_of_peers_are_refused() -> None:
-    assert [peer.name for peer in find_peers(["Heyoka", "scipy"])] == ["heyoka", "scipy"]
-    with pytest.raises(UnknownNameError, match="did you mean 'heyoka'"):
-        find_peers(["heyok"])
-    with pytest.raises(UsageError, match="named twice"):
-        find_peers(["scipy", "SciPy"])
-
-
-@pytest.mark.slow
-def test_scipy_as_a_peer(short: Problem) -> None:
-    """A peer that is always there, in its process: its errors fall with its tolerance, and its seconds are counted."""
-    result = bench(short, choose(short, ("rk4",)), find_peers(["scipy"]), Effort(0.02, 1))
-    rows = {row["name"]: row for row in result["competitors"]}
-    assert set(rows) == {"rk4", "scipy dop853", "scipy dop853 numba"}
-    for name in ("scipy dop853", "scipy dop853 numba"):
-        points = rows[name]["points"]
-        errors = [row["error"] for row in points]
-        assert len(errors) == 6
-        assert all(a > 5.0 * b for a, b in itertools.pairwise(errors[:4]))
-        assert min(errors) < 1e-11
-        assert all(row["seconds"] > 0.0 for row in points)
-    ours, theirs = (np.array([row["error"] for row in rows[name]["points"]]) for name in list(rows)[1:])
-    assert ours == pytest.approx(theirs, rel=0.2, abs=1e-12)  # the same method
-
-
-def test_a_rung_s_figures_are_those_of_its_samples(short: Problem) -> None:
-    """The process with the smallest median counts; times are per unit of simulated time."""
-    samples = [[8.0, 4.0, 7.0, 5.0], [3.0, 9.0, 2.0, 4.0], [6.0, 6.5, 5.5, 1.0]]
-    rung = Measured(Rung(0.25), 1e-3, 2e-4, {"energy": 3e-5, "gamma_sq": 4e-6}, 77.0, 88.0, samples)
-    untimed = Measured(Rung(0.5), 1e-2, 2e-3, {}, 77.0, 88.0)
-    one, other = as_rows(Measurements(Scripted([], [], short), [rung, untimed]), 10.0)
-    assert one["seconds"] == statistics.median(samples[1]) / 10.0
-    assert one["fastest"] == 0.2
-    assert one["quartiles"] == pytest.approx([q / 10.0 for q in (2.75, 5.25)])
-    assert one["repetitions"] == 4
-    assert one["processes"] == pytest.approx([statistics.median(process) / 10.0 for process in samples])
-    assert (one["value"], one["error"], one["final_error"], one["drift"]) == (0.25, 1e-3, 2e-4, 3e-5)
-    assert one["invariants"] == {"energy": 3e-5, "gamma_sq": 4e-6}
-    assert (other["seconds"], other["fastest"], other["quartiles"]) == (7.7, 7.7, [7.7, 7.7])
-    assert (other["repetitions"], other["processes"], other["drift"]) == (0, [], 0.0)
-
-
-PEER = """
-import numpy as np
-from topcli.studies.bench.peers import NoResultError, Variant, checked
-
-def variants(problem):
-    def prepare(value):
-        if value < 0.2:
-            raise NoResultError("too small")
-        def call():
-            y = np.tile(problem.y0, (len(problem.times), 1))
-            return checked(y + value, problem)
-        return call
-    return [Variant("mine still", "offset", [0.5, 0.25, 0.125], prepare)]
-"""
-
-
-@pytest.mark.slow
-def test_a_peer_is_a_function_and_one_entry(
-    short: Problem, peer_file: Callable[[str], Peer], monkeypatch: pytest.MonkeyPatch
+def test_peers_run_in_a_process_of_their_own(
+    peer_file: Callable[..., None], text: dict[str, str], error: str, settings: int
 ) -> None:
-    """``--against`` finds it, and its variants are measured in a process of its own."""
-    monkeypatch.setitem(PEERS, "mine", peer_file(PEER))
-    result = bench(short, choose(short, ("rk4",)), find_peers(["MINE"]), Effort(0.002, 1))
-    (mine,) = [row for row in result["competitors"] if row["name"] == "mine still"]
-    still = np.abs(reference_states(short.top, short.experiment.y0, short.times) - np.array(short.experiment.y0))
-    assert [row["value"] for row in mine["points"]] == [0.5, 0.25]
-    assert mine["failed"] == [{"value": 0.125, "reason": "too small"}]
-    assert all(row["error"] > still.max() - 0.5 for row in mine["points"])
-    assert mine["points"][0]["invariants"]["gamma_sq"] == pytest.approx(0.0, abs=1e-15)
-    assert all(row["peer"] is None or row["peer"]["name"] != "rk4" for row in result["decades"])
-    with pytest.raises(UnknownNameError, match="did you mean 'mine'"):
-        find_peers(["minee"])
+    """What they print, raise or break stays there and is reported."""
+    peer_file(**text)
+    report = bench("rk4", against=["mine"])
+    assert len(rows_of(report, "mine")) == settings
+    assert len(rows_of(report, "rk4")) > 3
+    assert report.code == (3 if error else 0)
+    assert [line.startswith(error) for line in report.errors] == [True] * bool(error)
+
+
+@pytest.mark.slow
+def test_scipy_as_a_peer(tmp_path: Path) -> None:
+    """Its errors fall with its tolerance; it knows the tops of plugins."""
+    report = bench("rk4", against=["scipy"])
+    errors = [row["error"] for row in rows_of(report, "scipy")]
+    assert all(coarse > 5.0 * fine for coarse, fine in itertools.pairwise(errors[:5]))
+    assert min(errors) < 1e-10
+    assert all(row["peer"] and row["seconds"] > 0.0 for row in rows_of(report, "scipy"))
+    assert "times as fast as the best peer" in report.answer
+
+
+def test_a_missing_peer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(
+        PEERS, "absent", Peer("no_such_package", lambda experiment, times: pytest.fail("it was prepared"), [])
+    )
+    report = bench("rk4", against=["absent"])
+    assert report.notes == ["peer absent is skipped: run pip install 'topcli[no_such_package]'"]
+    assert report.code == 0
+
+
+# the command and the figure
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    table_of("""
+hkk                        did you mean 'hk'
+hybrid --config euler_hk   does not fit top 'euler'
+exact                      is evaluated, not stepped
+rk4 --against heyok        did you mean 'heyoka'
+rk4 --set h=-0.1           runs backwards
+rk4 --budget 0             must be positive
+"""),
+)
+def test_mistakes_are_reported_with_a_correction(cli: Any, arguments: str, message: str) -> None:
+    failed = cli("bench", *arguments.split())
+    assert failed.code == 2
+    assert message in failed.err
+
+
+@pytest.mark.slow
+def test_all_schemes_of_a_top_take_part(cli: Any) -> None:
+    report = bench(budget=1e-4)
+    names = {row["scheme"] for row in report.tables[1].rows}
+    assert {"hk", "taylor", "backlund:nodes=exact", "hk+kahan-li6", "splitting+kahan-li8"} <= names
+    assert names.isdisjoint({"exact", "dop853"})
+    assert any(note.startswith("backlund:nodes=exact: times leave out ") for note in report.notes)
+
+
+def test_the_figure_has_a_panel_for_each_stored_report(in_tmp: Path) -> None:
+    with pytest.raises(NothingMeasuredError, match=r"--save results/bench/NAME\.json"):
+        work_precision()
+    Path("results/bench").mkdir(parents=True)
+    report = bench("hk", "rk4")
+    report.save("results/bench/one.json")
+    bench("hk", config="euler_hk").save("results/bench/two.json")
+    columns = work_precision()
+    points = report.tables[-1].rows
+    assert columns["kowalevski_generic_hk|error"].tolist() == [row["error"] for row in points]
+    canvas = Canvas()
+    draw_work_precision(canvas, columns)
+    assert [len(axes.lines) for axes in canvas.axes] == [len(report.plot().lines), 1]
+    for line in canvas.axes[0].lines:
+        errors, times = np.array(line.get_xydata()).T
+        assert (np.diff(errors) < 0.0).all()
+        assert (np.diff(times) > 0.0).all()

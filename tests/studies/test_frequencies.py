@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -12,12 +13,11 @@ import pytest
 import topcli
 from conftest import Said
 from sweeping import measured
-from topcli.analysis.frequencies import agreement_digits, rotation_number, strongest_line, weighted_mean
+from topcli.analysis.frequencies import agreement_digits, rotation_number, strongest_line
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-NAN = math.nan
 
 
 def config(kind: str, scheme: str, N: int, omega: list[float], **more: Any) -> dict[str, Any]:
@@ -26,48 +26,22 @@ def config(kind: str, scheme: str, N: int, omega: list[float], **more: Any) -> d
 
 
 def columns_of(**options: Any) -> dict[str, dict[str, Any]]:
-    return {row["name"]: row for row in topcli.frequencies(**options).study["columns"]}
+    return {row["column"]: dict(row) for row in topcli.frequencies(**options).tables[0].rows}
 
 
 # the functions
 
 
-@pytest.mark.parametrize("frequency", [0.1 * GOLDEN, 0.5 * GOLDEN, 0.4 + 1e-3 * GOLDEN])
-def test_frequency_and_amplitude_of_a_line_among_weaker_ones(frequency: float) -> None:
-    n = np.arange(4001)
-    rows = 5.0 + 3.0 * np.cos(2.0 * np.pi * frequency * n + 1.0) + 2.0 * np.sin(2.0 * np.pi * 0.2371 * n)
-    line = strongest_line(rows)
-    assert line.frequency == pytest.approx(frequency, abs=1e-15)
-    assert line.amplitude == pytest.approx(3.0, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("rows", "frequency"),
-    [
-        (np.full(100, 0.1), 0.0),
-        (0.1 + 1e-17 * (-1.0) ** np.arange(100) * np.arange(100), 0.0),
-        (np.zeros(100), 0.0),
-        (np.arange(15.0), NAN),
-        (np.r_[np.arange(99.0), NAN], NAN),
-    ],
-    ids=["constant", "round-off", "zero", "short", "nan"],
-)
-def test_columns_without_a_line(rows: np.ndarray, frequency: float) -> None:
-    assert strongest_line(rows).frequency == pytest.approx(frequency, nan_ok=True)
-    expected = 16.0 if frequency == 0.0 else NAN
-    assert float(agreement_digits(rows)) == pytest.approx(expected, nan_ok=True)
-
-
-def test_weighted_average_converges_faster_than_any_power() -> None:
-    """The mean of cos over a turn is 0, and that of exp(cos) is I0(1)."""
-
-    def error(m: int) -> float:
-        return abs(float(weighted_mean(np.exp(np.cos(GOLDEN * np.arange(m) + 0.3)))) - float(np.i0(1.0)))
-
-    assert error(100) > 1e-7
-    assert error(4000) < 3e-15
-    plain = np.exp(np.cos(GOLDEN * np.arange(4000) + 0.3)).mean() - np.i0(1.0)
-    assert abs(plain) > 1e-5  # the ordinary mean
+def test_columns_without_a_line() -> None:
+    jitter = 0.1 + 1e-17 * (-1.0) ** np.arange(100)
+    for rows, frequency, digits in (
+        (jitter, 0.0, 16.0),
+        (np.zeros(100), 0.0, 16.0),
+        (np.arange(15.0), math.nan, math.nan),
+        (np.r_[np.arange(99.0), math.nan], math.nan, math.nan),
+    ):
+        assert strongest_line(rows).frequency == pytest.approx(frequency, nan_ok=True)
+        assert float(agreement_digits(rows)) == pytest.approx(digits, nan_ok=True)
 
 
 def test_digits_count_the_agreement_of_the_halves() -> None:
@@ -77,24 +51,24 @@ def test_digits_count_the_agreement_of_the_halves() -> None:
     rows = np.stack([wave, wave + 1e-5 * jump, wave + 1e-9 * jump, 1.0 * jump])
     assert agreement_digits(rows)[1:] == pytest.approx([5.0, 9.0, 0.0], abs=0.05)
     assert agreement_digits(rows)[0] > 12.0
-    for factor, offset in ((1e8, 0.0), (1.0, 10.0), (1.0, -1e4), (1e-3, 5.0)):
-        assert agreement_digits(factor * rows + offset)[1:3] == pytest.approx([5.0, 9.0], abs=0.05)
-    assert math.isnan(agreement_digits(np.append(wave, math.inf)))
+    assert agreement_digits(1e-3 * rows + 5.0)[1:3] == pytest.approx([5.0, 9.0], abs=0.05)
 
 
-@pytest.mark.parametrize("cycles", [0.05, 0.3, 0.7, 1.0, 1.4, 1.9, 2.3, 2.6, 3.0, 5.0, 12.0])
+def test_frequency_and_amplitude_of_a_line_beside_a_weaker_one() -> None:
+    n, frequency = np.arange(4001), 0.4 + 1e-3 * GOLDEN
+    rows = 5.0 + 3.0 * np.cos(2.0 * np.pi * frequency * n + 1.0) + 2.0 * np.sin(2.0 * np.pi * 0.2371 * n)
+    line = strongest_line(rows)
+    assert (line.frequency, line.amplitude) == pytest.approx((frequency, 3.0), rel=1e-12)
+
+
+@pytest.mark.parametrize("cycles", [0.05, 0.7, 1.4, 2.3, 2.6, 5.0])
 def test_a_frequency_is_right_or_none(cycles: float) -> None:
     """Of slow waves the spectrum has its peak at 1.2 cycles over the rows or more, whatever their frequency."""
     m, random = 1000, np.random.default_rng(23)
     for phase, offset in zip(random.uniform(0.0, 7.0, 20), random.normal(size=20), strict=True):
         line = strongest_line(offset + np.cos(2.0 * np.pi * cycles * np.arange(m) / m + phase))
-        if cycles < 2.4:
-            assert math.isnan(line.frequency)
-            assert math.isnan(line.amplitude)
-        else:
-            assert line.frequency * m == pytest.approx(cycles, rel=0.01)  # 0.003 at 2.6 cycles
-            assert line.amplitude == pytest.approx(1.0, rel=0.01)
-    assert math.isnan(strongest_line(np.linspace(0.0, 1.0, m)).frequency)
+        expected = (math.nan, math.nan) if cycles < 2.4 else (cycles, 1.0)
+        assert (line.frequency * m, line.amplitude) == pytest.approx(expected, rel=0.01, nan_ok=True)
 
 
 def test_rotation_number_has_the_sense_of_the_rotation() -> None:
@@ -103,7 +77,6 @@ def test_rotation_number_has_the_sense_of_the_rotation() -> None:
     for sign in (1, -1):
         assert rotation_number(np.cos(angle), np.sin(sign * angle)) == pytest.approx(sign * 0.1 * GOLDEN, abs=1e-15)
     assert math.isnan(rotation_number(np.r_[np.ones(99), math.inf], np.ones(100)))
-    assert math.isnan(rotation_number(np.ones(16), np.ones(16)))
 
 
 # exact frequencies
@@ -112,9 +85,8 @@ def test_rotation_number_has_the_sense_of_the_rotation() -> None:
 def test_frequencies_of_the_euler_top() -> None:
     orbit = config("euler", "exact", 1 << 14, [1.0, 0.5, 1.0], A=2.0, B=3.0, C=4.0)
     exact = topcli.motion(orbit)["frequency"]
-    rows = columns_of(config=orbit, component=["omega1", "omega2", "omega3"], angle=["omega1,omega2"])
+    rows = columns_of(config=orbit, component=["omega1", "omega3"], angle=["omega1,omega2"])
     assert rows["omega1"]["frequency"] == pytest.approx(exact, rel=1e-12)
-    assert rows["omega2"]["frequency"] == pytest.approx(exact, rel=1e-12)
     assert rows["omega3"]["frequency"] == pytest.approx(2.0 * exact, rel=1e-12)
     assert abs(rows["angle of omega1, omega2"]["frequency"]) == pytest.approx(exact, rel=1e-12)
     assert min(row["digits"] for row in rows.values()) > 14.0
@@ -129,17 +101,9 @@ def test_frequencies_of_the_lagrange_top() -> None:
     assert rows["angle of a1, a2"]["frequency"] == pytest.approx(exact["frequency.precession"], rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("omega", "lines"),
-    [
-        ([2.0, 1.0, 1.0], {"omega1": (0, 1), "gamma2": (0, 1), "gamma3": (1, 1)}),
-        ([0.3, 0.2, 1.5], {"omega3": (0, 1), "gamma1": (1, 2), "gamma3": (1, 1)}),
-        ([1.1, 0.5, 0.7], {"omega1": (0, 2), "omega2": (0, 1), "gamma3": (1, 1)}),
-    ],
-)
-def test_frequencies_of_the_kowalevski_top(omega: list[float], lines: dict[str, tuple[int, int]]) -> None:
+def test_frequencies_of_the_kowalevski_top() -> None:
     """Every line is a sum of multiples of the two frequencies of the torus."""
-    orbit = config("kowalevski", "taylor", 1 << 16, omega)
+    orbit, lines = config("kowalevski", "taylor", 1 << 14, [1.1, 0.5, 0.7]), {"omega1": (0, 2), "gamma3": (1, 1)}
     exact = topcli.motion(orbit)
     rows = columns_of(config=orbit, component=list(lines))
     for name, (first, second) in lines.items():
@@ -150,53 +114,29 @@ def test_frequencies_of_the_kowalevski_top(omega: list[float], lines: dict[str, 
 # the study and the measures
 
 
-BLOWS_UP = ("--set", "scheme=rk2", "--set", "h=3", "--set", "N=2000")
+def test_an_orbit_that_blows_up_has_no_frequencies() -> None:
+    report = topcli.frequencies("kowalevski_hk", ["scheme=rk2", "h=3", "N=2000"], component=["omega1"])
+    assert (report.code, report.tables[0].rows) == (1, [])
+    assert report.errors[0].startswith("no frequencies: the run blew up at step 9")
 
 
-def test_an_orbit_that_blows_up_has_no_frequencies(cli: Callable[..., Said]) -> None:
-    arguments = ("frequencies", "kowalevski_hk", *BLOWS_UP, "--component", "omega1", "--angle", "gamma1,gamma2")
-    said = cli(*arguments)
-    assert said.code == 1
-    assert "error: no frequencies: the run blew up at step 9" in said.err
-    assert said.out.count("–") == 10
-    said = cli(*arguments, "--json")
-    assert said.code == 1
-    assert said.json()["outcome"] == "blew_up"
-    for row in said.json()["columns"]:
-        assert set(row.values()) == {row["name"], None}
-
-
-def test_command_prints_what_the_function_returns(cli: Callable[..., Said]) -> None:
-    """Twelve digits of a frequency, and a quantity that is not a number."""
-    formula = "output.quantities={bad: log(omega1 - 10), twice: 2*omega2}"
-    arguments = ("frequencies", "euler_hk", "--set", "scheme=exact", "--set", formula)
-    rows = {row["name"]: row for row in cli(*arguments, "--json").json()["columns"]}
-    assert list(rows)[-2:] == ["bad", "twice"]
-    assert rows["bad"]["frequency"] is None
-    assert rows["twice"]["frequency"] == pytest.approx(rows["omega2"]["frequency"], rel=1e-12)
-    said = cli(*arguments)
-    assert said.code == 0
-    lines = (line.split() for line in said.out.splitlines())
-    printed = {line[0]: line[1] for line in lines if line and line[0] in rows}
-    assert printed == {name: f"{row['frequency']:.12g}" if row["frequency"] else "–" for name, row in rows.items()}
-
-
-def test_columns_that_are_too_slow_are_named(cli: Callable[..., Said]) -> None:
+def test_columns_that_are_no_numbers_or_too_slow_are_named(cli: Callable[..., Said]) -> None:
     """Waves of 1, 4 and 40 cycles in the run: no frequency, no change, and both."""
-    waves = ", ".join(
-        f"{name}: sin({2.0 * math.pi * cycles / 100.0!r}*t)" for name, cycles in (("a", 1), ("b", 4), ("c", 40))
-    )
-    options = ("--set", f"output.quantities={{{waves}}}", "--set", "h=0.1", "--set", "N=1000")
-    options = ("--set", "scheme=exact", *options)
-    arguments = ("frequencies", "euler_hk", *options, *(part for name in "abc" for part in ("--component", name)))
-    rows = {row["name"]: row for row in cli(*arguments, "--json").json()["columns"]}
+    waves = {name: f"sin({2.0 * math.pi * cycles / 100.0!r}*t)" for name, cycles in (("a", 1), ("b", 4), ("c", 40))}
+    quantities = ", ".join(f"{name}: {text}" for name, text in {**waves, "bad": "log(omega1 - 10)"}.items())
+    options = ("--set", f"output.quantities={{{quantities}}}", "--set", "h=0.1", "--set", "N=1000")
+    components = (part for name in ("a", "b", "c", "bad") for part in ("--component", name))
+    arguments = ("frequencies", "euler_hk", "--set", "scheme=exact", *options, *components)
+    rows = {row["column"]: row for row in cli(*arguments, "--json").json()["tables"][0]["rows"]}
     assert (rows["a"]["frequency"], rows["a"]["change"], rows["b"]["change"]) == (None, None, None)
+    assert set(rows["bad"].values()) == {"bad", None}
     assert rows["b"]["frequency"] == pytest.approx(0.04, rel=1e-3)
     assert abs(rows["c"]["change"]) < 1e-8
     said = cli(*arguments)
     assert said.code == 0
     assert "no frequency for a: fewer than 2.5 cycles in the run; take a longer one" in said.err
     assert "no change for a, b: fewer than 5 cycles in the run; take a longer one" in said.err
+    assert re.search(rf"^c +{rows['c']['frequency']:.12g} ", said.out, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

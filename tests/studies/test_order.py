@@ -2,171 +2,103 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+import topcli
 from cases import table_of
-from conftest import GEN, Said
-from topcli.analysis.order import convergence, judge_order
+from conftest import Said
 from topcli.analysis.reference import reference_states
-from topcli.engine.collect import orbit
-from topcli.errors import UsageError
-from topcli.schemes.registry import find_scheme
-from topcli.studies.order import FALSE
-from topcli.studies.order_ladders import DEFAULT, ladders, order_study
+from topcli.studies.entries import scene_of
+from topcli.studies.report import Report
 from topcli.tops.kowalevski import Kowalevski
 
 
-def names(what: Any) -> list[str]:
-    return [scheme.name for scheme in what.schemes]
-
-
-def test_the_default_is_the_generic_motion_under_six_schemes() -> None:
-    what = ladders(())
-    assert names(what) == list(DEFAULT)
-    assert what.problem.experiment.y0 == pytest.approx(GEN)
-    assert (what.problem.duration, what.left_out, what.sizes) == (10.0, (), ())
-
-
-@pytest.mark.parametrize(
-    ("schemes", "form"),
-    table_of("""
-hk             kowalevski
-bs             lagrange/inertial
-HK bohlin-a    kowalevski
-hk bs          lagrange/inertial
-hk bs-implicit  euler
-hk+kahan-li8   kowalevski
-"""),
-)
-def test_the_scene_is_that_of_a_top_which_all_schemes_fit(schemes: str, form: str) -> None:
-    what = ladders(schemes.split())
-    assert what.problem.top.form == form
-    assert names(what) == schemes.lower().split()
-
-
-@pytest.mark.slow
-def test_top_and_config_choose_the_scene_and_the_duration() -> None:
-    euler = ladders((), top="EULER")
-    assert euler.problem.top.form == "euler"
-    assert {"hk", "rk4", "bs"} <= set(names(euler))
-    assert not {"dop853", "taylor", "exact"} & set(names(euler))
-    own = ladders(["hk"], config="kowalevski_hk", sets=["N=100", "h=0.25"])
-    assert own.problem.duration == 25.0
-    assert ladders(["hk"], config="kowalevski_hk", duration=3.0).problem.duration == 3.0
-    assert ladders(["hk"], top="heavy").problem.top.form == "heavy"
-
-
-@pytest.mark.parametrize(
-    ("schemes", "options", "message"),
-    table_of("""
-hkk     {}  unknown scheme 'hkk'; did you mean 'hk'
-bs      {"top": "kowalevski"}  scheme 'bs' does not fit top 'kowalevski'
-hk      {"top": "eulr"}  --top: no scene for the top 'eulr'; did you mean 'euler'
-hk      {"top": "euler", "config": "euler_hk"}  --top and --config both choose the scene
-dop853  {}  no scheme has an order that can be observed: dop853: it chooses its steps by a tolerance
-hk hk   {}  scheme 'hk' is named twice
-hk      {"sizes": [0.6]}  --h 0.6: must be positive and at most 0.5
-hk      {"duration": -1.0}  the duration -1 must be positive
-hk      {"config": "kowalevski_hk", "sets": ["h=-0.1"]}  must be positive; give another with --duration
-"""),
-)
-def test_wrong_choices_are_named(schemes: str, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        ladders(schemes.split(), **options)
-
-
-def test_a_scheme_without_an_order_is_left_out_beside_others() -> None:
-    what = ladders(["hk", "dop853"])
-    assert names(what) == ["hk"]
-    assert what.left_out == (("dop853", "it chooses its steps by a tolerance, not by h"),)
-
-
-def test_given_sizes_become_steps_that_divide_the_interval() -> None:
-    what = ladders(["hk"], sizes=[0.05, 0.03, 0.5, 0.0501])
-    assert [rung.value for rung in what.rungs] == [0.5, 0.05, 0.5 / 17]
-    assert [rung.steps for rung in what.rungs] == [1, 10, 17]
+def points_of(report: Report, scheme: str) -> dict[float, float]:
+    """Errors of a scheme by step size."""
+    return {row["h"]: row[scheme] for row in report.tables[1].rows if scheme in row}
 
 
 def test_errors_are_those_of_plain_runs() -> None:
-    what = ladders(["hk", "rk4"], sizes=[0.1, 0.05, 0.025], duration=4.0)
-    study = order_study(what)
-    top = Kowalevski()
+    sizes = [0.1, 0.05, 0.025]
+    report = topcli.order("hk", "rk4", overrides=["T=4"], sizes=sizes)
     times = np.linspace(0.0, 4.0, 21)
-    exact = reference_states(top, what.problem.experiment.y0, times)
-    for row, order in zip(study["schemes"], (2, 4), strict=True):
-        scheme = find_scheme(row["scheme"], "kowalevski")
-        assert [one["h"] for one in row["points"]] == [0.1, 0.05, 0.025]
-        for one in row["points"]:
-            stride = round(0.2 / one["h"])
-            method, y0 = scheme.build(top, scheme.options()), what.problem.experiment.y0
-            states = orbit(top, method, y0, 0.2 / stride, 20 * stride, stride).states
-            off = np.sqrt(((states - exact) ** 2).sum(axis=1))
-            assert one["error"] == pytest.approx(off.max(), rel=1e-9)
-            assert one["final_error"] == pytest.approx(off[-1], rel=1e-9)
-        logs = np.log([[one["h"], one["error"]] for one in row["points"]])
-        slope = np.polyfit(logs[:, 0], logs[:, 1], 1)[0]
+    for scheme, order in (("hk", 2), ("rk4", 4)):
+        points = points_of(report, scheme)
+        assert list(points) == sizes
+        for h, error in points.items():
+            run = topcli.simulate("kowalevski_generic_hk", scheme=scheme, h=h, T=4, output={"every": round(0.2 / h)})
+            exact = reference_states(Kowalevski(), run.states[0], times)
+            assert error == pytest.approx(np.linalg.norm(run.states - exact, axis=1).max(), rel=1e-9)
+        slope = np.polyfit(np.log(sizes), np.log(list(points.values())), 1)[0]
+        row = report.table.loc[scheme]
         assert row["order"] == pytest.approx(slope, rel=1e-12)
-        assert row["order"] == pytest.approx(order, abs=0.1)
-        assert row["declared_order"] == order
+        assert (row["declared_order"], row["verdict"], report.code) == (order, "as declared", 0)
+        assert abs(row["order"] - order) < 0.1
 
 
-def test_a_ladder_ends_at_the_number_of_steps() -> None:
-    (row,) = order_study(ladders(["hk"], steps=650))["schemes"]
-    assert [one["h"] for one in row["points"]] == [0.5 / 2**k for k in range(6)]
-    assert (row["plateau"], row["onset"]) == (None, None)
+def test_a_ladder_ends_at_the_number_of_steps_or_at_round_off() -> None:
+    report = topcli.order("hk", max_steps=650)
+    assert (report.tables[0].rows[0]["round-off"], report.tables[0].rows[0]["from h"]) == (None, None)
+    assert list(points_of(report, "hk")) == [0.5 / 2**k for k in range(6)]
+    (row,) = topcli.order("hk+kahan-li8").tables[0].rows
+    assert row["round-off"] < 1e-12
+    assert row["order"] == pytest.approx(8.0, abs=0.1)
 
 
-def fake_study(*arguments: object) -> dict[str, Any]:
-    points = [{"h": 0.1 / 2**k, "error": 0.01 / 4**k, "final_error": 0.1} for k in range(4)]
-    row = {"scheme": "hk", "declared_order": 2, "order": 2.0, "fitted": [0.0125, 0.025, 0.05], "plateau": None}
-    row |= {"verdict": "as declared", "why": ""}
-    row |= {"onset": None, "ended": "", "broken": None, "failed": [], "points": points}
-    return {"schema_version": 1, "name": "n", "top": "t", "duration": 1.0, "schemes": [row], "left_out": []}
+def test_sizes_are_those_that_are_given(cli: Callable[..., Said]) -> None:
+    said = cli("order", "hk", "--h", "0.05", "--h", "0.5", "--json")
+    assert [row["h"] for row in said.json()["tables"][1]["rows"]] == [0.5, 0.05]
+    said = cli("order", "hk", "--h", "0.05")
+    assert said.err.splitlines()[0] == "hk: order undecided: fewer than three step sizes have errors above round-off"
 
 
-@pytest.mark.slow
-def test_only_the_default_study_is_stored(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topcli.studies.order_ladders.order_study", fake_study)
-    for arguments in (("hk",), ("--duration", "5"), ("--h", "0.1"), ("--max-steps", "100"), ("--top", "kowalevski")):
-        assert cli("order", *arguments).code == 0
-        assert not Path("results").exists()
-    said = cli("order")
-    assert said.err == "wrote results/order/order.json\n"
-    stored = json.loads(Path("results/order/order.json").read_text())
-    assert stored["schemes"] == fake_study()["schemes"]
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    table_of("""
+hkk     unknown scheme 'hkk'; did you mean 'hk'
+dop853  no scheme has an order that can be observed: dop853: it chooses its steps by a tolerance
+hk hk   scheme 'hk' is named twice
+hk --h 0.6       --h 0.6: must divide 0.5, the time between comparisons; give for example 0.5
+hk --h -0.1      --h -0.1: must divide 0.5
+hk --set T=-1    T/h = -1/0.01 = -100 steps; must be from 1
+hk --set h=0.1   --set h=0.1: the step sizes of this study are given by --h
+hk:branch=sign   hk:branch=sign: --set scheme.branch=sign: scheme.branch: unknown key
+"""),
+)
+def test_wrong_choices_are_named(cli: Callable[..., Said], arguments: str, message: str) -> None:
+    said = cli("order", *arguments.split())
+    assert said.code == 2
+    assert message in said.err
 
 
-def test_failures_and_changed_sizes_are_reported(cli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    study = fake_study()
-    monkeypatch.setattr("topcli.studies.order_ladders.order_study", lambda *arguments: study)
-    said = cli("order", "hk", "--h", "0.03", "--h", "0.05")
-    assert said.err == "h = 0.03 becomes 0.0294118, so that the time between comparisons, 0.5, is a multiple of h\n"
-    study["schemes"] = [{**study["schemes"][0], "scheme": name, "why": "too few"} for name in ("hk", "rk4")]
-    assert cli("order", "hk", "rk4").err == "hk, rk4: order undecided: too few\n"
-    study["schemes"] = fake_study()["schemes"]
-    study["schemes"][0]["failed"] = [{"h": 0.2, "reason": "fails at step 3 of 50"}]
-    study["schemes"][0]["points"][0]["error"] = None
-    study["left_out"] = [{"scheme": "dop853", "reason": "has no h"}]
-    said = cli("order", "hk", "-v")
-    assert said.code == 0
-    assert said.err.splitlines() == [
-        "dop853 is left out: has no h",
-        "hk: 1 of its step sizes gave no result; h = 0.2 fails at step 3 of 50",
-    ]
-    assert said.out.splitlines()[-4].split() == ["0.1", "nan"]
-    study["schemes"][0]["points"] = []
-    assert cli("order", "hk").code == 1
-    study["schemes"][0]["broken"] = "cannot be compiled"
-    said = cli("order", "hk")
-    assert (said.code, said.err.splitlines()[-1]) == (2, "error: hk: cannot be compiled")
+@pytest.mark.parametrize(
+    ("schemes", "scene"),
+    table_of("""
+hk             kowalevski_generic_hk
+bs             lagrange_bs
+hk bs          lagrange_bs
+hk bs-implicit  euler_hk
+"""),
+)
+def test_the_scene_is_that_of_a_top_which_all_schemes_fit(schemes: str, scene: str) -> None:
+    assert scene_of(schemes.split()) == scene
+
+
+def test_a_scheme_without_an_order_is_left_out_beside_others(cli: Callable[..., Said]) -> None:
+    said = cli("order", "hk", "dop853", "--max-steps", "1000")
+    assert said.err == "dop853 is left out: it chooses its steps by a tolerance, not by h\n"
+
+
+def test_the_config_chooses_the_schemes() -> None:
+    report = topcli.order(config="euler_hk", overrides=["T=1"], max_steps=100)
+    assert {"hk", "rk4", "bs"} <= set(report.table.index)
+    assert not {"dop853", "taylor", "exact"} & set(report.table.index)
 
 
 FILE = '''
@@ -245,28 +177,7 @@ def errors_of(said: Said) -> dict[str, str]:
     return {line.partition(":")[0].partition(" ")[0]: line.partition(": ")[2] for line in lines}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("form", ["kowalevski", "lagrange", "heavy"])
-def test_no_scheme_of_topcli_is_suspected(form: str) -> None:
-    """On its whole ladder each has its order; no part of a ladder refutes it, but the whole refutes the next order."""
-    study = order_study(ladders((), top=form, steps=20_000))
-    found = {row["scheme"]: row["verdict"] for row in study["schemes"] if row["declared_order"] is not None}
-    assert set(found.values()) == {"as declared"}, found
-    refuted = []
-    for row in study["schemes"]:
-        points = [(one["h"], one["error"]) for one in row["points"] if one["error"] is not None]
-        for stride in (1, 2):
-            for i in range(len(points)):
-                for j in range(i + 3, len(points) + 1):
-                    part = convergence(*zip(*points[i:j:stride], strict=True))
-                    assert judge_order(row["declared_order"], part, 1.0)[0] not in FALSE, (row["scheme"], i, j, stride)
-        whole = convergence(*zip(*points, strict=True))
-        if row["declared_order"] > 1:  # errors of order 1 stay too large on this ladder to refute order 2
-            refuted.append(judge_order(row["declared_order"] + 1, whole, 1.0)[0] in FALSE)
-    assert sum(refuted) >= len(refuted) - 1  # a ladder of few rungs above round-off may leave it open
-
-
-SHORT = ("--duration", "2", "--max-steps", "2000")
+SHORT = ("--set", "T=2", "--max-steps", "2000")
 
 
 def test_order_reports_false_declarations(own: Callable[..., Said]) -> None:
@@ -278,7 +189,7 @@ def test_order_reports_false_declarations(own: Callable[..., Said]) -> None:
         "inconsistent": "the observed order 0.00 is below the declared order 2: "
         "its step is not consistent with the equations of motion",
     }
-    rows = [line.split()[:5] for line in said.out.splitlines()[4:9]]
+    rows = [line.split()[:5] for line in said.out.splitlines()[5:10]]
     assert [row[0] + " " + row[3] for row in rows] == [
         "honest as",
         "modest as",
@@ -296,9 +207,11 @@ def test_order_goes_on_without_code_that_fails(own: Callable[..., Said], schemes
     assert said.code == code
     found = errors_of(said)
     assert set(found) == set(PLACES) & set(schemes)
-    assert {name: text for name, text in found.items() if not text.startswith(PLACES[name])} == {}
-    verdicts = {line.split()[0]: line.split()[3] for line in said.out.splitlines()[4 : 4 + len(schemes)]}
-    assert verdicts == {name: "–" if name in PLACES else "as" for name in schemes}
+    assert all(found[name].startswith(PLACES[name]) for name in found)
+    verdicts = {
+        row["scheme"]: row["verdict"] for row in own("order", *schemes, *SHORT, "--json").json()["tables"][0]["rows"]
+    }
+    assert verdicts == {name: "failed" if name in PLACES else "as declared" for name in schemes}
 
 
 @pytest.mark.slow
@@ -312,30 +225,10 @@ def test_compare_goes_on_without_code_that_fails(own: Callable[..., Said]) -> No
         ("badbuild", "badstep", "raising"), True
     )
     document = own(*command, *settings, "--json").json()
-    assert [one["label"] for one in document["schemes"]] == ["hk", "honest"]
-    assert [one["label"] for one in document["failed"]] == ["badbuild", "badstep", "raising"]
+    assert [row["scheme"] for row in document["tables"][0]["rows"]] == ["hk", "honest"]
+    assert [line.partition(":")[0] for line in document["errors"]] == ["badbuild", "badstep", "raising"]
     alone = own("compare", "badbuild", "badstep", *settings)
     assert (alone.code, alone.err) == (2, f"error: {PLACES['badbuild']}\n")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", ["backwards", "delone"])
-def test_stress_reports_false_declarations(own: Callable[..., Said], case: str) -> None:
-    """In any case that asks for the order; a lost order of a true declaration is no such report."""
-    said = own("stress", "honest", "modest", "false3", "false2", "inconsistent", "--case", case, "--json")
-    assert said.code == 4
-    trials = {one["scheme"]: one for one in said.json()["trials"]}
-    assert {name: (one["outcome"], one["verdict"]) for name, one in trials.items()} == {
-        "honest": ("held", "ok"),
-        "modest": ("held", "ok"),
-        "false3": ("broke", "unexplained"),
-        "false2": ("broke", "unexplained"),
-        "inconsistent": ("broke", "unexplained"),
-    }
-    assert trials["false3"]["why"] == "on a generic motion the observed order 2.00 is below the declared order 3"
-    assert trials["false2"]["why"] == "on a generic motion the observed order 1.00 is below the declared order 2"
-    said = own("stress", "bohlin-a", "--case", "strong-gravity", "--json")  # order 0.32 at these steps
-    assert [(one["outcome"], said.code) for one in said.json()["trials"]] == [("degraded", 0)]
 
 
 @pytest.mark.slow
@@ -343,7 +236,7 @@ def test_stress_reports_false_declarations(own: Callable[..., Said], case: str) 
 def test_stress_goes_on_without_code_that_fails(own: Callable[..., Said], schemes: list[str], code: int) -> None:
     said = own("stress", *schemes, "--case", "one-step", "--case", "delone", "--json")
     assert said.code == code
-    trials = said.json()["trials"]
+    trials = said.json()["tables"][0]["rows"]
     assert len(trials) == 2 * len(schemes)
     for one in trials:
         failed = one["scheme"] in ("badbuild", "badstep") or (one["scheme"], one["case"]) == ("raising", "delone")

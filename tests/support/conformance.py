@@ -1,7 +1,4 @@
-"""Requirements of every scheme beside ``topcli.analysis.conformance``: its choices, compositions and observed order.
-
-See ``test_conformance`` for the bounds and for the methods without the traits, which the same measures condemn.
-"""
+"""Schemes to try: with all choices of their options, composed, and in exact arithmetic."""
 
 from __future__ import annotations
 
@@ -13,24 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from conftest import GEN
 from steppers import physical
-from topcli.analysis.order import observed_order
-from topcli.analysis.reference import reference_states
 from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
-from topcli.engine.collect import orbit
 from topcli.engine.numbers import Numbers, precise_top, rationals
 from topcli.errors import UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, obstacle
-
-LADDERS = {
-    4: (2.0, (40, 57, 80, 113, 160, 226, 320)),
-    6: (2.0, (16, 20, 25, 32, 40, 50, 64, 80)),
-    8: (4.0, (6, 8, 10, 12, 14, 17, 20, 24, 28, 34)),
-}
-"""Durations and numbers of steps of compositions, whose errors fall from 1e-3 to round-off."""
-FINER = ("dmv", "splitting")
-"""Bases whose compositions need shorter steps: dmv has none beyond |h omega| of about 1, and some stages are longer."""
 
 
 @dataclass(frozen=True)
@@ -86,34 +70,6 @@ def subjects(scheme: Scheme, tops: Sequence[Top], compositions: Sequence[str] = 
     """The scheme with all choices of its options on these tops, and composed, on the first one."""
     alone = [Subject(scheme, top, options) for top in tops for options in choices(scheme, top)]
     return alone + [Subject(compose(scheme, COMPOSITIONS[name]), tops[0], scheme.options()) for name in compositions]
-
-
-def errors_after(top: Top, method: Method, duration: float, counts: Sequence[int], y0: Any = None) -> list[float]:
-    """Errors after ``duration`` of as many steps as ``counts`` say, each."""
-    y0 = GEN[: len(top.components)] if y0 is None else y0
-    exact = reference_states(top, y0, np.array([duration]))[0]
-    ends = [orbit(top, method, y0, duration / N, int(N), int(N)).states[-1] for N in counts]
-    return [float(np.linalg.norm(end - exact)) for end in ends]
-
-
-def order_of(
-    top: Top, method: Method, duration: float = 2.0, counts: Sequence[int] = (25 * 2 ** np.arange(7))
-) -> float:
-    """Observed order of convergence."""
-    order = observed_order([duration / N for N in counts], errors_after(top, method, duration, counts), 1e-12)
-    assert order is not None
-    return order
-
-
-def ladder(subject: Subject) -> dict[str, Any]:
-    """Duration and numbers of steps at which the order of a scheme is observed."""
-    if subject.stages == 1:
-        return {}
-    order, finer = subject.scheme.order, subject.scheme.name.startswith(FINER)
-    assert order is not None
-    duration, counts = LADDERS[order]
-    longer = 5 if order == 8 and len(subject.top.components) == 3 else 1  # free: errors need time to rise
-    return {"duration": duration * longer, "counts": [longer * N * (3 if finer else 2) // 2 for N in counts]}
 
 
 def named(top: Top, *names: str) -> list[Invariant]:

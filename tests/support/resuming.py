@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from conftest import ROOT
-from topcli.config.ensemble import EnsembleExperiment
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.runs.run import RunOptions, RunResult, run_experiment
@@ -30,7 +29,7 @@ def small(*overrides: str) -> Experiment:
     return load_experiment(HK, ["N=300", *overrides])
 
 
-def life(experiment: Experiment | EnsembleExperiment, out: Path, chunks: int = 10**9, kill: bool = False) -> RunResult:
+def life(experiment: Experiment, out: Path, chunks: int = 10**9, kill: bool = False) -> RunResult:
     """Run until ``chunks`` chunks are done, with a checkpoint after each; then stop, or raise Killed."""
     done = [0]
 

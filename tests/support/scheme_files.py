@@ -42,7 +42,6 @@ def tables() -> dict[str, Any]:
     from topcli.figures.catalogue import FIGURES
     from topcli.schemes.own_tops import ORIGINS
     from topcli.schemes.registry import SCHEMES, all_schemes
-    from topcli.studies.stress.cases import OWN
     from topcli.sweeps.measures import MEASURES
     from topcli.tops import TOPS
 
@@ -53,7 +52,6 @@ def tables() -> dict[str, Any]:
         "origins": ORIGINS,
         "files": plugins.FILES,
         "figures": FIGURES,
-        "cases": OWN,
         "measures": MEASURES,
     }
 

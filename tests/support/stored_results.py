@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
+import topcli
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.runs.run import run_experiment
-from topcli.studies.compare import COMPARE
-from topcli.studies.compare_runs import compare_schemes
-from topcli.studies.order_ladders import ladders, order_study
-from topcli.studies.stress.trials import stress, stress_data
 from topcli.sweeps.run import SweepOptions, run_sweep
 
 START = {"omega": [2, 0, 0], "gamma": ["auto", 0, 0.1]}
@@ -35,7 +31,6 @@ def store_euler(out: Path, name: str = "euler") -> Path:
 
 def store_ensemble(out: Path, name: str = "many", count: int = 12) -> Path:
     made = load({**BASE, "name": name, "scheme": "hk", "ensemble": {"random": {"count": count, "gamma": "sphere"}}})
-    assert not isinstance(made, Experiment)
     return run_experiment(made, out).stored.folder
 
 
@@ -47,16 +42,15 @@ def store_sweep(out: Path, name: str = "sweep") -> Path:
 
 
 def store_comparison(path: Path) -> Path:
-    found = compare_schemes(experiment("compared"), ["hk", "hk:h=0.02", "hybrid"])
-    return COMPARE.write(found, path)
+    topcli.compare("hk", "hk:h=0.02", "hybrid", config={**BASE, "name": "compared", "scheme": "hk"}).save(path)
+    return path
 
 
 def store_order(path: Path) -> Path:
-    what = ladders(["hk", "rk4"], config="euler_hk", duration=2.0, sizes=[0.1, 0.05, 0.025])
-    path.write_text(json.dumps(order_study(what)), encoding="utf-8")
+    topcli.order("hk", "rk4", config="euler_hk", overrides=["T=2"], sizes=[0.1, 0.05, 0.025]).save(path)
     return path
 
 
 def store_stress(path: Path) -> Path:
-    path.write_text(json.dumps(stress_data(stress(["hk", "backlund"], ["delone", "pole"]))), encoding="utf-8")
+    topcli.stress("hk", "backlund", case=["delone", "pole"]).save(path)
     return path

@@ -36,8 +36,8 @@ MANY = {
 }
 
 
-def sweep(out: Path, data: dict[str, Any] = DATA, backend: Any = None, **options: Any) -> SweepResult:
-    return run_sweep(load_sweep(data), out, SweepOptions(**options), backend)
+def sweep(out: Path, data: dict[str, Any] = DATA, **options: Any) -> SweepResult:
+    return run_sweep(load_sweep(data), out, SweepOptions(**options))
 
 
 def table(out: Path, name: str = "study") -> list[dict[str, Any]]:
@@ -46,10 +46,6 @@ def table(out: Path, name: str = "study") -> list[dict[str, Any]]:
 
 def with_grid(**grid: Any) -> dict[str, Any]:
     return {**DATA, "grid": {**DATA["grid"], **grid}}
-
-
-def without_origin(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [{key: value for key, value in row.items() if key not in ("row", "cpu", "scheme", "h")} for row in rows]
 
 
 class Measured(dict[str, Array]):
@@ -63,7 +59,8 @@ def measured(experiment: Experiment, names: Sequence[str], states: Any = None) -
     """Measures of runs from ``states``, by default from the initial state of the experiment."""
     measures = resolve_measures(names, experiment.top, experiment.scheme, experiment.options)
     states = np.array([experiment.y0] if states is None else states)
-    batch, faults = Measuring(experiment, measures, threads=1).finished(states), []
-    found = Measured(evaluate(measures, batch, lambda *fault: faults.append(fault)))
+    batch = Measuring(experiment, measures, threads=1).finished(states)
+    values, faults = evaluate(measures, batch)
+    found = Measured(values)
     found.batch, found.faults = batch, faults
     return found

@@ -1,13 +1,12 @@
-"""Measures of finished runs, against closed forms and against numbers worked out by hand."""
+"""Measures: their numbers against closed forms and single runs, their names, and what does not fit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from itertools import product
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -17,23 +16,16 @@ from cases import table_of
 from sweeping import measured
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Outcome, Stepper
-from topcli.engine.consumer import Consumer
-from topcli.engine.endings import Endings
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
-from topcli.errors import RunError
-from topcli.runs.references import REFERENCES
-from topcli.sweeps.batch import Measuring, evaluate
-from topcli.sweeps.measures import measure, resolve_measures
-from topcli.tops.euler import field
+from topcli.contracts import Array, Stepper
+from topcli.errors import RunError, UsageError
+from topcli.runs.references import REFERENCES, SharedReferences, reference_of
+from topcli.schemes.plugins import load_plugin_file
+from topcli.schemes.registry import find_scheme
+from topcli.sweeps.measures import MEASURES, fitting_measures, measure, measures_of_form, resolve_measures
+from topcli.tops.euler import Euler, field
+from topcli.tops.kowalevski import Kowalevski
 
-A, C = 2.0, 1.0
-
-
-OMEGA = (0.3, 0.4, 1.5)
-
-
+A, C, OMEGA = 2.0, 1.0, (0.3, 0.4, 1.5)
 SYMMETRIC = {"top": {"kind": "euler", "A": A, "B": A, "C": C}, "initial": {"omega": list(OMEGA)}}
 """A symmetric free top: omega1 + i omega2 turns about the axis at the rate (A - C)/A omega3."""
 
@@ -55,98 +47,34 @@ def precession(t: Array) -> Array:
 
 def test_swings_of_the_symmetric_top_come_once_per_period() -> None:
     period = 2.0 * math.pi / ((A - C) / A * OMEGA[2])
-    found = measured(symmetric("exact", 0.01, 5000), ["swings", "median_swing_spacing"])
+    found = measured(symmetric("exact", 0.01, 5000), ["swings", "median_swing_spacing", "first_swing_spacing"])
     assert found["median_swing_spacing"][0] == pytest.approx(period, rel=1e-7)
+    assert found["first_swing_spacing"][0] == pytest.approx(period, rel=1e-7)
     # omega2 sinks first at the phase -pi/2, which is reached at t = (pi/2 + arg) / rate
     first = (math.pi / 2.0 + math.atan2(OMEGA[1], OMEGA[0])) * period / (2.0 * math.pi)
     assert found["swings"][0] == math.floor((50.0 - first - period / 4.0) / period) + 1
+    few = measured(symmetric("exact", 0.01, 1000), ["swings", "median_swing_spacing", "first_swing_spacing"])
+    assert [float(values[0]) for values in few.values()] == pytest.approx([1.0, math.nan, math.nan], nan_ok=True)
 
 
-@pytest.mark.parametrize("h", [0.01, -0.01])
-def test_the_spacing_is_the_median_and_the_first_one_the_first(h: float) -> None:
-    """Dips at 1, 3, 4, 5.2: the spacings are 2, 1, 1.2; the second run has a single one, the third none."""
-    t = np.arange(0.0, 7.0, 0.01)
-
-    def dips(*places: float) -> Array:
-        return -np.exp(-((t[:, None] - np.array(places)) ** 2) / 0.005).sum(axis=1)
-
-    batch = recorded(
-        symmetric("rk4", h, len(t) - 1),
-        ["median_swing_spacing", "first_swing_spacing", "swings"],
-        np.stack([dips(1.0, 3.0, 4.0, 5.2), dips(1.0, 2.0), dips(3.0)]),
-        "omega2",
-    )
-    assert batch["swings"].tolist() == [4.0, 2.0, 1.0]
-    np.testing.assert_allclose(batch["median_swing_spacing"], [1.2, 1.0, math.nan], atol=1e-13)  # typically 2e-16
-    np.testing.assert_allclose(batch["first_swing_spacing"], [2.0, 1.0, math.nan], atol=1e-13)
-
-
-def recorded(
-    experiment: Experiment, names: Sequence[str], values: Array, component: str, pieces: int = 1
-) -> dict[str, Array]:
-    """Measures of made-up runs in which only ``component`` moves: ``values`` (runs, m)."""
-    measures = resolve_measures(names, experiment.top, experiment.scheme, experiment.options)
-    count, m = values.shape
-    states = np.zeros((count, m, len(experiment.top.components)))
-    states[:, :, experiment.top.components.index(component)] = values
-
-    def drive(plan: Plan, consumers: Sequence[Consumer], **options: Any) -> Any:
-        """What the driver does, for the made-up rows."""
-        for consumer in consumers:
-            consumer.begin(plan)
-        for rows in filter(len, np.array_split(np.arange(m), pieces)):
-            piece = Rows(plan, rows * plan.every, states[:, rows])
-            for consumer in consumers:
-                consumer.take(consumer.add(piece))
-        endings = Endings.of_none(count, plan.h)
-        endings.put(slice(None), Outcome.COMPLETED, plan.N, np.zeros((count, 0)))
-        last = {"last": states[:, -1], "last_n": np.full(count, plan.N)}
-        run: Any = SimpleNamespace(plan=plan, endings=endings, seconds=np.zeros(1), **last)
-        for consumer in consumers:
-            consumer.end(run)
-        return run
-
-    with patch("topcli.sweeps.batch.drive", drive):
-        return evaluate(measures, Measuring(experiment, measures, threads=1).finished(states[:, 0]))
-
-
-SLOPE = 3e-4
-
-
-def wavy(rows: int, h: float) -> Array:
-    """omega1 (1, rows) whose contribution A omega1² to m·omega has the slope SLOPE and a fast oscillation."""
-    t = h * np.arange(rows)
-    return np.sqrt((1.0 + SLOPE * t + 1e-3 * np.sin(40.0 * t)) / A)[None]
-
-
-def test_a_drift_averages_oscillations_out_and_knows_the_recorded_interval() -> None:
-    values = wavy(20_001, 0.1)
-    found = recorded(symmetric("rk4", 0.1, 20_000), ["drift.m_omega"], values, "omega1")
-    assert found["drift.m_omega"][0] == pytest.approx(SLOPE, rel=1e-4)
-    sparse = symmetric("rk4", 0.02, 100_000, output={"every": 5})
-    assert recorded(sparse, ["drift.m_omega"], values, "omega1")["drift.m_omega"][0] == pytest.approx(SLOPE, rel=1e-4)
-    backwards = recorded(symmetric("rk4", -0.1, 20_000), ["drift.m_omega"], values, "omega1")
-    assert backwards["drift.m_omega"][0] == pytest.approx(-SLOPE, rel=1e-4)
-
-
-def test_drifts_do_not_depend_on_the_pieces_in_which_rows_come() -> None:
-    values = wavy(3001, 0.1)
-    experiment = symmetric("rk4", 0.1, 3000)
-    names = ["drift.m_omega", "max_deviation.m_omega", "drift.m_sq", "max_error"]
-    whole = recorded(experiment, names, values, "omega1")
-    for pieces in (2, 7, 500):
-        cut = recorded(experiment, names, values, "omega1", pieces)
-        assert {name: cut[name].tobytes() for name in names} == {name: whole[name].tobytes() for name in names}
-
-
-@pytest.mark.parametrize("pieces", [1, 3, 21])
-def test_the_largest_error_may_lie_in_any_piece(pieces: int) -> None:
-    """A steady rotation is at rest, so the deviations of made-up rows are their errors."""
-    values = np.full((2, 21), 0.5)
-    values[0, 4], values[1, 15], values[:, 20] = 0.75, 0.125, 0.53125
-    found = recorded(symmetric("rk4", 0.1, 20), ["max_error", "final_error"], values, "omega1", pieces)
-    assert found["max_error"].tolist() == [0.25, 0.375]
-    assert found["final_error"].tolist() == [0.03125, 0.03125]
+def test_figures_of_columns_are_those_of_the_run() -> None:
+    run = topcli.simulate(symmetric("rk2", 0.1, 400).resolved())
+    energy, deviation = run["m_omega"], run["m_omega"] - run["m_omega"][0]
+    expected = {
+        "first.m_omega": energy[0],
+        "max_deviation.m_omega": np.abs(deviation).max(),
+        "rms_deviation.m_omega": np.sqrt((deviation**2).mean()),
+        "final_deviation.m_omega": deviation[-1],
+        "min.omega1": run["omega1"].min(),
+        "max.omega1": run["omega1"].max(),
+        "mean.m_omega": energy.mean(),
+    }
+    found = measured(symmetric("rk2", 0.1, 400), [*expected, "drift.m_omega", "frequency.omega1"])
+    assert {name: found[name][0] for name in expected} == pytest.approx(expected, rel=1e-13)
+    assert found["drift.m_omega"][0] == pytest.approx(np.polyfit(run.t, energy, 1)[0], rel=0.05)
+    assert found["frequency.omega1"][0] == pytest.approx((A - C) / A * OMEGA[2] / (2.0 * math.pi), rel=1e-3)
+    backwards = measured(symmetric("rk2", -0.1, 400), ["drift.m_omega"])["drift.m_omega"][0]
+    assert backwards == pytest.approx(np.polyfit(-run.t, energy, 1)[0], rel=0.05)
 
 
 def test_errors_are_distances_from_the_closed_form() -> None:
@@ -160,25 +88,6 @@ def test_errors_are_distances_from_the_closed_form() -> None:
     assert found["final_error"][0] > 1e-3
 
 
-def explicit_midpoint(y: Array, h: float) -> Array:
-    def field(w: Array) -> Array:
-        return np.array([(A - C) / A * w[1] * w[2], (C - A) / A * w[2] * w[0], 0.0])
-
-    return y + h * field(y + 0.5 * h * field(y))
-
-
-@pytest.mark.slow
-def test_the_reversal_is_the_defect_of_a_step_and_its_reverse() -> None:
-    h, N = 0.2, 320
-    run = topcli.simulate(symmetric("rk2", h, N).resolved())
-    probes = run.states[:: (N + 1) // 16][:16]
-    expected = max(np.abs(explicit_midpoint(explicit_midpoint(y, h), -h) - y).max() for y in probes)
-    assert one(symmetric("rk2", h, N), "reversal_defect") == pytest.approx(expected, rel=1e-9)
-    assert expected > 1e-5
-    assert one(symmetric("hk", h, N), "reversal_defect") < 1e-15
-    assert one(symmetric("rk2", -h, N), "reversal_defect") == pytest.approx(expected, rel=0.1)
-
-
 def one_way_step(y: Any, h: float, p: Any) -> Any:
     if h < 0.0 and y[0] > 0.5:
         return (math.nan, y[1], y[2])
@@ -186,36 +95,23 @@ def one_way_step(y: Any, h: float, p: Any) -> Any:
     return (y[0] + h * f[0], y[1] + h * f[1], y[2] + h * f[2])
 
 
-@pytest.fixture
-def one_way(own_registry: None) -> None:
+def test_the_reversal_is_the_defect_of_a_step_and_its_reverse(own_registry: None) -> None:
+    """A step of Euler's rule and back differs by h² y''; it is infinite where a step back fails."""
     traits = {"order": 1, "explicit": True, "self_adjoint": False, "citation": "none", "equations": "none"}
 
     @topcli.scheme("one-way", top="euler", title="Euler's rule", **traits)
     def build(top: Any, options: Any) -> Stepper:
-        """Euler's rule, which fails backwards where omega1 > 0.5."""
+        """Euler's rule."""
         return Stepper(one_way_step, 3)
 
-
-@pytest.mark.usefixtures("one_way")
-def test_a_reversal_that_fails_is_infinite_and_never_missing() -> None:
-    """Two of three trajectories cannot be stepped back."""
     base = {"top": {"kind": "euler", "A": A, "B": A, "C": C}, "scheme": "one-way", "h": 0.1, "N": 32}
     states = [(0.9, -0.4, 1.3), (0.2, 0.1, 0.3), (0.8, 0.1, 0.2)]
     experiment = load_experiment({**base, "initial": {"omega": list(states[0])}})
     found = measured(experiment, ["reversal_defect"], states)["reversal_defect"]
     assert np.isinf(found).tolist() == [True, False, True]
-    assert 1e-6 < found[1] < 1e-3
-
-
-def test_options_and_parameters_have_their_own_code() -> None:
-    """One after the other in one process, each equal to its run elsewhere."""
-    values = []
-    for overrides in (["scheme.tol=1e-6"], ["scheme.tol=1e-10"], ["top.c0=0.5"]):
-        experiment = load_experiment("kowalevski_hk", ["scheme=taylor", "N=200", "h=0.25", *overrides])
-        run = topcli.simulate(experiment.resolved())
-        values.append(one(experiment, "max_deviation.two_l"))
-        assert values[-1] == np.abs(run["two_l"] - run["two_l"][0]).max(), overrides
-    assert len(set(values)) == 3
+    rate, radius = (A - C) / A * 0.3, math.hypot(0.2, 0.1)
+    assert found[1] == pytest.approx(0.1**2 * rate**2 * radius, rel=0.1)
+    assert one(symmetric("hk", 0.2, 320), "reversal_defect") < 1e-15
 
 
 ALL = ["swings", "median_swing_spacing", "max_error", "final_error", "reversal_defect", "steps"]
@@ -284,6 +180,21 @@ def test_a_batch_has_the_bits_of_its_single_runs(scene: str, overrides: list[str
         assert np.isfinite(one[name][0]) or name == "median_swing_spacing"
 
 
+@pytest.mark.slow
+def test_growth_does_not_depend_on_the_place_in_the_batch() -> None:
+    """Chaotic and regular orbits; the tangent vector is the same for all."""
+    experiment = load_experiment("heavy_hk", ["N=5000", "h=0.2", "output.every=100"])
+    states = np.random.default_rng(1).normal(size=(23, 6))
+    states[:, 3:] /= np.linalg.norm(states[:, 3:], axis=1)[:, None]
+    together = measured(experiment, ["lyapunov", "chaotic"], states)
+    assert len(set(together["lyapunov"].tolist())) == 23
+    assert np.isin([0.0, 1.0], together["chaotic"]).all()
+    for size in (1, 9):
+        for name, values in together.items():
+            parts = [measured(experiment, [name], states[i : i + size])[name] for i in range(0, 23, size)]
+            np.testing.assert_array_equal(np.concatenate(parts), values)
+
+
 @pytest.fixture
 def lowest(own_registry: None) -> list[int]:
     """A measure like a plugin's, which cannot cope with runs that start above omega1 = 0.5."""
@@ -339,3 +250,93 @@ def test_an_error_without_a_reference_is_no_number(monkeypatch: pytest.MonkeyPat
         assert np.isnan(errors).tolist() == [True, False]
         assert errors[1] > 0.0
     assert batch.faults == {0: "cannot be followed"}
+
+
+def shared(monkeypatch: pytest.MonkeyPatch, max_bytes: int = 1 << 20) -> SharedReferences:
+    references = SharedReferences(max_bytes)
+    monkeypatch.setattr("topcli.runs.references.REFERENCES", references)
+    return references
+
+
+@pytest.mark.slow
+def test_a_reference_is_computed_once_for_all_schemes_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiments = [load_experiment("kowalevski_hk", [f"scheme={name}", "h=0.125", "N=80"]) for name in ("rk4", "hk")]
+    references = shared(monkeypatch)
+    errors = [one(experiment, "max_error") for experiment in experiments]
+    assert len(references._states) == 1
+    one(load_experiment("kowalevski_hk", ["h=0.0625", "N=160"]), "max_error")
+    assert len(references._states) == 2
+    small = shared(monkeypatch, 55)
+    assert [one(experiment, "max_error") for experiment in experiments] == errors
+    assert small._bytes == 0
+
+
+def test_a_closed_form_serves_only_its_own_tops() -> None:
+    top, exact = Euler(A=3.0, B=2.0, C=1.0), find_scheme("exact", "euler")
+    assert reference_of(Kowalevski(), judged=HK).closed_form is None
+    assert reference_of(top, judged=find_scheme("hk", "euler")).closed_form is not None
+    assert reference_of(top, judged=exact).closed_form is None
+
+
+HK = find_scheme("hk", "kowalevski")
+
+
+@pytest.mark.slow
+def test_every_measure_that_is_listed_for_a_top_can_be_resolved_and_evaluated() -> None:
+    for form, scene in (("kowalevski", "kowalevski_hk"), ("euler", "euler_hk"), ("lagrange", "lagrange_hk")):
+        overrides = ["h=0.1", "N=4000"]  # some oscillations, so that all have frequencies
+        if form != "euler":  # far from a separatrix, so that there is a verdict
+            overrides.append("initial.gamma=[0.6, 0.48, 0.64]")
+        experiment = load_experiment(scene, overrides)
+        fitting = [each.name for each in fitting_measures(experiment.top, experiment.scheme, experiment.options)]
+        assert set(fitting) <= {each.name for each in measures_of_form(form)}
+        found = measured(experiment, fitting)
+        assert list(found) == fitting
+        missing = [name for name, values in found.items() if not np.isfinite(values[0])]
+        assert set(missing) <= {"median_swing_spacing", "first_swing_spacing"}
+
+
+def test_names_of_a_plugin_are_checked(own_registry: None) -> None:
+    with pytest.raises(ValueError, match="'seconds': already registered by topcli"):
+        measure("seconds", summary="again")
+    for taken in ("row", "outcome", "h", "T", "top.c0", "initial.NAME", "scheme.tol", "sample"):
+        with pytest.raises(ValueError, match="a column of the results has this name already"):
+            measure(taken, summary="clash")
+    with pytest.raises(ValueError, match="no spaces"):
+        measure("two words", summary="odd")
+    with pytest.raises(ValueError, match="a family, and no other measure"):
+        measure("odd.NAME", summary="odd")
+    with pytest.raises(ValueError, match="a family, and no other measure"):
+        measure("odd", summary="odd", names=lambda top, scheme, options: ["a"])
+    measure("odd", summary="odd", needs=["gamma7"])(lambda batch: None)
+    with pytest.raises(UsageError, match="it needs 'gamma7', which top 'kowalevski' under scheme 'hk'"):
+        resolve_measures(["odd"], Kowalevski(), HK)
+
+
+FILE = """
+import topcli
+
+@topcli.measure("omega1.top", summary="largest omega1", unit="rate", needs=["omega1"])
+def largest(batch):
+    return batch.columns["omega1"].max(axis=1)
+
+@topcli.measure("last.NAME", summary="last value of NAME", needs=["states"],
+                names=lambda top, scheme, options: top.components)
+def last(batch, name):
+    return batch.states[:, -1, batch.experiment.top.components.index(name)]
+"""
+
+
+def test_measures_from_a_file(tmp_path: Path, own_registry: None) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(FILE)
+    load_plugin_file(path)
+    assert MEASURES["omega1.top"].origin == str(path)
+    experiment = load_experiment("kowalevski_hk", ["N=200", "h=0.01"])
+    found = measured(experiment, ["omega1.top", "last.gamma2", "last.omega3"])
+    assert found["omega1.top"][0] == max(found.batch.states[0, :, 0])
+    assert (found["last.gamma2"][0], found["last.omega3"][0]) == tuple(found.batch.last[0, [4, 2]])
+    with pytest.raises(
+        UsageError, match=r"unknown measure 'last.gamma4' of top 'kowalevski' under scheme 'hk'; did you mean"
+    ):
+        resolve_measures(["last.gamma4"], experiment.top, experiment.scheme)

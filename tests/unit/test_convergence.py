@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from cases import table_of
 from topcli.analysis.order import Convergence, convergence, is_consistent, judge_order, observed_order
 from topcli.analysis.roundoff import growth
 from topcli.contracts import Stepper
-from topcli.studies.roundoff import violations_of
 from topcli.tops.kowalevski import Kowalevski, field
 
 EPS = 2.0**-52
@@ -216,12 +214,3 @@ def test_what_is_a_thousand_times_round_off_moves(factor: float) -> None:
     largest = growth(walk, 100, 1.0).rms
     size = factor * 1e3 * EPS * math.sqrt(64 * 100) / max(largest)
     assert (growth(size * walk, 100, 1.0).verdict == "moves") == (factor > 1.0)
-
-
-@BELOW_AND_ABOVE
-def test_tolerances_of_roundoff_are_violated_beyond_them(factor: float) -> None:
-    row = {"name": "x", "exponent": 0.5, "exponent_error": 0.1, "max_drift": 1e-12, "drift": 1.0, "rms": [1.0]}
-    form: dict[str, Any] = {"scheme": "hk", "form": "plain", "invariants": [row]}
-    assert bool(list(violations_of(form, 0.4 / factor, None))) == (factor > 1.0)  # 0.5 less the error
-    assert bool(list(violations_of(form, None, 1e-12 / factor))) == (factor > 1.0)
-    assert not list(violations_of(form, None, None))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from topcli.analysis.order import one_step_back_and_forth
-from topcli.contracts import Array, Floats, Invariant, Method, Outcome, Stepper, Top
+from topcli.contracts import Array, Invariant, Method, Outcome, Stepper, Top
 from topcli.engine.collect import orbit
 from topcli.engine.drive import drive
 from topcli.engine.loops import interpreted, loop_of
@@ -48,13 +48,6 @@ def deviation(states: Array, invariants: Sequence[Invariant], steps: int) -> flo
     return float(max(deviations, default=0.0))
 
 
-def exactness(
-    top: Top, method: Method, y0: Any, h: float, invariants: Sequence[Invariant], N: int = 20_000, stages: int = 1
-) -> float:
-    """``deviation`` over N steps of a method whose steps consist of as many ``stages``."""
-    return deviation(orbit(top, method, y0, h, N, 10).states, invariants, N * stages)
-
-
 def working_states(
     top: Top, method: Stepper, y0: Sequence[float], h: float, N: int
 ) -> tuple[list[float], list[float], Array]:
@@ -80,9 +73,9 @@ def differing_lanes(top: Top, method: Method, alone: Array, together: Array, h: 
     return sum(end.tobytes() != other.tobytes() for end, other in zip(ends, last, strict=True))
 
 
-def completed(top: Top, method: Method, y0: Sequence[float], h: float, N: int, every: int = 10) -> Array | None:
-    """States recorded in a run; None if it does not complete."""
-    _, states, ending = orbit(top, method, y0, h, N, every)
+def completed(top: Top, method: Method, y0: Sequence[float], h: float, N: int) -> Array | None:
+    """States of every tenth step of a run; None if it does not complete."""
+    _, states, ending = orbit(top, method, y0, h, N, 10)
     return states if ending.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION) else None
 
 
@@ -110,8 +103,3 @@ def is_vector_of(rates: Any, top: Top) -> bool:
         and len(rates) == len(top.components)
         and all(isinstance(x, int | float) and math.isfinite(x) for x in rates)
     )
-
-
-def moving(top: Top, state: Floats) -> int:
-    """Index of the component with the largest rate."""
-    return int(np.argmax(np.abs(np.array(top.field(state, top.constants()), dtype=float))))

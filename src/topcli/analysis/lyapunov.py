@@ -321,23 +321,24 @@ def _tile_growth(
     N: int,
     y: Array,
     discard: int | None,
-    seed: int,
     stop: Callable[[], bool],
 ) -> Growth:
     """Growth along the orbits of a tile from ``y`` (m, d)."""
     points, done = checkpoints(N - (discard or 0)), 0
     # the same vector for all orbits, each in its own units, so that its growth does not depend on the others
-    run = code.run(h, y, np.random.default_rng(seed).normal(size=y.shape[1]) * _units(top, y[None]))
+    run = code.run(h, y, np.random.default_rng(SEED).normal(size=y.shape[1]) * _units(top, y[None]))
     _advanced(run, discard or 0, stop)
     shape = (len(points) + 1, *y.shape)
     logs, vectors, states = np.full(shape[:2], np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     for k, n in enumerate([0, *points.tolist()]):
         if not _advanced(run, n - done, stop):
             break
-        logs[k], vectors[k], states[k], done = run.scales * math.log(2.0), run.vectors, run.states, n
+        logs[k], vectors[k], states[k], done = run.scales, run.vectors, run.states, n
     even = states[_even_rows(points)]
     with np.errstate(all="ignore"):
-        logs += np.log(np.linalg.norm(vectors / _units(top, even[:: PARTS // STATES]), axis=2))
+        # all powers of 2 go into the scales, since those of a vector depend on when the others were scaled
+        sizes, powers = np.frexp(np.linalg.norm(vectors / _units(top, even[:: PARTS // STATES]), axis=2))
+        logs = (logs + powers) * math.log(2.0) + np.log(sizes)
         logs = logs[1:] - logs[0]
     return _growth(top, h, points, logs, even, discard is None)
 
@@ -351,7 +352,6 @@ def growth_of(
     y0: Array,
     *,
     discard: int | None = None,
-    seed: int = SEED,
 ) -> Growth:
     """Growth of a tangent vector along each orbit of ``N`` steps from the states ``y0`` (m, d).
 
@@ -364,7 +364,7 @@ def growth_of(
     starts = range(0, len(y0), code.lanes)
 
     def tile(first: int) -> Growth:
-        return _tile_growth(code, top, h, N, y0[first : first + code.lanes], discard, seed, stop)
+        return _tile_growth(code, top, h, N, y0[first : first + code.lanes], discard, stop)
 
     with ThreadPoolExecutor(min(default_threads(), len(starts))) as pool:
         tiles = list(pool.map(tile, starts))
@@ -389,7 +389,6 @@ def spectrum_of(
     y0: Sequence[float],
     *,
     discard: int | None = None,
-    seed: int = SEED,
     watch: Callable[[int, int], None] = lambda done, total: None,
 ) -> Growth:
     """Growth of d orthogonal tangent vectors along one orbit: ``logs`` (k, d), the fastest first.
@@ -401,7 +400,7 @@ def spectrum_of(
     d, begin = len(y0), discard or 0
     code = tangent_code(scheme, top, method, max(d, lanes_of(d)))
     points = checkpoints(N - begin)
-    y, vectors = np.array(y0, dtype=float), np.linalg.qr(np.random.default_rng(seed).normal(size=(d, d)))[0]
+    y, vectors = np.array(y0, dtype=float), np.linalg.qr(np.random.default_rng(SEED).normal(size=(d, d)))[0]
     total, states, done, every = np.zeros(d), np.full((len(points) + 1, 1, d), np.nan), 0, 1
     logs = np.full((len(points) + 1, d), np.nan)
     for k, n in enumerate([begin, *(begin + points).tolist()]):

@@ -257,8 +257,6 @@ class Reversal:
     h: float
     defect: float
     order: float | None
-    sizes: tuple[float, ...]
-    defects: tuple[float, ...]
 
 
 def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: float) -> float:
@@ -322,6 +320,4 @@ def reversal(top: Top, method: Method, states: Array, h: float, precise: Precise
         h=abs(h),
         defect=defects[factors.index(1.0)],
         order=observed_order(sizes, defects, floor),
-        sizes=tuple(sizes),
-        defects=tuple(defects),
     )

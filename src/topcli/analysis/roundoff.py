@@ -2,9 +2,9 @@
 
 Independent rounding errors add up as the square root of the number of steps (Brouwer 1937), biased ones in proportion
 to it. The deviation X of an invariant is averaged over blocks of steps, which takes out the rounding of its evaluation
-and, because the weights vanish with all their derivatives at both ends of a block, any quasi-periodic oscillation much
-faster than a block. The root mean square of X(n + lag) - X(n), over all n and over copies of the run whose states
-differ in the last two digits and hence in every rounding, is fitted by a power of the lag.
+and, because the weights (``frequencies.weights``) vanish with all their derivatives at both ends of a block, any quasi-
+periodic oscillation much faster than a block. The root mean square of X(n + lag) - X(n), over all n and over copies of
+the run whose states differ in the last two digits and hence in every rounding, is fitted by a power of the lag.
 
 *random walk*  the power is compatible with 1/2: ``WALK`` is above the lower end of its confidence interval.
 *biased*       the whole interval is above ``WALK``: errors of one sign add up.
@@ -17,13 +17,12 @@ The errors follow from the scatter of the copies (jackknife).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
-from topcli.contracts import Array, Invariant
+from topcli.contracts import Array
 
 WALK = 0.6
 FLAT = 0.3
@@ -32,45 +31,6 @@ MOVES = 1e3
 MIN_BLOCKS = 16
 
 _EPS = float(np.finfo(np.float64).eps)
-
-
-def block_weights(rows: int) -> Array:
-    """Weights (rows,) of a mean over a block: they add up to one and vanish smoothly at both ends."""
-    x = (np.arange(rows) + 0.5) / rows
-    weights = np.exp(-1.0 / (x * (1.0 - x)))
-    return weights / weights.sum()
-
-
-class BlockMeans:
-    """Mean deviations of invariants over blocks of ``rows`` recorded rows each, fed with chunks.
-
-    Deviations are from the values at the first state, which belongs to no block.
-    """
-
-    def __init__(self, invariants: Sequence[Invariant], blocks: int, rows: int) -> None:
-        self._invariants, self._rows = invariants, rows
-        self._weights = block_weights(rows)
-        self._first: list[float] = []
-        self._next = 0
-        self.means = np.zeros((len(invariants), blocks))
-        self.largest = np.zeros(len(invariants))
-        """Largest magnitude of the deviation of any row."""
-        self.scale = np.zeros(len(invariants))
-        """Largest sum of the magnitudes of an invariant's terms."""
-
-    def add(self, states: Array) -> None:
-        """Add the next rows, states (m, d); the very first row is the reference."""
-        if not self._first:
-            self._first = [float(invariant.value(states[:1])[0]) for invariant in self._invariants]
-            states = states[1:]
-        index = np.arange(self._next, self._next + len(states))
-        self._next += len(states)
-        block, weights = index // self._rows, self._weights[index % self._rows]
-        for i, (invariant, first) in enumerate(zip(self._invariants, self._first, strict=True)):
-            deviation = invariant.value(states) - first
-            self.means[i] += np.bincount(block, weights=weights * deviation, minlength=self.means.shape[1])
-            self.largest[i] = np.abs(deviation).max(initial=self.largest[i])
-            self.scale[i] = invariant.scale(states).max(initial=self.scale[i])
 
 
 @dataclass(frozen=True)

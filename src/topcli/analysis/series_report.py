@@ -26,16 +26,10 @@ from topcli.engine.watch import Watch
 BINS = 2 * BLOCKS
 
 
-def series_rows(
-    top: Top, invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array, last: int = 0
-) -> Rows:
-    """Rows (1, m, d) of one trajectory in memory, after ``n`` (m,) steps of ``h`` in a row, with ``invariants``.
-
-    ``last`` is the number of steps that the trajectory should have taken, if not the last of ``n``.
-    """
+def series_rows(top: Top, invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array) -> Rows:
+    """Rows (1, m, d) of one trajectory in memory, after ``n`` (m,) steps of ``h`` in a row, with ``invariants``."""
     every = int(n[1] - n[0]) if len(n) > 1 else 1
-    N = max(last, int(n[-1]) if len(n) else 0)
-    plan = Plan(top, None, states[:1], h, N, every, invariants=tuple(invariants))
+    plan = Plan(top, None, states[:1], h, int(n[-1]) if len(n) else 0, every, invariants=tuple(invariants))
     return Rows(plan, n, states[None])
 
 

@@ -30,6 +30,14 @@ DEVIATIONS = ("max_deviation", "rms_deviation", "final_deviation")
 QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
 FIGURES = ("first", "last", "min", "max", "mean")
 """Figures of a quantity."""
+OF_INVARIANT = {
+    "first": ("first value of NAME", "unit of NAME"),
+    "max_deviation": ("largest deviation of NAME from its first value", "unit of NAME"),
+    "rms_deviation": ("root mean square deviation of NAME from its first value", "unit of NAME"),
+    "final_deviation": ("deviation of NAME from its first value after the last step", "unit of NAME"),
+    "drift": ("slope of a line fitted to NAME, per unit time", "unit of NAME per time"),
+}
+"""Figures of the invariant NAME: columns of the table of trajectories and measures of sweeps, with meaning and unit."""
 _SUMS = ("first", "low", "high", "last", "scale", "sums", "squares", "rows", "steps", "lows", "highs")
 
 
@@ -202,8 +210,8 @@ class Tally(Consumer):
 
     def columns(self) -> dict[str, Array]:
         """Figures (B,) of each invariant by name: ``first.NAME``, ``max_deviation.NAME`` and so on, ``drift.NAME``."""
-        figures = {"first": self.first, "max_deviation": self.max_deviation, "rms_deviation": self.rms_deviation}
-        figures |= {"final_deviation": self.last, "drift": self.slopes()}
+        arrays = self.first, self.max_deviation, self.rms_deviation, self.last, self.slopes()
+        figures = dict(zip(OF_INVARIANT, arrays, strict=True))
         return {
             f"{figure}.{self.names[i]}": values[i].astype(np.float64)
             for i in range(len(self.invariants))

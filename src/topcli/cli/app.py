@@ -15,11 +15,11 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from topcli import __version__
+from topcli import STUDIES, __version__
 from topcli.cli.commands import COMMANDS, GONE, GROUPS, STUDY
 from topcli.cli.output import emit, print_error, print_message, print_message_text
 from topcli.errors import ExitCode, TopcliError, clipped
-from topcli.studies import STUDIES, find_study
+from topcli.studies import find_study
 
 _TYPE = re.compile(r" <[^>]*>$")
 _IN_WORDS = (
@@ -136,15 +136,19 @@ class StudyCommand(TyperCommand):
 
     def whole(self) -> Any:
         """The command itself, with all options."""
-        from topcli.cli.study import command
+        from topcli.cli import study
 
-        return _typer_command(command(find_study(str(self.name))), str(self.name))
+        function = find_study(str(self.name))
+        command = _typer_command(study.options_of(function), str(self.name))
+        read = command.callback
+        command.callback = lambda **values: study.run(function, read(**values))
+        return command
 
 
 def _imported(name: str, place: str) -> Any:
     """The command called ``name``, from ``module.function`` or ``module.group`` in this package, or that of a study."""
     if place == STUDY:
-        return StudyCommand(name=name, callback=None, help=STUDIES[name].help)
+        return StudyCommand(name=name, callback=None, help=STUDIES[name][1])
     module, attribute = place.split(".")
     return _typer_command(getattr(import_module(f"topcli.cli.{module}"), attribute), name)
 

@@ -5,28 +5,16 @@ This module imports nothing that takes time: the help of ``topcli`` reads it at 
 
 from __future__ import annotations
 
+from topcli import STUDIES
+
 STUDY = "study"
 """Place of a command that follows from a study."""
 
+FIRST = ("compare", "order", "bench", "analyse")
+"""Studies among the commands that most users need."""
 GROUPS = {
-    "Run and compare": {
-        "run": "run.run",
-        "compare": STUDY,
-        "order": STUDY,
-        "sweep": "sweep.sweep",
-        "bench": "bench.bench",
-        "analyse": STUDY,
-    },
-    "Studies": {
-        "roundoff": STUDY,
-        "stress": STUDY,
-        "check": STUDY,
-        "claims": STUDY,
-        "lax": STUDY,
-        "integrability": STUDY,
-        "lyapunov": STUDY,
-        "frequencies": STUDY,
-    },
+    "Run and compare": {"run": "run.run", "sweep": "sweep.sweep", **dict.fromkeys(FIRST, STUDY)},
+    "Studies": {name: STUDY for name in STUDIES if name not in FIRST},
     "Look at results": {
         "report": "results.report",
         "plot": "plot.plot",
@@ -57,6 +45,13 @@ GONE = {
         (f"{study} --style" for study in ("analyse", "compare", "lyapunov", "order", "roundoff")),
         "draw the report in Python on axes of your own style: report.plot(ax)",
     ),
+    **dict.fromkeys(
+        (f"{study} {option}" for study in ("compare", "order", "roundoff") for option in ("--format", "--out")),
+        "give --plot FILE a name ending in .png, .pdf or .svg, and --save FILE one ending in .json, .csv, .md or .tex",
+    ),
+    "claims --markdown": "use --save FILE.md",
+    "order --duration": "use --set T=...",
+    "order --top": "give --config CONFIG",
     "discover": "topcli integrability finds the integrals of a map",
     "doctor": "use topcli --version",
     "run --format": "use --set output.format=csv",
@@ -67,6 +62,7 @@ GONE = {
     "init --scheme": "copy a scene with --config SCENE, and edit it",
     "run --fail-fast": "give one config a call to stop at the first run that fails",
     "sweep --fail-fast": "failures are reported at once; Ctrl-C stops a sweep, and the same command continues it",
+    "sweep --retry-failed": "a row that an error ended runs again with the same command; --force begins anew",
     "sweep --time-limit": "shorten the rows with N, T or output.every",
     "sweep --yes": "a sweep of any size runs without it",
 }

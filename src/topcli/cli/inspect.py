@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -69,8 +70,7 @@ def show(
     """Show a config, a scheme, a top, or a row of a sweep."""
     from topcli.config.load import load
     from topcli.schemes.own_tops import forms, top_names
-    from topcli.studies.scheme_page import generated_source, scheme_data, scheme_forms, schemes_text
-    from topcli.studies.top_page import top_data, top_text
+    from topcli.studies.describe import generated_source, scheme_data, scheme_forms, schemes_text, top_data, top_text
 
     if motion:
         return show_motion(config, row, sets or [], as_json)
@@ -109,14 +109,6 @@ def show(
         emit_text(experiment.to_yaml())
 
 
-def _holds(path: Path, text: str) -> bool:
-    """True if the content of the file at ``path`` is ``text``."""
-    try:
-        return path.read_text(encoding="utf-8") == text
-    except (OSError, UnicodeDecodeError):
-        return False
-
-
 def init(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="Path of the config, .yaml or .toml.")] = Path(
         "experiment.yaml"
@@ -132,19 +124,16 @@ def init(
     import json
 
     from topcli.config.files import find_config
-    from topcli.config.schema import config_schema, starter_config
-    from topcli.errors import UsageError
+    from topcli.config.schema import config_schema
 
-    schema_path, copied = path.with_name("topcli.schema.json"), find_config(config)
-    if path.suffix != copied.suffix:
-        raise UsageError(f"{path}: {config} is in another format; use a name that ends in {copied.suffix}")
-    text = starter_config(copied, schema_path.name)
-    schema_text = json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n"
-    for file, same in ((path, ""), (schema_path, schema_text)):
-        if not _holds(file, same):
-            require_new(file, force, "")
-    write_text(schema_text, schema_path, "")
-    write_text(text, path, "")
+    schema_path, scene = path.with_name("topcli.schema.json"), find_config(config)
+    if path.suffix != scene.suffix:
+        raise UsageError(f"{path}: {config} is in another format; use a name that ends in {scene.suffix}")
+    require_new(path, force, "")
+    unnamed = re.sub(r"^name *[:=].*\n", "", scene.read_text(encoding="utf-8"), count=1, flags=re.MULTILINE)
+    modeline = "#:schema " if path.suffix == ".toml" else "# yaml-language-server: $schema="
+    write_text(f"{modeline}{schema_path.name}\n{unnamed}", path, "")
+    write_text(json.dumps(config_schema(), indent=1, ensure_ascii=False) + "\n", schema_path, "")
     if not quiet:
         emit(str(path))
         print_message(f"wrote {path} and {schema_path}")
@@ -160,7 +149,7 @@ def schema() -> None:
 
 def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool) -> None:
     """Print what the closed form says about the motion of a config. Raises UsageError for a sweep or an ensemble."""
-    from topcli.analysis.motion import QUANTITIES
+    from topcli.analysis.motion import motion_table
     from topcli.analysis.motion.of_top import motion_of
     from topcli.config.load import load_experiment
 
@@ -174,6 +163,6 @@ def show_motion(config: str, row: int | None, sets: Sequence[str], as_json: bool
     if as_json:
         print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "motion": motion.as_dict()})
         return
-    print_cells(QUANTITIES.cells(motion), f"{experiment.name}: {motion.title}")
+    print_cells(motion_table(motion).cells(), f"{experiment.name}: {motion.title}")
     for note in motion.notes:
         emit_prose(note)

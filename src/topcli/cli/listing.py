@@ -15,7 +15,7 @@ from topcli.cli.app import Command
 from topcli.cli.options import Json, complete_scheme, complete_top, option, top_option
 from topcli.cli.output import emit_text, print_cells, print_json, print_message
 from topcli.errors import shortened
-from topcli.table import Column, Table
+from topcli.table import DASH, Cells
 
 list_app = typer.Typer(
     no_args_is_help=True,
@@ -50,31 +50,32 @@ def _listed(listing: Callable[..., Listing | None]) -> None:
         if as_json:
             print_json(f"list {kind}", {kind: listed.items})
         elif listed.items:
-            print_cells(_table(listed).cells({"items": listed.items}), whole=True)
+            print_cells(_cells(listed), whole=True)
         else:
             print_message(listed.nothing or f"no {kind}")
 
     list_app.command(cls=Command, name=kind)(command)
 
 
-def _table(listing: Listing) -> Table:
+def _cells(listing: Listing) -> Cells:
     items, keys = listing.items, listing.columns
     if any(item.get("origin", "topcli") != "topcli" for item in items):
         keys = [*keys, "origin"]
     kinds = [{type(item[key]) for item in items} - {type(None)} for key in keys]
     numbers = [i for i, kind in enumerate(kinds) if kind and kind <= {int, float}]
     heads = ["top" if key == "form" else key.replace("_", "-") for key in keys]
-    columns = [Column(head, key, _text) for head, key in zip(heads, keys, strict=True)]
-    return Table("items", columns, numbers=numbers)
+    return Cells("", heads, [[_text(item[key]) for key in keys] for item in items], numbers=numbers)
 
 
 def _text(value: Any) -> str:
+    if value is None:
+        return DASH
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):
         value = [key if part is None else f"{key} = {_text(part)}" for key, part in value.items()]
     if isinstance(value, list):
-        return ", ".join(map(str, value)) or "–"
+        return ", ".join(map(str, value)) or DASH
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -135,7 +136,7 @@ def schemes(
     A plugin that cannot be loaded is reported on stderr.
     """
     from topcli.schemes.registry import all_schemes
-    from topcli.studies.scheme_page import scheme_data
+    from topcli.studies.describe import scheme_data
 
     wanted = _forms(top)
     items = [scheme_data(scheme) for scheme in all_schemes() if scheme.top in wanted]
@@ -192,11 +193,12 @@ def sweeps(as_json: Json = False) -> Listing:
 @_listed
 def cases(top: OnlyTop = None, as_json: Json = False) -> Listing:
     """List the hard cases of topcli stress."""
-    from topcli.studies.stress.cases import CASES, OWN, cases_of
+    from topcli.studies.stress import cases_of, forms_with_cases
 
     print_plugin_failures()
-    wanted = [*CASES, *OWN.values()] if top is None else [case for form in _forms(top) for case in cases_of(form)]
-    items = [{"name": case.name, "top": case.form, "question": case.question, "origin": case.origin} for case in wanted]
+    forms = forms_with_cases() if top is None else _forms(top)
+    cases = [(form, name, case) for form in forms for name, case in cases_of(form).items()]
+    items = [{"name": name, "top": form, "question": case.question} for form, name, case in cases]
     return Listing(items, ["name", "top", "question"])
 
 
@@ -221,8 +223,8 @@ def figures(as_json: Json = False) -> Listing:
 
     print_plugin_failures()
     return Listing(
-        [_fields(figure, "name", "title", "scene", "origin") for figure in FIGURES.values()],
-        ["name", "scene", "title"],
+        [_fields(figure, "name", "title", "origin") for figure in FIGURES.values()],
+        ["name", "title"],
     )
 
 
@@ -258,12 +260,11 @@ def runs(
     """
     from topcli.errors import UsageError
     from topcli.runs.run import listed_runs
-    from topcli.sweeps.sweep_list import listed_sweeps
 
     if results is not None and not os.path.isdir(results):
         raise UsageError(f"--results {results}: no such folder")
     folder = results or Path("results")
-    items = sorted([*listed_runs(folder), *listed_sweeps(folder)], key=lambda item: item["name"])
+    items = listed_runs(folder)
     progress = ["step"] if any(not item["ended"] or item["outcome"] == "interrupted" for item in items) else []
     kind = ["kind"] if any(item["kind"] != "run" for item in items) else []
     columns = ["name", *kind, "outcome", *progress, "N", "scheme", "h", "ended"]
@@ -288,11 +289,12 @@ def cite(
     as_json: Json = False,
 ) -> None:
     """Print the BibTeX of a scheme, a top, or topcli itself."""
-    from topcli.studies.citations import own_works, works_of
+    from topcli.studies.cite import OWN, bibliography, works_of
 
-    works = {entry.key: entry for name in names or () for entry in works_of(name)}
-    entries = list(works.values()) if names else own_works()
+    works = {} if names else {key: bibliography()[key][0] for key in OWN}
+    for name in names or ():
+        works |= works_of(name)
     if as_json:
-        print_json("cite", {"entries": [{"key": entry.key, "bibtex": entry.bibtex} for entry in entries]})
+        print_json("cite", {"entries": [{"key": key, "bibtex": bibtex} for key, bibtex in works.items()]})
     else:
-        emit_text("\n\n".join(entry.bibtex for entry in entries))
+        emit_text("\n\n".join(works.values()))

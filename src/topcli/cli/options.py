@@ -54,20 +54,16 @@ def complete_config(incomplete: str) -> list[str]:
 
 
 HELP = {
-    "--component": "Use only this component or recorded column.",
     "--config": "Read the experiment from a config or scene.",
     "--dry-run": "Print the plan and run nothing.",
     "--force": "Replace existing results or files.",
     "--format": "Write files in this format.",
     "--json": "Print the result as one JSON document.",
-    "--markdown": "Print the result as a Markdown page.",
     "--out": "Write the result here.",
-    "--plot": "Also draw the result.",
+    "--plot": "Also draw to a .png, .pdf or .svg file.",
     "--quiet": "Print only errors.",
     "--results": "Look for stored results in this folder.",
-    "--retry-failed": "Repeat rows of a sweep that failed before.",
     "--save": "Also write the result to a .json, .csv, .md or .tex file.",
-    "--scheme": "Choose a scheme.",
     "--set": "Set a config key, e.g. h=0.01, T=20 or scheme.branch=sign.",
     "--steps": "Set the number of steps of a run, e.g. 1e6.",
     "--table": "Show only this table of the result.",
@@ -100,29 +96,24 @@ def format_option(*formats: str, default: str = "") -> OptionInfo:
     return option("--format", metavar="|".join(formats), default=default)
 
 
-Schemes = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="SCHEME", help="Names of schemes.", show_default="all", autocompletion=complete_scheme),
-]
 Sets = Annotated[list[str] | None, option("--set", metavar="KEY=VALUE")]
 Json = Annotated[bool, option("--json")]
 Quiet = Annotated[bool, option("--quiet", "-q")]
 Verbose = Annotated[bool, option("--verbose", "-v")]
 DryRun = Annotated[bool, option("--dry-run")]
-RetryFailed = Annotated[bool, option("--retry-failed")]
 Threads = Annotated[int | None, option("--threads", metavar="COUNT", min=1, default="all CPUs")]
 Out = Annotated[Path, option("--out", metavar="DIR")]
 OutFile = Annotated[Path, option("--out", metavar="FILE")]
 Results = Annotated[Path, option("--results", metavar="DIR")]
 Force = Annotated[bool, option("--force")]
 Save = Annotated[Path | None, option("--save", metavar="FILE")]
-Plot = Annotated[bool, option("--plot")]
+Plot = Annotated[Path | None, option("--plot", metavar="FILE")]
 PictureFormats = Annotated[list[str] | None, format_option("png", "pdf", "svg", default="png and pdf")]
 
 
 def picture_formats(formats: Sequence[str] | None) -> tuple[str, ...]:
     """Formats of pictures, each once; the default ones for None. Raises UsageError."""
-    from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS
+    from topcli.figures.figure import DEFAULT_FORMATS, IMAGE_FORMATS
 
     for name in formats or ():
         if name not in IMAGE_FORMATS:
@@ -138,7 +129,7 @@ def place_of(name: str | Path, results: Path) -> Path:
 
 def stored_place(name: str | Path, results: Path) -> Path:
     """Return ``place_of`` a stored result, finished or not. Raises UsageError if there is nothing."""
-    from topcli.sweeps.sweep_list import missing_result
+    from topcli.sweeps.store import missing_result
 
     place = place_of(name, results)
     if not os.path.lexists(place):
@@ -182,7 +173,7 @@ def hint_instead(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[N
 def stored_folder(name: str, results: Path) -> Path | None:
     """Folder of a run or sweep that ``name`` is the path of, or its name in ``results``; None if there is none."""
     from topcli.store.results import read_result
-    from topcli.sweeps.run import is_sweep
+    from topcli.sweeps.store import is_sweep
 
     folders = (Path(name), results / name) if name else ()
     return next(
@@ -193,15 +184,13 @@ def stored_folder(name: str, results: Path) -> Path | None:
 def plot_hint(name: str, results: Path) -> str:
     """Message about ``name`` given instead of a figure: the command that draws it; empty if it is unknown."""
     from topcli.config.files import is_config
-    from topcli.sweeps.run import is_sweep
+    from topcli.sweeps.store import is_sweep
 
     folder = stored_folder(name, results)
     if folder is not None and is_sweep(folder):
         return f"{quoted(name)} is a sweep, not a figure; draw it with: topcli plot sweep {folder} --x KEY --y MEASURE"
-    if folder is not None:
-        return f"{quoted(name)} is a run, not a figure; draw it with: topcli report {folder} --out {folder.name}.html"
     if is_config(name):
-        draw = "topcli report results/NAME --out NAME.html"
+        draw = "topcli plot NAME"
         return (
             f"{quoted(name)} is a config, not a figure; run it with `topcli run {name}` and draw the run with `{draw}`"
         )

@@ -22,7 +22,6 @@ from topcli.show.progress import PATIENCE, Bar, Rate, percent, plain_console, sp
 from topcli.table import Cells
 
 if TYPE_CHECKING:
-    from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
 
 
@@ -103,7 +102,7 @@ def _wrapped(line: str, stream: TextIO, indent: str = "") -> list[str]:
     )
 
 
-def print_warnings(experiment: Experiment | EnsembleExperiment) -> None:
+def print_warnings(experiment: Experiment) -> None:
     """Print warnings about unusual parameters of the experiment's top and about its initial states."""
     from topcli.tops.bodies import moment_warnings  # imports numpy
 
@@ -159,35 +158,18 @@ def prose_width() -> int:
     return min(PIPE_WIDTH, screen_width()) if _terminal(sys.stdout) else PIPE_WIDTH
 
 
-def print_table(
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    title: str = "",
-    numbers: bool | Collection[int] = True,
-    keys: int = 1,
-    marks: Mapping[str, str] = MappingProxyType({}),
-    whole: bool = False,
-) -> None:
-    """Print a table, ruled on a terminal.
+def print_cells(cells: Cells, title: str = "", whole: bool = False) -> None:
+    """Print a table, ruled and coloured on a terminal, with its caption below.
 
     It is printed in blocks of columns that fit the terminal, and in a pipe 100 characters; in one block if ``whole``.
-    ``numbers`` are the indices of the right-aligned columns: all but the first by default, none if False. The first
-    ``keys`` columns name a row. ``marks`` are the looks of cells with certain texts, as in ``Cells``; they are coloured
-    on a terminal.
     """
-    right = range(1, len(header)) if numbers is True else numbers or ()
-    table = [[printable(cell) for cell in row] for row in (header, *rows)]
-    colours = {text: COLOURS[mark] for text, mark in marks.items()} if in_colour() else {}
+    table = [[printable(cell) for cell in line] for line in (cells.header, *cells.lines)]
+    colours = {text: COLOURS[mark] for text, mark in cells.marks.items()} if in_colour() else {}
     if title:
         emit_prose(title)
     width = None if whole else table_width()
-    for line in table_lines(table[0], table[1:], right, width, rule=on_terminal(), keys=keys, colours=colours):
+    for line in table_lines(table[0], table[1:], cells.right, width, on_terminal(), cells.keys, colours):
         print(line)
-
-
-def print_cells(cells: Cells, title: str = "", whole: bool = False) -> None:
-    """Print a table, in one block if ``whole``, and its caption below."""
-    print_table(cells.header, cells.lines, title, cells.numbers, cells.keys, cells.marks, whole)
     if cells.caption:
         emit_prose(cells.caption)
 

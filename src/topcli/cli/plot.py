@@ -1,9 +1,8 @@
-"""``topcli plot``: draw figures from results, producing missing ones."""
+"""``topcli plot``: draw figures of the catalogue, sweeps, sections and runs."""
 
 from __future__ import annotations
 
-import contextlib
-from dataclasses import replace
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,28 +22,25 @@ from topcli.cli.options import (
     plot_hint,
     stored_place,
 )
-from topcli.cli.output import ProgressDisplay, emit, messages, print_json, print_message
+from topcli.cli.output import ProgressDisplay, emit, print_json, print_message
 from topcli.cli.results import Aggregate, Where
-from topcli.store.files import is_study
 
 if TYPE_CHECKING:
     from topcli.errors import TopcliError
-    from topcli.figures.figure import Figure, MadeFigure, Request
+    from topcli.figures.figure import Figure
 
-SECTION = "section"
-"""First argument of ``topcli plot section DIR/NAME``, which draws the crossings of runs."""
-SWEEP = "sweep"
-"""First argument of ``topcli plot sweep DIR/NAME``, whose figure is described by options."""
+SECTION, SWEEP = "section", "sweep"
+"""First arguments of ``topcli plot section DIR/NAME`` and ``topcli plot sweep DIR/NAME``, described by options."""
 
 Names = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="FIGURE",
-        help="Names of figures, or the word sweep and a stored sweep, or the word section and stored runs.",
+        help="Names of figures or stored runs, or the word sweep and a stored sweep, or section and stored runs.",
         autocompletion=complete_figure,
     ),
 ]
-Every = Annotated[bool, typer.Option("--all", help="Draw all figures, but compute nothing that takes minutes.")]
+Every = Annotated[bool, typer.Option("--all", help="Draw all figures, but measure nothing that takes minutes.")]
 KeyX = Annotated[
     str | None,
     typer.Option("--x", metavar="KEY", help="Put this key of a sweep, or column of a section, on the x axis."),
@@ -72,20 +68,20 @@ def _sweep_figure(names: list[str], options: dict[str, str | None], where: list[
     """The figure of a sweep that the arguments and options describe."""
     from topcli.errors import UsageError
     from topcli.figures.sweep import Choice, sweep_figure
-    from topcli.sweeps.rows import read_rows
+    from topcli.store.files import sha256_of
+    from topcli.sweeps.table import names_of, read_rows
 
     if len(names) != 2:
-        raise UsageError(
-            "plot sweep: name one folder, as in: topcli plot sweep DIR/NAME --x h --y max_error --by scheme"
-        )
+        example = "topcli plot sweep DIR/NAME --x h --y max_error --by scheme"
+        raise UsageError(f"plot sweep: name one folder, as in: {example}")
+    rows = read_rows(stored_place(names[1], results), where)
     x, y = options["x"], options["y"]
-    rows = read_rows(stored_place(names[1], results))
     if x is None or y is None:
         hint = "plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE"
-        raise UsageError(hint, rows.names)
+        raise UsageError(hint, names_of(rows))
+    takes = f"{sha256_of(Path(rows.attrs['path']))} {where}"
     choice = Choice(x, y, options["by"], options["colour"], options["aggregate"])
-    choice.require(rows)
-    return sweep_figure(rows.where(where), choice)
+    return sweep_figure(rows, choice, ", ".join([rows.attrs["name"], *where]), takes)
 
 
 def _chosen(names: list[str], options: dict[str, str | None], where: list[str], results: Path) -> list[Figure]:
@@ -93,16 +89,14 @@ def _chosen(names: list[str], options: dict[str, str | None], where: list[str], 
     from topcli.errors import UsageError
     from topcli.figures.catalogue import FIGURES
 
-    if names and names[0].lower() == SECTION and not (options["by"] or options["aggregate"] or where):
+    word = names[0].lower() if names else ""
+    if word == SWEEP:
+        return [_sweep_figure(names, options, where, results)]
+    if word == SECTION and not (options["by"] or options["aggregate"] or where):
         from topcli.figures.section import section_figure
 
-        return [
-            section_figure(
-                [stored_place(name, results) for name in names[1:]], options["x"], options["y"], options["colour"]
-            )
-        ]
-    if names and names[0].lower() == SWEEP:
-        return [_sweep_figure(names, options, where, results)]
+        folders = [stored_place(name, results) for name in names[1:]]
+        return [section_figure(folders, options["x"], options["y"], options["colour"])]
     given = [f"--{name}" for name, value in {**options, "where": where}.items() if value]
     if given:
         raise UsageError(f"{given[0]} is only for sweeps: topcli plot sweep DIR/NAME --x KEY --y MEASURE")
@@ -114,50 +108,18 @@ def _chosen(names: list[str], options: dict[str, str | None], where: list[str], 
 
 
 def _figure(name: str, results: Path) -> Figure:
-    """Figure of the catalogue, or of the result of a study in a file."""
+    """Figure of the catalogue, or of a stored run."""
     from topcli.figures.catalogue import FIGURES, find_figure
+    from topcli.store.results import read_result
+    from topcli.sweeps.run import is_sweep
 
-    file = place_of(name, results)
-    if name.lower() not in FIGURES and is_study(file):
-        from topcli.show.tables import study_figure
+    place = place_of(name, results)
+    stored = name.lower() not in FIGURES and os.path.isdir(place) and not is_sweep(place)
+    if stored and (run := read_result(place)) and run.outcome:
+        from topcli.figures.run import run_figure
 
-        return study_figure(file)
+        return run_figure(run)
     return find_figure(name)
-
-
-def _draw(
-    figures: list[Figure], every: bool, request: Request, out: Path, formats: tuple[str, ...], quiet: bool
-) -> tuple[list[MadeFigure], list[TopcliError]]:
-    """Draw figures and report on each; the files of those that were drawn, in the order given, and the errors.
-
-    Raises the error of a single figure. If ``every`` figure is drawn, those without stored results are skipped.
-    """
-    from topcli.errors import TopcliError
-    from topcli.figures.figure import NothingMeasuredError, make_figure
-
-    drawn, failed = [], []
-    display = ProgressDisplay(len(figures), quiet, unit="parts")
-    for figure in figures:
-        display.begin(figure.name)
-        try:
-            with contextlib.closing(display):
-                made = make_figure(figure, replace(request, on_progress=display), out, formats)
-        except TopcliError as error:
-            if every and isinstance(error, NothingMeasuredError):
-                print_message(f"{figure.name}: skipped: {error}")
-                continue
-            if len(figures) == 1:
-                raise
-            failed.append(error)
-            first, *others = error.lines
-            print_message(f"error: {first}" if first.startswith(figure.name) else f"error: {figure.name}: {first}")
-            for line in others:
-                print_message(line)
-        else:
-            drawn.append(made)
-            if not quiet:
-                emit(f"{made.name}: {made.status}: {', '.join(str(path) for path in made.files)}")
-    return drawn, failed
 
 
 def plot(
@@ -178,30 +140,47 @@ def plot(
 ) -> None:
     """Draw figures as PNG and PDF, with their data as Parquet.
 
-    If the results that a figure needs are missing, topcli computes them first and stores them in the folder of
-    --results. A figure that is up to date is not drawn again.
+    The data of a figure are computed if they are not stored beside it, or by an older version of the code.
 
-    Two other forms of this command draw results that you have stored. One draws measures of a sweep: topcli plot sweep
-    NAME --x KEY --y MEASURE --by KEY. The other draws the Poincaré sections of runs: topcli plot section NAME --colour
-    verdict. To draw a single run, use topcli report.
+    Three other forms of this command draw results that you have stored. One draws the columns of a run over time:
+    topcli plot RUN. Another draws measures of a sweep: topcli plot sweep NAME --x KEY --y MEASURE --by KEY. The third
+    draws the Poincaré sections of runs: topcli plot section NAME --colour verdict.
     """
-    from topcli.errors import ExitCode, UsageError
+    from topcli.errors import ExitCode, TopcliError, UsageError
     from topcli.figures.catalogue import FIGURES
-    from topcli.figures.figure import Request
+    from topcli.figures.figure import NothingMeasuredError
 
     if bool(names) == every:
         raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
-    chosen = picture_formats(formats)
+    kinds = picture_formats(formats)
     options = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate}
     with hint_instead(names or [], lambda name: plot_hint(name, results)):
         figures = _chosen(names or [], options, where or [], results)
-    request = Request(results=results, force=force, on_message=messages(quiet))
-    drawn, failed = _draw(figures, every, request, out, chosen, as_json or quiet)
+
+    # those that draw stored measurements are left out of --all where there are none
+    files: dict[str, list[str]] = {}
+    failed: list[TopcliError] = []
+    display = ProgressDisplay(1, as_json or quiet, unit="figures")
+    display.begin("plot")
+    for number, figure in enumerate(figures):
+        display(number, len(figures))
+        try:
+            files[figure.name] = list(map(str, figure.make(out, kinds, force)))
+        except NothingMeasuredError as error:
+            if not every:
+                raise
+            print_message(f"{figure.name}: skipped: {error}")
+        except TopcliError as error:
+            if len(figures) == 1:
+                raise
+            failed.append(error)
+            print_message(f"error: {figure.name}: {error}")
+        else:
+            if not (as_json or quiet):
+                emit(f"{figure.name}: drawn: {', '.join(files[figure.name])}")
+    display.close()
     if as_json:
-        items = [
-            {"name": figure.name, "status": figure.status, "files": list(map(str, figure.files))} for figure in drawn
-        ]
-        print_json("plot", {"figures": items})
+        print_json("plot", {"figures": [{"name": name, "files": paths} for name, paths in files.items()]})
     if failed:
         print_message(f"{len(failed)} of {len(figures)} figures failed")
-        raise typer.Exit(ExitCode.PARTLY_FAILED if drawn else failed[0].exit_code)
+        raise typer.Exit(ExitCode.PARTLY_FAILED if files else failed[0].exit_code)

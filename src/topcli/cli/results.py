@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -27,13 +27,14 @@ from topcli.cli.output import (
     print_cells,
     print_json,
     print_message,
-    print_table,
     table_lines,
 )
 from topcli.errors import ExitCode, counted
 
 if TYPE_CHECKING:
-    from topcli.sweeps.table import SweepTable
+    from collections.abc import Callable
+
+    from topcli.table import Cells
 
 
 def complete_result(incomplete: str) -> list[str]:
@@ -64,8 +65,8 @@ def verify(
 ) -> None:
     """Verify stored results by their checksums.
 
-    Of an unfinished run, the command verifies the checkpoint and the rows before it. Of an unfinished sweep, it
-    verifies the journal. The command exits with code 1 if a file is damaged.
+    Of an unfinished run, the command verifies the checkpoint and the rows before it. The rows of
+    an unfinished sweep are verified when it continues. The command exits with code 1 if a file is damaged.
     """
     from topcli.studies.health import check_all
 
@@ -114,16 +115,13 @@ Format = Annotated[str, format_option("text", "csv", "markdown", "latex")]
 TableFile = Annotated[Path | None, option("--out", metavar="FILE", default="stdout")]
 
 
-def _text(table: SweepTable, form: str) -> str:
-    """The table as text in one of the formats."""
-    from topcli.sweeps import table_text
+class _Shown(NamedTuple):
+    """Tables of a stored result: their data, their cells, the text in a format, and notes."""
 
-    if form == "text":
-        header, keys = table_text.header(table), len(table.row_keys)
-        lines = table_lines(header, table_text.lines(table), range(keys, len(header)), keys=keys)
-        return "\n".join([table_text.title(table), *lines, *table_text.notes(table)]) + "\n"
-    write = {"csv": table_text.csv_text, "markdown": table_text.markdown, "latex": table_text.latex}[form]
-    return write(table)
+    data: dict[str, Any]
+    cells: list[Cells]
+    text: Callable[[str], str]
+    notes: list[str]
 
 
 def table(
@@ -143,117 +141,101 @@ def table(
 ) -> None:
     """Show tables of a result as text, CSV or LaTeX.
 
-    For a run, a benchmark or the file of a study, the command shows the tables of its report. For a sweep, --rows and
+    For a run or the file of a study, the command shows the tables of its report. For a sweep, --rows and
     --value define a table of measures. Each cell contains one value, or with --aggregate the median with its quartiles,
-    the mean with its standard error, the maximum, or the observed order in h. Cells to which failed rows belong are
-    marked. In CSV and JSON, numbers have all digits.
+    the mean with its standard error, the maximum, or the observed order in h. A note counts rows that did not complete.
+    In CSV and JSON, numbers have all digits.
     """
     from topcli.errors import UsageError, nearest, quoted
-    from topcli.sweeps.run import is_sweep
-    from topcli.sweeps.table_text import FORMATS
+    from topcli.sweeps.store import is_sweep
+    from topcli.sweeps.table import FORMATS
 
     if form not in FORMATS:
         raise UsageError(f"--format {quoted(form)}: unknown format; {nearest(form, FORMATS)}")
     folder = stored_place(place, results)
     if is_sweep(folder) or row_keys or values or column_key or aggregate or where:
-        shown: _Shown = _ShownSweep(folder, row_keys or [], column_key, values or [], aggregate, where or [])
+        shown = _shown_sweep(folder, row_keys or [], column_key, values or [], aggregate, where or [])
     else:
-        shown = _ShownTables(folder, name)
+        shown = _shown_tables(folder, name, form)
+    if form == "text":
+        tables = (
+            "\n".join([each.title, *table_lines(each.header, each.lines, each.right, keys=each.keys), ""])
+            for each in shown.cells
+        )
+        text = "\n".join(tables)
+    else:
+        text = shown.text(form)
     if out is not None:
         require_new(out, force)
-        write_text(shown.text(form), out)
+        write_text(text, out)
         messages(quiet)(f"wrote {out}")
     elif as_json:
-        print_json("table", shown.data())
-    elif form == "text":
-        shown.show()
+        print_json("table", shown.data)
+    elif form != "text":
+        emit_text(text)
     else:
-        emit_text(shown.text(form))
-    for note in shown.notes(form):
+        for i, cells in enumerate(shown.cells):
+            if i:
+                emit()
+            print_cells(cells, cells.title)
+    for note in shown.notes:
         print_message(note)
 
 
-class _Shown(Protocol):
-    """Tables of one stored result."""
+def _shown_sweep(
+    folder: Path,
+    row_keys: list[str],
+    column_key: str | None,
+    values: list[str],
+    aggregate: str | None,
+    where: list[str],
+) -> _Shown:
+    """Table of measures of a sweep. Raises UsageError."""
+    from topcli.errors import UsageError
+    from topcli.sweeps.table import names_of, read_rows, sweep_table
+    from topcli.table import Cells
 
-    def data(self) -> dict[str, Any]: ...
-    def text(self, form: str) -> str: ...
-    def show(self) -> None: ...
-    def notes(self, form: str) -> list[str]: ...
-
-
-class _ShownSweep:
-    """Table of measures of a sweep."""
-
-    def __init__(
-        self,
-        folder: Path,
-        row_keys: list[str],
-        column_key: str | None,
-        values: list[str],
-        aggregate: str | None,
-        where: list[str],
-    ) -> None:
-        from topcli.errors import UsageError
-        from topcli.sweeps.rows import read_rows
-        from topcli.sweeps.table import sweep_table
-
-        rows = read_rows(folder)
-        if not (row_keys and values):
-            raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", rows.names)
-        self._table = sweep_table(rows.where(where), row_keys, column_key, values, aggregate)
-
-    def data(self) -> dict[str, Any]:
-        return self._table.as_dict()
-
-    def text(self, form: str) -> str:
-        return _text(self._table, form)
-
-    def show(self) -> None:
-        from topcli.sweeps.table_text import header, lines, title
-
-        table = self._table
-        keys = len(table.row_keys)
-        print_table(header(table), lines(table), title(table), range(keys, keys + len(table.columns)), keys)
-
-    def notes(self, form: str) -> list[str]:
-        from topcli.sweeps.table_text import notes
-
-        return notes(self._table)
+    rows = read_rows(folder, where)
+    if not (row_keys and values):
+        raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", names_of(rows))
+    table, keys = sweep_table(rows, row_keys, column_key, values, aggregate), len(row_keys)
+    header, *lines = table.lines()
+    cells = Cells(table.title, header, lines, keys=keys, numbers=range(keys, len(header)))
+    return _Shown(table.as_dict(), [cells], table.text, table.notes)
 
 
-class _ShownTables:
-    """Tables of a run, a benchmark or a study."""
+def _shown_tables(place: Path, name: str | None, form: str) -> _Shown:
+    """Tables of a run, an ensemble or the file of a study; all, or the one called ``name``.
 
-    def __init__(self, folder: Path, name: str | None) -> None:
-        from topcli.show.tables import stored_tables
+    Raises UsageError and RunError.
+    """
+    from topcli.errors import UsageError, nearest, quoted
+    from topcli.runs.report import report_tables
+    from topcli.store.results import read_result
+    from topcli.studies.report import read_record
+    from topcli.table import Table, stored_cells
 
-        self._all = stored_tables(folder)
-        self._tables = self._all.chosen(name)
+    if place.is_dir():
+        run = read_result(place)
+        if run is None or run.outcome is None:
+            raise UsageError(f"{place}: no run or sweep is stored here")
+        data = run.report()
+        tables = report_tables(data)
+    else:
+        data = read_record(place)
+        tables = [Table(table["heading"], table["rows"], stored=stored_cells(table)) for table in data["tables"]]
+    names = [table.name for table in tables]
+    if name is not None and name not in names:
+        raise UsageError(f"--table {quoted(name)}: no such table; {nearest(name, names)}")
+    tables = [table for table in tables if name in (None, table.name)]
+    filled = [table for table in tables if table.rows]
+    several = form == "csv" and len(tables) > 1
+    notes = [f"this is the main table; choose another with --table: {', '.join(names)}"] if several else []
 
-    def data(self) -> dict[str, Any]:
-        return {"result": self._all.data}
+    def text(form: str) -> str:
+        return tables[0].text(form) if form == "csv" else "\n".join(table.text(form) for table in filled)
 
-    def text(self, form: str) -> str:
-        if form != "text":
-            return self._tables.text(form)
-        tables = ((table.cells(self._tables.data), table.title_of(self._tables.data)) for table in self._tables.shown)
-        texts = (
-            "\n".join(filter(None, (title, *table_lines(cells.header, cells.lines, keys=cells.keys))))
-            for cells, title in tables
-        )
-        return "\n\n".join(texts) + "\n"
-
-    def show(self) -> None:
-        for i, table in enumerate(self._tables.shown):
-            if i:
-                emit()
-            print_cells(table.cells(self._tables.data), table.title_of(self._tables.data))
-
-    def notes(self, form: str) -> list[str]:
-        others = list(self._all.named)
-        several = form == "csv" and len(self._tables.shown) > 1
-        return [f"this is the main table; choose another with --table: {', '.join(others)}"] if several else []
+    return _Shown({"result": data}, [table.cells() for table in filled], text, notes)
 
 
 Title = Annotated[
@@ -273,7 +255,7 @@ def report(
 ) -> None:
     """Write a self-contained HTML page about stored results.
 
-    Results are runs, ensembles, sweeps, benchmarks, and JSON files that studies write with --save. Runs of the same top
+    Results are runs, ensembles, sweeps, and JSON files that studies write with --save. Runs of the same top
     are compared in a table. Unfinished and damaged results are refused.
     """
     from topcli.errors import UsageError
@@ -342,28 +324,27 @@ def animate(
     .mp4 file needs pip install 'topcli[video]'.
     """
     from topcli.figures.animation import animate as draw
-    from topcli.figures.animation import encoder_for, planned
-    from topcli.figures.body import stored_body_motion
+    from topcli.figures.animation import frame_times, require_format, stored_body_motion
 
-    encoder_for(out, fps, seconds)  # before anything is read or drawn
+    require_format(out, fps, seconds)  # before anything is read or drawn
     require_new(out, force)
     folder = stored_place(run, results)
     motion = stored_body_motion(folder)
     say = messages(quiet)
     for note in motion.notes:
         say(note)
-    film = planned(motion, fps, seconds, size, start, stop)
-    begin, end, last = float(film.times[0]), float(film.times[-1]), float(motion.t[-1])
+    times = frame_times(motion, max(2, round(fps * seconds)), start, stop)
+    begin, end, last = float(times[0]), float(times[-1]), float(motion.t[-1])
     if stop is None and end != last:
         shown = f"{begin:g} to {end:.4g} of {last:g}"
         say(f"{motion.experiment.name}: shows t = {shown}; --stop {last:g} shows the whole run faster")
     display = ProgressDisplay(1, as_json or quiet, unit="frames")
     display.begin(str(out))
     try:
-        draw(motion, film, out, display)
+        draw(motion, times, out, fps, size, display)
     finally:
         display.close()
-    frames, (width, height) = len(film.times), film.size
+    frames, width, height = len(times), 2 * (size // 2), 2 * round(size / 3.0)
     if as_json:
         content = {"file": str(out), "frames": frames, "fps": fps, "width": width, "height": height}
         print_json("animate", {"run": motion.experiment.name, **content, "t_first": begin, "t_last": end})

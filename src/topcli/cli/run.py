@@ -37,7 +37,6 @@ from topcli.errors import ExitCode, TopcliError, UsageError, counted, quoted
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
     from topcli.runs.run import RunOptions, RunResult
 
@@ -89,12 +88,12 @@ class _Request:
 def _print_result(result: RunResult, own: Collection[str], request: _Request) -> None:
     """Print the message and the table of a run; without ``--verbose`` only of the invariants of the top, ``own``."""
     from topcli.runs.report import (
-        BRIEF,
-        ENSEMBLE_BRIEF,
-        QUANTITIES,
+        brief_ensemble_table,
+        brief_table,
         modified_line,
         open_lines,
         precision_note,
+        report_tables,
         warning_of,
     )
 
@@ -117,26 +116,25 @@ def _print_result(result: RunResult, own: Collection[str], request: _Request) ->
     else:
         physical = [row for row in report["invariants"] if row["name"] in own]
         modified = [row for row in report["invariants"] if row["name"] not in own]
-        brief = ENSEMBLE_BRIEF if report.get("kind") == "ensemble" else BRIEF
-        print_cells(brief.cells({"invariants": physical}), title)
+        brief = brief_ensemble_table if report.get("kind") == "ensemble" else brief_table
+        print_cells(brief(physical).cells(), title)
         for line in (*open_lines([(row["symbol"], row) for row in physical]), modified_line(modified)):
             if line:
                 emit_prose(line)
-    if report.get("quantities"):
-        print_cells(QUANTITIES.cells(report))
+    for table in report_tables(report)[1:]:
+        print_cells(table.cells())
 
 
 def _print_all(report: dict[str, Any], title: str) -> None:
     """Print all figures on the invariants, and a sentence on each that can be quoted."""
-    from topcli.runs.report import ENSEMBLE, INVARIANTS
+    from topcli.runs.report import report_tables
 
-    ensemble = report.get("kind") == "ensemble"
-    print_cells((ENSEMBLE if ensemble else INVARIANTS).cells(report), title)
-    for row in () if ensemble else report["invariants"]:
+    print_cells(report_tables(report)[0].cells(), title)
+    for row in () if report.get("kind") == "ensemble" else report["invariants"]:
         emit_prose(f"{row['symbol']}: {row['statement']}")
 
 
-def _plan_data(experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions) -> dict[str, Any]:
+def _plan_data(experiment: Experiment, out: Path, options: RunOptions) -> dict[str, Any]:
     """Plan of a run: its config and digest, folder, action and number of rows."""
     from topcli.runs.run import outlook
 
@@ -174,7 +172,7 @@ def _say_failure(name: str, result: RunResult, code: ExitCode) -> None:
     print_message(f"error: {name}: {failure}; {kept} are kept{more}")
 
 
-def _experiment(config: str, request: _Request) -> Experiment | EnsembleExperiment:
+def _experiment(config: str, request: _Request) -> Experiment:
     """Experiment of a config or scene. Raises UsageError for the name or the folder of a stored run."""
     from topcli.config.files import is_config
     from topcli.config.load import load

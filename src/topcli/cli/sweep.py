@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topcli.cli.options import DryRun, Json, Out, Quiet, RetryFailed, Sets, Threads
-from topcli.cli.output import ProgressDisplay, emit, emit_text, print_json, print_message, print_table
+from topcli.cli.options import DryRun, Force, Json, Out, Quiet, Sets, Threads
+from topcli.cli.output import ProgressDisplay, emit, emit_text, print_cells, print_json, print_message
 from topcli.cli.run import Interruption
-from topcli.errors import ExitCode, UsageError, counted, shortened
+from topcli.errors import ExitCode, UsageError, shortened
+from topcli.table import Cells
 
 if TYPE_CHECKING:
-    from topcli.config.rows import Row
     from topcli.config.sweep import Sweep
-    from topcli.sweeps.run import SweepOptions, SweepResult
+    from topcli.sweeps.run import SweepResult
 
-SHOWN_FAILURES = 20
-SHOWN_ROWS = 20
+SHOWN_FAILURES = SHOWN_ROWS = 20
 LISTED_ROWS = 1000
 """Rows that the JSON document of a dry run lists."""
 
@@ -42,63 +40,26 @@ Dask = Annotated[
 ]
 
 
-def _values(sweep: Sweep, row: Row) -> str:
-    """Values of the varied keys of a row."""
-    return ", ".join(f"{key} = {value}" for key, value in zip(sweep.keys, row.keys, strict=True) if value is not None)
+def _dry_run(sweep: Sweep, out: Path, as_json: bool) -> None:
+    from topcli.sweeps.run import planned
 
-
-def _varied(sweep: Sweep) -> list[str]:
-    """Varied keys with the number of their values."""
-    values = {key: set[str]() for key in sweep.keys}
-    for axis in sweep.axes:
-        for key, column in zip(axis.keys, axis.columns, strict=True):
-            values[key].update(map(repr, column))
-    return [f"{key} ({counted(len(known), 'value')})" for key, known in values.items()]
-
-
-def _dry_run(sweep: Sweep, out: Path, options: SweepOptions, as_json: bool) -> None:
-    from topcli.sweeps.plan import REASONS
-    from topcli.sweeps.run import planned, rows_to_run
-
-    plan, changed = planned(sweep, out, options)
-    limit = LISTED_ROWS if as_json else SHOWN_ROWS
-    rows = [(row, REASONS[reason]) for (row, reason), _ in zip(rows_to_run(plan), range(limit), strict=False)]
+    plan, waiting = planned(sweep, out)
+    rows, to_run, folder = len(plan.digests), int(waiting.sum()), out / sweep.name
+    listed: list[dict[str, Any]] = []
+    for group in plan.groups:
+        for i, number in enumerate(group.numbers.tolist()):
+            if waiting[number] and len(listed) < LISTED_ROWS:
+                listed.append({"row": number, "keys": {key: group.values[key][i] for key in sweep.keys}})
+    listed.sort(key=lambda row: row["row"])
     if as_json:
-        listed = [
-            {"row": row.number, "reason": reason, "keys": dict(zip(sweep.keys, row.keys, strict=True))}
-            for row, reason in rows
-        ]
-        data = {
-            "dry_run": True,
-            "name": sweep.name,
-            "rows": plan.survey.count,
-            "new": plan.to_run,
-            "done": plan.done,
-            "failed": plan.failed,
-            "repeated": plan.repeated,
-            "not_current": plan.left,
-            "varied": list(sweep.keys),
-            "reasons": plan.reasons(),
-            "changes": changed,
-            "folder": str(out / sweep.name),
-            "to_run": listed,
-        }
-        print_json("sweep", data)
+        data = {"dry_run": True, "name": sweep.name, "rows": rows, "new": to_run, "varied": list(sweep.keys)}
+        print_json("sweep", {**data, "folder": str(folder), "to_run": listed})
         return
-    emit(f"{sweep.name}: {plan.to_run} new, {plan.done} done, {plan.failed} failed, in {out / sweep.name}")
-    emit(f"varied: {', '.join(_varied(sweep))}")
-    for line in changed:
-        emit(f"changed: {line}")
-    for reason, count in plan.reasons().items():
-        emit(f"to run: {counted(count, 'row')}, {reason}")
-    for row, reason in rows:
-        emit(f"row {row.number}: {reason}: {_values(sweep, row)}")
-    if plan.to_run > len(rows):
-        emit(f"... and {plan.to_run - len(rows)} more")
-    if plan.repeated:
-        emit(f"repeated: {counted(plan.repeated, 'row')}, equal to an earlier one and computed once")
-    if plan.left:
-        emit(f"kept, not current: {counted(plan.left, 'finished row')} of an earlier sweep file")
+    emit(f"{sweep.name}: {to_run} of {rows} rows to run, in {folder}")
+    for row in listed[:SHOWN_ROWS]:
+        emit(f"row {row['row']}: {', '.join(f'{key} = {value}' for key, value in row['keys'].items())}")
+    if to_run > SHOWN_ROWS:
+        emit(f"... and {to_run - SHOWN_ROWS} more")
 
 
 def exit_code(result: SweepResult) -> ExitCode:
@@ -110,25 +71,12 @@ def exit_code(result: SweepResult) -> ExitCode:
     return ExitCode.FAILED if result.failed == result.finished else ExitCode.PARTLY_FAILED
 
 
-def _report(sweep: Sweep, result: SweepResult) -> None:
-    """Print the result of a sweep."""
-    total = result.plan.survey.count
-    state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
-    failed = f"; {result.failed} failed" if result.failed else ""
-    place = result.folder / "rows.parquet"
-    print_message(f"{sweep.name}: {result.finished} of {total} rows finished{failed} -> {place} ({state})")
-    if result.plan.left:
-        print_message(f"{sweep.name}: not current: {counted(result.plan.left, 'row')} of an earlier sweep file")
-    rows = [[outcome, str(count)] for outcome, count in sorted(result.outcomes.items())]
-    print_table(["outcome", "rows"], rows)
-
-
 def sweep(
     file: SweepFile,
     sets: Sets = None,
     out: Out = Path("results"),
     dry_run: DryRun = False,
-    retry_failed: RetryFailed = False,
+    force: Force = False,
     threads: Threads = None,
     dask: Dask = None,
     as_json: Json = False,
@@ -138,20 +86,35 @@ def sweep(
 
     The result is a table with one row for each run. It is stored as NAME/rows.parquet in the folder of --out, where
     NAME is the name of the sweep. Finished rows are not run again. To continue an interrupted or killed sweep, give the
-    same command again. After a change of the sweep file, only new rows are run. In this command, --set sets a key of
-    the sweep file, such as base.T=20 or name=other.
+    same command again. After a change of the sweep file, only new rows are run; with --force all rows are run, and the
+    earlier folder is renamed. In this command, --set sets a key of the sweep file, such as base.T=20 or name=other.
     """
     from topcli.config.sweep import load_sweep
-    from topcli.sweeps.run import SweepOptions
+    from topcli.sweeps.run import SweepOptions, run_sweep
 
     if dask is not None and threads is not None:
         raise UsageError("--threads cannot be used with --dask; each worker has its own number of threads")
     loaded = load_sweep(file, sets or [])
-    options = SweepOptions(retry_failed, threads)
     if dry_run:
-        _dry_run(loaded, out, options, as_json)
+        _dry_run(loaded, out, as_json)
         return
-    result = _carried_out(loaded, out, options, dask, quiet)
+    count = itertools.count(1)
+
+    def on_failure(row: int, message: str) -> None:
+        """Print the first failures when they happen; all are in the table."""
+        if (number := next(count)) <= SHOWN_FAILURES:
+            print_message(f"error: row {row}: {shortened(message, 300)}")
+        elif number == SHOWN_FAILURES + 1:
+            print_message("further failures are only counted; the messages of all are in the table")
+
+    display = ProgressDisplay(1, quiet, unit="rows")
+    display.begin(loaded.name)
+    on_message = (lambda line: None) if quiet else print_message
+    try:
+        with Interruption() as stop:
+            result = run_sweep(loaded, out, SweepOptions(force, threads, dask, stop, display, on_failure, on_message))
+    finally:
+        display.close()
     if as_json:
         print_json("sweep", _result_data(loaded, result))
     elif not quiet:
@@ -160,69 +123,42 @@ def sweep(
         raise typer.Exit(code)
 
 
-def _carried_out(sweep: Sweep, out: Path, options: SweepOptions, dask: str | None, quiet: bool) -> SweepResult:
-    """Run a sweep in this process or on a cluster, with progress, messages and the first failures."""
-    from topcli.sweeps.run import run_sweep
-
-    count = itertools.count(1)
-
-    def on_failure(row: Row, outcome: str, message: str) -> None:
-        """Print the first failures when they happen; all are in the table."""
-        if (number := next(count)) <= SHOWN_FAILURES:
-            print_message(f"error: row {row.number} ({shortened(_values(sweep, row), 200)}): {message}")
-        elif number == SHOWN_FAILURES + 1:
-            print_message("further failures are only counted; the messages of all are in the table")
-
-    display = ProgressDisplay(1, quiet, unit="rows")
-    display.begin(sweep.name)
-    with Interruption() as interruption:
-        options = replace(options, stop=interruption, on_progress=display, on_failure=on_failure)
-        if not quiet:
-            options = replace(options, on_message=print_message)
-        try:
-            if dask is None:
-                return run_sweep(sweep, out, options)
-            from topcli.sweeps.cluster import run_on_cluster
-
-            return run_on_cluster(dask, sweep, out, options)
-        finally:
-            display.close()
+def _report(sweep: Sweep, result: SweepResult) -> None:
+    """Print the result of a sweep."""
+    state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
+    failed = f"; {result.failed} failed" if result.failed else ""
+    place = result.folder / "rows.parquet"
+    print_message(f"{sweep.name}: {result.finished} of {result.rows} rows finished{failed} -> {place} ({state})")
+    rows = [[outcome, str(count)] for outcome, count in sorted(result.outcomes.items())]
+    print_cells(Cells("", ["outcome", "rows"], rows))
 
 
 def _result_data(sweep: Sweep, result: SweepResult) -> dict[str, Any]:
     """Result of a sweep as plain data."""
-    return {
-        "dry_run": False,
-        "name": sweep.name,
-        "digest": sweep.digest,
-        "folder": str(result.folder),
-        "rows": result.plan.survey.count,
-        "finished": result.finished,
-        "ran": result.ran,
-        "failed": result.failed,
-        "outcomes": dict(sorted(result.outcomes.items())),
-        "not_current": result.plan.left,
-        "varied": list(sweep.keys),
-        "interrupted": result.interrupted,
-        "seconds": result.seconds,
-    }
+    counts = {"rows": result.rows, "finished": result.finished, "ran": result.ran, "failed": result.failed}
+    about = {"dry_run": False, "name": sweep.name, "digest": sweep.digest, "folder": str(result.folder)}
+    rest = {"varied": list(sweep.keys), "interrupted": result.interrupted, "seconds": result.seconds}
+    return {**about, **counts, "outcomes": dict(sorted(result.outcomes.items())), **rest}
 
 
 def show_sweep(folder: Path, number: int | None, sets: list[str], as_json: bool) -> None:
     """Print the config of a row of the sweep in ``folder``, or the whole sweep file if ``number`` is None."""
     from topcli.config.load import load_experiment
-    from topcli.sweeps.run import find_row, stored_sweep_file
+    from topcli.sweeps.store import stored_sweep_file
 
+    sweep = stored_sweep_file(folder, sets if number is None else [])
     if number is None:
-        sweep = stored_sweep_file(folder, sets)
         if as_json:
             print_json("show", {"sweep": sweep.resolved(), "digest": sweep.digest})
         else:
             emit_text(sweep.to_yaml())
         return
-    sweep, row = find_row(folder, number)
-    experiment = load_experiment(row.config(f"{sweep.name[:80]}_{number}"), sets, any_precision=True)
+    try:
+        row = sweep.row(number)
+    except IndexError as error:
+        raise UsageError(f"{folder}: {error}") from None
+    experiment = load_experiment(row.resolved(), sets, any_precision=True)
     if as_json:
-        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest, "row_digest": row.digest})
+        print_json("show", {"config": experiment.resolved(), "digest": experiment.digest})
     else:
         emit_text(experiment.to_yaml())

@@ -6,7 +6,8 @@ gathered, so that several are reported at once, each with its place and key.
 
 from __future__ import annotations
 
-import math
+import json
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import to_json
 
-from topcli.config.text import HALF_PAIR, MAX_DEPTH, KeyPath, has_half_pair
+from topcli.config.text import MAX_DEPTH, KeyPath
 from topcli.errors import ConfigError, UsageError, nearest, quoted, shortened
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -26,7 +27,8 @@ STRICT = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=Fals
 """Models of sections: no other keys, no conversions between types, finite numbers."""
 SHOWN_FAULTS = 3
 """Faults that one message shows."""
-MAX_INTEGER_BITS = 1024
+canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
+"""JSON with sorted keys and without spaces: equal plain data, equal text."""
 
 
 @dataclass
@@ -108,25 +110,18 @@ def describe(value: object) -> str:
         case None:
             return "an empty value"
         case bool():
-            return "true" if value else "false"
+            return str(value).lower()
         case str():
             return f"the text {quoted(value)}"
-        case list():
-            return "a list" if value else "an empty list"
-        case dict():
-            return "a section" if value else "an empty section"
-        case _:
-            return shortened(repr(value))
+        case list() | dict():
+            kind = "list" if isinstance(value, list) else "section"
+            return f"a {kind}" if value else f"an empty {kind}"
+    return shortened(repr(value))
 
 
 def number_of(value: object) -> float | None:
-    """Return ``value`` as a float, infinite if too large for one; None if it is not a number."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return None
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
+    """Return a number of plain data as a float; None if ``value`` is not a number."""
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
 def as_integer(value: Any) -> Any:
@@ -137,24 +132,19 @@ def as_integer(value: Any) -> Any:
 def plain(value: Any, document: Document, path: KeyPath = ()) -> Any:
     """Return a copy of ``value`` as plain data; tuples and numpy's scalars and arrays become lists and numbers.
 
-    Raises ConfigError naming the key of anything else (dates, objects, keys that are not text, integers beyond 1024
-    bits) and of data nested deeper than 16 levels.
+    Raises ConfigError naming the key of anything else, of a number that no double holds, and of data nested deeper
+    than 16 levels.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
     fault = f"must be a number, text, list or section, not a {type(value).__name__}"
     if len(path) > MAX_DEPTH:
         path, fault = path[:1], f"nested deeper than {MAX_DEPTH} levels"
     elif isinstance(value, Mapping):
-        odd = [key for key in value if not isinstance(key, str) or has_half_pair(key)]
-        if not odd:
-            return {key: plain(item, document, (*path, key)) for key, item in value.items()}
-        fault = f"keys are names, not {describe(odd[0])}"
+        return {str(key): plain(item, document, (*path, str(key))) for key, item in value.items()}
     elif isinstance(value, (list, tuple)):
         return [plain(item, document, (*path, i)) for i, item in enumerate(value)]
-    elif isinstance(value, str) and has_half_pair(value):
-        fault = HALF_PAIR
-    elif isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
-        fault = f"an integer of more than {MAX_INTEGER_BITS} bits is too large"
+    elif isinstance(value, (int, float)) and not abs(value) <= sys.float_info.max:
+        fault = "must be a finite number that a double holds"
     elif value is None or isinstance(value, (bool, int, float, str)):
         return value
     raise ConfigError(document.message(path, fault))
@@ -189,12 +179,11 @@ def read_model(model: type[Model], data: object) -> Model:
 
 
 _WORDS = {
-    "Input should be": "must be",
+    "Input should": "must",
     "a valid number": "a number",
     "a valid integer": "a whole number",
     ", got a number with a fractional part": "",
-    "a valid string": "text (in quotes, if it looks like something else)",
-    "a valid boolean": "true or false",
+    "a valid string": "text",
     "a valid array": "a list",
     "an object": "a section",
 }
@@ -203,31 +192,30 @@ _WORDS = {
 
 def _words(fault: Any, model: type[BaseModel] | None) -> str:
     """Message for one of pydantic's errors about data for ``model``."""
-    kind, given = fault["type"], describe(fault["input"])
+    given = describe(fault["input"])
     *section, key = fault["loc"] or ("",)
     fields = _fields_at(model, section)
-    if kind == "value_error":
-        return str(fault["ctx"]["error"])
-    if kind == "missing":
-        description = fields[key].description if key in fields else ""
-        return f"missing; give {description}" if description else "missing"
-    if kind == "extra_forbidden":
-        return unknown_key(str(key), fields)
-    if kind == "model_type":
-        return f"must be a section with {', '.join(_fields_at(model, fault['loc']))}, not {given}"
-    text = "must be a list" if kind == "too_short" else fault["msg"]
+    match fault["type"]:
+        case "value_error":
+            return str(fault["ctx"]["error"])
+        case "missing":
+            return f"missing; give {fields[key].description}" if key in fields else "missing"
+        case "extra_forbidden":
+            return unknown_key(str(key), fields)
+        case "model_type":
+            return f"must be a section with {', '.join(_fields_at(model, fault['loc']))}, not {given}"
+        case "too_short" | "too_long":
+            return fault["msg"]
+    text = fault["msg"]
     for word, ours in _WORDS.items():
         text = text.replace(word, ours)
-    example = (fields[key].examples or [""])[0] if key in fields else ""
-    return f"{text}, not {given}" + (f"; for example {example}" if example else "")
+    return f"{text}, not {given}"
 
 
 def _fields_at(model: type[BaseModel] | None, path: Iterable[str | int]) -> dict[str, FieldInfo]:
     """Fields of the section ``path`` inside ``model``; none if the section has no model."""
     for part in path:
         field = fields_of(model).get(str(part)) if model else None
-        read = [getattr(data, "json_schema_input_type", None) for data in field.metadata] if field else []
-        kinds = [kind for given in (field.annotation if field else None, *read) for kind in (given, *get_args(given))]
-        models = (kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
-        model = next(models, None)
+        kinds = (field.annotation, *get_args(field.annotation)) if field else ()
+        model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
     return fields_of(model) if model else {}

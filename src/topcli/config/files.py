@@ -12,6 +12,8 @@ from topcli.config.text import parse_toml, parse_yaml
 from topcli.errors import ConfigError, UnknownNameError, nearest, quoted
 
 SUFFIXES = (".yaml", ".yml", ".toml")
+_CUT_NAME = re.compile(r"""^name: +[^\s'"#][^#\n]* #\S""", re.MULTILINE)
+"""A name in YAML whose end is read as a comment, such as ``name: run #1``."""
 
 
 def scene_files(folder: str = "") -> dict[str, Path]:
@@ -64,13 +66,10 @@ def is_config(name: str) -> bool:
 def read_document(path: Path) -> Document:
     """Read a YAML or TOML config file.
 
-    Raises ConfigError with ``file:line:column`` for wrong syntax, with the nearest names for a missing file, and for
-    what is not a file of text.
+    Raises ConfigError with ``file:line:column`` for wrong syntax, and with the nearest names for a missing file.
     """
     if path.suffix.lower() not in SUFFIXES:
-        inside = path / "config.yaml"
-        hint = f"that of this run is {inside}" if inside.is_file() else "its name ends in .yaml, .yml or .toml"
-        raise ConfigError(f"{path}: not a config; {hint}")
+        raise ConfigError(f"{path}: not a config; its name ends in .yaml, .yml or .toml")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
@@ -80,16 +79,11 @@ def read_document(path: Path) -> Document:
     except (OSError, ValueError) as error:  # also bytes that are not UTF-8
         raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     data, lines = (parse_toml if path.suffix.lower() == ".toml" else parse_yaml)(text, str(path))
-    if not data and not isinstance(data, list):
-        raise ConfigError(f"{path}: is empty; `topcli init` writes a config to start from")
-    if not isinstance(data, dict):
-        raise ConfigError(f"{path}:1: a config is a list of `key: value` lines, not {describe(data)}")
-    if isinstance(name := data.get("name"), str) and (
-        comment := re.search(rf"^name: +{re.escape(name)} +#\S", text, re.M)
-    ):
-        line = text.count("\n", 0, comment.start()) + 1
-        hint = "write the whole name in quotes, or a space after #"
-        fault = f"the sign # begins a comment after {quoted(data['name'])}; {hint}"
-        raise ConfigError(f"{path}:{line}: name: {fault}")
-    places = {(): f"{path}:{min(lines.values(), default=1)}", **{key: f"{path}:{line}" for key, line in lines.items()}}
+    if not isinstance(data, dict) or not data:
+        fault = f"a config is a list of `key: value` lines, not {describe(data)}; `topcli init` writes one"
+        raise ConfigError(f"{path}:1: {fault}")
+    if comment := _CUT_NAME.search(text):
+        fault = "the sign # begins a comment; write the whole name in quotes, or a space after #"
+        raise ConfigError(f"{path}:{text.count(chr(10), 0, comment.start()) + 1}: name: {fault}")
+    places = {key: f"{path}:{line}" for key, line in lines.items()}
     return Document(plain(data, Document({}, places)), places)

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache, lru_cache
 from itertools import chain
-from typing import Any
+from typing import Annotated, Any
 
-import numpy as np
 from pydantic import BaseModel, Field
 
 from topcli.analysis.quantities import usable_names
 from topcli.config.document import STRICT, Document, describe
 from topcli.config.models import Output, PoincareSection
-from topcli.config.text import KeyPath
 from topcli.contracts import Invariant, Top
-from topcli.engine.columns import ATTITUDES
-from topcli.errors import UsageError, nearest, quoted
+from topcli.engine.columns import ATTITUDES, spellings
+from topcli.errors import ConfigError, nearest, quoted
 from topcli.field.expression import parse
-from topcli.field.integrals import broken_hk_integral, broken_integral, conserves_exactly
+from topcli.field.integrals import broken_hk_integral, broken_integral
 from topcli.tops import CUSTOM, TOPS, BodyTop
 from topcli.tops.bodies import checked_rotation
-from topcli.tops.declared import BODY_SYMBOLS, VECTORS, Declared, custom_class, name_fault
+from topcli.tops.declared import BODY_SYMBOLS, VECTORS, custom_class, name_fault
+
+Three = Annotated[list[Any], Field(min_length=3, max_length=3)]
+"""Three formulas."""
 
 
 class Body(BaseModel):
@@ -29,13 +29,9 @@ class Body(BaseModel):
 
     model_config = STRICT
 
-    moments: list[Any] = Field(description="three formulas of the parameters: the moments of inertia")
-    gravity: list[Any] = Field(
-        description="three formulas of the parameters: the weight times the coordinates of the centre of gravity"
-    )
-    rotor: list[Any] | None = Field(
-        default=None, description="three formulas of the parameters: the angular momentum of the rotors in the body"
-    )
+    moments: Three = Field(description="three formulas of the parameters: the moments of inertia")
+    gravity: Three = Field(description="three formulas of the parameters: weight times the centre of gravity")
+    rotor: Three | None = Field(default=None, description="three formulas: the angular momentum of rotors in the body")
 
 
 class CustomSection(BaseModel):
@@ -53,88 +49,42 @@ class CustomSection(BaseModel):
         description="a rigid body, instead of components and field; its state is omega1 to omega3, the angular "
         "velocity, and gamma1 to gamma3, the vertical",
     )
-    field: dict[str, Any] = Field(
-        default={}, description="for each component of the state, a formula of its time derivative"
-    )
+    field: dict[str, Any] = Field(default={}, description="for each component, a formula of its time derivative")
     invariants: dict[str, Any] = Field(
         default={},
         description="formulas of conserved quantities by name; {value: F, on: {NAME: X}} if F is conserved only "
         "where the invariant NAME is X, {value: F, if: G} if F exists only where the formula G of the parameters is 0",
     )
     hk: dict[str, Any] = Field(
-        default={},
-        description="formulas, which may contain h, of quantities that the scheme hk conserves, by name; "
-        "{value: F, if: G} as for invariants",
+        default={}, description="formulas, also of h, that the scheme hk conserves, by name; {value: F, if: G} as above"
     )
-    angular_velocity: list[Any] | None = Field(
-        default=None,
-        description="three formulas: the angular velocity in the frame of the body; the attitude can then be recorded",
+    angular_velocity: Three | None = Field(
+        default=None, description="three formulas: the angular velocity in the body; the attitude can then be recorded"
     )
-    vertical: list[Any] | None = Field(
-        default=None,
-        description="three formulas: the components, in the frame of the body, of a vector that is fixed in space and "
-        "drawn upright",
+    vertical: Three | None = Field(
+        default=None, description="three formulas: a vector fixed in space, in the body, which is drawn upright"
     )
 
 
-class Conditional(BaseModel):
-    """Quantity that the scheme hk conserves for some parameters."""
+class Relation(BaseModel):
+    """Invariant for some parameters, or on a level of other invariants."""
 
     model_config = STRICT
 
     value: Any = Field(description="the formula")
-    condition: Any = Field(
-        default=None, alias="if", description="a formula of the parameters that is 0 where the value is conserved"
-    )
-
-
-class Relation(Conditional):
-    """Invariant for some parameters, or on a level of other invariants."""
-
+    condition: Any = Field(default=None, alias="if", description="a formula of the parameters that must be 0")
     on: dict[str, float] = Field(default={}, description="values of other invariants for which this one is conserved")
 
 
-RANDOM_TOPS = 8
-"""Random sets of parameters that stand for all others."""
-
-
-def read_custom(raw: dict[str, Any], document: Document) -> tuple[type[Top] | None, Top | None]:
-    """Return the class of a top that a config declares, and the top; None for each that cannot be read."""
-    before = len(document.faults)
-    given = raw.get("parameters")
+def read_custom(raw: dict[str, Any], document: Document) -> type[Top] | None:
+    """Return the class of a top that a config declares; None, with the faults added, if it cannot be read."""
+    before, given = len(document.faults), raw.get("parameters")
     section = document.read(CustomSection, raw, "top", beside=("kind", *(given if isinstance(given, dict) else ())))
     if section is None:
-        return None, None
+        return None
     _check_names(section, document)
-    if len(document.faults) > before:
-        return None, None
-    declared = _with_texts(section, document)
-    if len(document.faults) > before:
-        return None, None
-    cls = custom_class(declared)
-    TOPS.declared[cls.form] = cls
-    top = document.read(cls, cls.parameters_in({**declared, **raw, "parameters": section.parameters}), "top")
-    if top is not None:
-        check_numbers(top, document)
-    return cls, top if len(document.faults) == before else None
-
-
-def _with_texts(section: CustomSection, document: Document) -> dict[str, Any]:
-    """The section as plain data, each formula as a text that has been parsed; mistakes are added."""
-    declared = section.model_dump(by_alias=True, exclude_none=True)
-    parameters = (*section.parameters,)
-    names = (*components_of(section), *parameters)
-    usable = dict.fromkeys(("field", "invariants", *VECTORS), names) | {"hk": (*names, "h")}
-    places = [((key,), declared, key, usable[key]) for key in usable if declared.get(key)]
-    places += [(("body", key), declared["body"], key, parameters) for key in declared.get("body", ())]
-    for path, owner, key, allowed in places:
-        part = owner[key]
-        if isinstance(part, list) and len(part) != 3:
-            document.fault(("top", *path), f"must be a list of three formulas, not of {len(part)}")
-            continue
-        for name, value in part.items() if isinstance(part, dict) else enumerate(part):
-            part[name] = _formula(value, ("top", *path, name), allowed, document, parameters)
-    return declared
+    declared = _with_texts(section, document) if len(document.faults) == before else {}
+    return declared_class({"kind": CUSTOM, **declared}) if len(document.faults) == before else None
 
 
 def declared_class(section: object) -> type[Top] | None:
@@ -146,132 +96,112 @@ def declared_class(section: object) -> type[Top] | None:
     return cls
 
 
-def components_of(section: CustomSection) -> tuple[str, ...]:
-    """Names of the components of the state."""
-    return BodyTop.components if section.body else tuple(section.components)
-
-
 def _check_names(section: CustomSection, document: Document) -> None:
     """Add what is missing or given twice, the names that cannot be used, and vectors of unknown components."""
-    before = len(document.faults)
+    components, earlier = section.components, {}
+    if section.body:
+        components = list(BodyTop.components)
+        earlier = dict.fromkeys((*components, *BODY_SYMBOLS), "quantity of the body")
     for key in ("components", "field", "vectors", *VECTORS):
         given = bool(getattr(section, key))
         if section.body and given:
             document.fault(("top", key), "is given by body; leave it out")
-        if not section.body and not given and key in ("components", "field"):
-            document.fault(("top",), f"needs {key}, or body for a rigid body with a fixed point")
-    components = components_of(section)
-    earlier = dict.fromkeys((*components, *BODY_SYMBOLS), "quantity of the body") if section.body else {}
+        elif not section.body and not given and key in ("components", "field"):
+            document.fault(("top", key), "missing; give it, or body for a rigid body with a fixed point")
+
+    # each name once, and none that has another meaning
     groups = {"components": "component", "parameters": "parameter", "invariants": "invariant", "hk": "invariant"}
     for key, what in groups.items():
-        for index, name in enumerate(getattr(section, key)):
+        for name in getattr(section, key):
             if fault := name_fault(name, what, earlier):
-                document.fault(("top", key, index if what == "component" else name), fault)
+                document.fault(("top", key, *([name] if what != "component" else [])), fault)
             earlier.setdefault(name, what)
-    if len(document.faults) > before:
-        return
-    for name in components:
-        if section.field and name not in section.field:
-            document.fault(("top", "field"), f"gives no rate of change of {name!r}")
+    for vector in section.vectors:
+        if fault := name_fault(vector, "vector", dict.fromkeys(components, "component")):
+            document.fault(("top", "vectors", vector), fault)
+
+    # a rate of change for each component, which is in one vector
     for name in section.field:
         if name not in components:
             document.fault(("top", "field", name), f"is not a component; {nearest(name, components)}")
-    for vector, part in section.vectors.items():
-        if fault := name_fault(vector, "vector", dict.fromkeys(components, "component")):
-            document.fault(("top", "vectors", vector), fault)
-        start = components.index(part[0]) if part and part[0] in components else 0
-        if not part or tuple(part) != components[start : start + len(part)]:
-            document.fault(("top", "vectors", vector), f"must be neighbours in components, {', '.join(components)}")
-    if section.vectors and sorted(chain.from_iterable(section.vectors.values())) != sorted(components):
-        document.fault(("top", "vectors"), "must contain each component once")
+    if missing := [name for name in components if section.field and name not in section.field]:
+        document.fault(("top", "field"), f"gives no rate of change of {', '.join(missing)}")
+    if section.vectors and ([*chain(*section.vectors.values())] != components or not all(section.vectors.values())):
+        document.fault(("top", "vectors"), f"must contain each component once, in the order {', '.join(components)}")
 
 
-def _formula(
-    value: Any, path: KeyPath, names: Sequence[str], document: Document, parameters: Sequence[str] = ()
-) -> Any:
-    """A formula as text, and one with a condition as a section; mistakes are added."""
-    if isinstance(value, dict) and path[1] in ("invariants", "hk"):
-        given = document.read(Relation if path[1] == "invariants" else Conditional, value, *path)
-        if given is None:
-            return None
-        parts: dict[str, Any] = {"value": _formula(given.value, (*path, "value"), names, document)}
-        if given.condition is not None:
-            parts["if"] = _formula(given.condition, (*path, "if"), parameters, document)
-        return parts | ({"on": given.on} if isinstance(given, Relation) and given.on else {})
-    if isinstance(value, bool) or not isinstance(value, str | int | float):
-        return document.fault(path, f"must be a formula such as 2*{next(iter(names), 1)}, not {describe(value)}")
+def _with_texts(section: CustomSection, document: Document) -> dict[str, Any]:
+    """The section as plain data, each formula as a text that has been parsed; mistakes are added."""
+    declared = section.model_dump(by_alias=True, exclude_none=True)
+    parameters = (*section.parameters,)
+    names = (*(BodyTop.components if section.body else section.components), *parameters)
+    places = [(("top", key), declared, key, names) for key in ("field", "invariants", *VECTORS)]
+    places += [(("top", "hk"), declared, "hk", (*names, "h"))]
+    places += [(("top", "body", key), declared["body"], key, parameters) for key in declared.get("body", ())]
+    for path, owner, key, allowed in places:
+        part = owner.get(key) or {}
+        for name, value in part.items() if isinstance(part, dict) else enumerate(part):
+            inside = (*path, name)
+            if key not in ("invariants", "hk") or not isinstance(value, dict):
+                part[name] = read_formula(value, allowed, document, *inside)
+            elif relation := document.read(Relation, value, *inside):
+                part[name] = {"value": read_formula(relation.value, allowed, document, *inside, "value")}
+                if relation.condition is not None:
+                    part[name]["if"] = read_formula(relation.condition, parameters, document, *inside, "if")
+                if relation.on:
+                    part[name]["on"] = relation.on
+                if relation.on and key == "hk":
+                    document.fault((*inside, "on"), "is for invariants only")
+    return declared
+
+
+def read_formula(value: object, names: Sequence[str], document: Document, *path: str | int) -> str:
+    """Return a formula of these names as text; mistakes are added at ``path``."""
     text = value.strip() if isinstance(value, str) else repr(value)
     with document.at(*path):
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise ConfigError(f"must be a formula such as 2*{next(iter(names), 1)}, not {describe(value)}")
         parse(text, names)
     return text
 
 
-def check_numbers(top: Declared, document: Document) -> None:
+def check_numbers(top: Any, document: Document) -> None:
     """Add an integral that the field, or the HK map, does not conserve with these parameters."""
-    frozen: Any = top  # and so hashable
-    key, name, text = _broken(frozen)
-    if text:
-        document.fault(("top", key, *([name] if name else ())), text)
-
-
-@lru_cache(maxsize=1024)
-def _broken(top: Declared) -> tuple[str, str, str]:
-    """Key and name of an integral that is not conserved, or of a vector not fixed in space, and why; or empty texts."""
-    if not _conserves_with_all_parameters(type(top)):
-        for key, fault in (("invariants", broken_integral(top)), ("hk", broken_hk_integral(top))):
-            if fault:
-                names = top.integrals if key == "invariants" else top.hk
-                return key, next(name for name in names if fault.startswith(repr(name))), fault
-    try:
-        if top.vertical:
+    for key, fault in (("invariants", broken_integral(top)), ("hk", broken_hk_integral(top))):
+        if fault:  # which begins with the name of the integral
+            document.fault(("top", key, fault.split("'")[1]), fault)
+    if top.vertical:
+        with document.at("top", "vertical"):
             checked_rotation(top, "the vertical")
-    except (ValueError, UsageError) as error:
-        return "vertical", "", str(error)
-    return "", "", ""
 
 
-@cache
-def _conserves_with_all_parameters(cls: type[Declared]) -> bool:
-    """True if field and HK map conserve the integrals exactly for random parameters, and so for all others."""
-    if cls.conditions:
-        return False
-    random, names = np.random.default_rng(0), list(cls.model_fields)
-    sets = random.normal(size=(RANDOM_TOPS, len(names))).tolist()
-    tops = [cls(**dict(zip(names, values, strict=True))) for values in sets]
-    return all(conserves_exactly(top) and not broken_hk_integral(top) for top in tops)
-
-
-def read_quantities(
-    output: Output, cls: type[Top], integrals: Sequence[Invariant], document: Document
-) -> dict[str, str] | None:
-    """The formulas of ``output.quantities`` as text, checked; None if there are none."""
-    if not output.quantities:
-        return None
+def read_output(output: Output, cls: type[Top], integrals: Sequence[Invariant], document: Document) -> Output:
+    """Return the output with the names of its columns, each given by name or symbol, and the texts of its formulas."""
     earlier = dict.fromkeys(cls.model_fields, "parameter") | dict.fromkeys(cls.components, "component")
     earlier |= dict.fromkeys((integral.name for integral in integrals), "invariant")
     earlier |= dict.fromkeys(chain.from_iterable(ATTITUDES.values()), "column of the attitude")
     formulas: dict[str, str] = {}
-    for name, value in output.quantities.items():
-        path = ("output", "quantities", name)
+    for name, value in (output.quantities or {}).items():
         if fault := name_fault(name, "quantity", earlier):
-            document.fault(path, fault)
-        elif isinstance(text := _formula(value, path, usable_names(cls), document), str):
-            formulas[name] = text
-    return formulas
+            document.fault(("output", "quantities", name), fault)
+        formulas[name] = read_formula(value, usable_names(cls), document, "output", "quantities", name)
+    names = {text: integral.name for integral in integrals for text in spellings(integral.name, integral.symbol)}
+    names |= {name: name for name in ("n", "t", *cls.components, *formulas, *output.attitude_columns)}
+    for text in output.columns or ():
+        if text not in names:
+            document.fault(("output", "columns"), f"unknown column {quoted(text)}; {nearest(text, names)}")
+    columns = tuple(names.get(text, text) for text in output.columns or ())
+    if len(set(columns)) < len(columns):
+        document.fault(("output", "columns"), "names a column twice")
+    return output.model_copy(update={"columns": columns or None, "quantities": formulas or None})
 
 
-def read_section(section: PoincareSection, cls: type[Top], document: Document) -> PoincareSection | None:
-    """The section of orbits of ``cls``, its formula as text, checked; None if it is wrong."""
-    component, path = section.component, ("section",)
-    if (component is None) == (section.quantity is None):
-        given = "both are given" if component else "neither is given"
-        document.fault(path, f"needs component or quantity, and {given}; for example component: {cls.components[-1]}")
-    elif component is not None and component not in cls.components:
-        document.fault(
-            (*path, "component"), f"unknown component {quoted(component)}; {nearest(component, cls.components)}"
-        )
-    elif component is not None:
-        return section
-    elif isinstance(text := _formula(section.quantity, (*path, "quantity"), usable_names(cls), document), str):
+def read_section(section: PoincareSection, cls: type[Top], document: Document) -> PoincareSection:
+    """The section of orbits of ``cls``, its formula as text, checked."""
+    if section.component is None:
+        text = read_formula(section.quantity, usable_names(cls), document, "section", "quantity")
         return section.model_copy(update={"quantity": text})
-    return None
+    if section.component not in cls.components:
+        near = nearest(section.component, cls.components)
+        document.fault(("section", "component"), f"unknown component {quoted(section.component)}; {near}")
+    return section

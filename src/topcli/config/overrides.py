@@ -6,26 +6,20 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from topcli.config.document import Document, describe, key_text
+from topcli.config.document import Document, describe, key_text, plain
 from topcli.config.text import parse_yaml
-from topcli.errors import ConfigError, quoted, shortened
+from topcli.errors import ConfigError, shortened
 
 BARE = {"top": "kind", "scheme": "name"}
 """Sections that may be given as a bare name, each with the key whose value the name is."""
 PARTNER = {"T": "N", "N": "T"}
 """Keys of which a config has one, each with the one whose place it takes."""
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
-_POSITION = re.compile(r"^(:\d+)*: ")
 
 
 def override_label(text: str) -> str:
     """Name of an override in messages, and the place of the key that it sets."""
     return f"--set {shortened(text)}"
-
-
-def is_override(place: str) -> bool:
-    """True if an override has set the key of this place."""
-    return place.startswith("--set ")
 
 
 def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
@@ -41,14 +35,9 @@ def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
     key, _, value = text.partition("=")
     path = tuple(part.strip() for part in key.split("."))
     label = label or override_label(text)
-    if not value.strip():
-        raise ConfigError(f"{label}: expected key=value, such as h=0.01")
-    if not all(_KEY.fullmatch(part) for part in path):
-        raise ConfigError(f"{label}: {quoted(key)} is not a key; expected key=value with a key such as h or top.c0")
-    try:
-        data = parse_yaml(value, "")[0]
-    except ConfigError as error:
-        raise ConfigError(f"{label}: {_POSITION.sub('', str(error))}") from None
+    if not value.strip() or not all(_KEY.fullmatch(part) for part in path):
+        raise ConfigError(f"{label}: expected key=value, such as h=0.01 or top.c0=2")
+    data = parse_yaml(value, label)[0]
     if " #" in value and " #" not in str(data):
         raise ConfigError(f"{label}: the sign # begins a comment; write the value in quotes, as in name='run #1'")
     return path, data
@@ -76,10 +65,10 @@ def set_key(document: Document, path: tuple[str, ...], value: Any, place: str) -
         elif inner is not None and not isinstance(inner, dict):
             whole = key_text(path[: depth + 1])
             raise ConfigError(f"{place}: {whole} is {describe(inner)}, not a section; set {whole} as a whole")
-        section[key] = inner = inner or {}
-        section = inner
-    section[path[-1]] = value
-    document.places = {key: where for key, where in document.places.items() if key[: len(path)] != path}
+        section[key] = section = dict(inner or {})
+    if isinstance(section.get(path[-1]), dict | list):  # whose keys have places
+        document.places = {key: where for key, where in document.places.items() if key[: len(path)] != path}
+    section[path[-1]] = plain(value, Document({}, {path: place}), path)
     document.places[path] = place
 
 

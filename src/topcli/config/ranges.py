@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, Field, PlainValidator, model_validator
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
-from topcli.config.document import STRICT, as_integer, describe, number_of, read_model
+from topcli.config.document import STRICT, Document, as_integer, describe
 from topcli.errors import UsageError
 
 MAX_SWEEP_ROWS = 10**7
-EARLIER = {"start": "from", "stop": "to"}
-"""Words for the ends of a range that are not read, each with the one that is."""
 EXAMPLE = "[0.1, 0.2] or {from: 0.1, to: 1, count: 10}"
 
 
@@ -65,50 +64,28 @@ class Range(Interval):
         inner = (self.value(i / (self.count - 1)) for i in range(1, self.count - 1))
         return [self.first, *inner, self.last][: self.count]
 
+    def spaced(self) -> list[float]:
+        """Return the values of an ensemble; those of a linear range have all their digits, as in ``numpy.linspace``."""
+        return self.values() if self.spacing == "log" else np.linspace(self.first, self.last, self.count).tolist()
+
 
 def is_range(raw: object) -> bool:
     """True if ``raw`` is meant as a range."""
-    return isinstance(raw, dict) and bool({"from", "to", "count", "spacing", *EARLIER} & raw.keys())
+    return isinstance(raw, dict) and not raw.keys().isdisjoint(("from", "to", "count", "spacing"))
 
 
-def read_axis(raw: object) -> list[Any] | Range:
-    """Return a list of values or a range. Raises ValueError, also as pydantic's ValidationError."""
-    if isinstance(raw, dict) and EARLIER.keys() & raw.keys():
-        ends = {EARLIER.get(key, key): value for key, value in raw.items()}
-        words = ", ".join(f"{key}: {value}" for key, value in ends.items() if not isinstance(value, (dict, list)))
-        raise ValueError(f"a range has the keys from, to and count; write {{{words}}}")
+def read_axis(raw: object, document: Document, *path: str | int) -> list[Any] | Range | None:
+    """Return a list of values or a range; None, and a fault at ``path``, for anything else."""
     if is_range(raw):
-        return read_model(Range, raw)
-    if not isinstance(raw, list) or not raw:
-        raise ValueError(f"must be a list of values or a range, not {describe(raw)}; for example {EXAMPLE}")
-    return raw
-
-
-def read_numbers(raw: object) -> list[float] | Range:
-    """Return a list of finite numbers or a range. Raises as ``read_axis``."""
-    axis = read_axis(raw)
-    if isinstance(axis, Range):
-        return axis
-    numbers = [number_of(value) for value in axis]
-    for value, number in zip(axis, numbers, strict=True):
-        if number is None or not math.isfinite(number):
-            raise ValueError(f"must be finite numbers, not {describe(value)}")
-    return [number for number in numbers if number is not None]
-
-
-_Listed = Annotated[list[float], Field(min_length=1)]
-Numbers = Annotated[Any, PlainValidator(read_numbers, json_schema_input_type=_Listed | Range)]
-"""Type of an axis of numbers."""
+        return document.read(Range, raw, *path)
+    if isinstance(raw, list) and raw:
+        return raw
+    return document.fault(path, f"must be a list of values or a range, not {describe(raw)}; for example {EXAMPLE}")
 
 
 MAX_STEPS = 10**12
 WHOLE_NUMBER = 4.0 * 2.0**-52
 """Relative deviation of T/h from a whole number that is accepted, for the rounding of T, h and their quotient."""
-
-
-def duration_fault(h: float, N: int) -> str:
-    """Reason why N steps of h cannot be run; empty if they can."""
-    return "" if math.isfinite(N * h) else f"N*h = {N} * {h!r} is not finite; take fewer or smaller steps"
 
 
 def steps_of(T: float, h: float, adapted: Literal["T", "h"] = "T") -> int:
@@ -119,10 +96,9 @@ def steps_of(T: float, h: float, adapted: Literal["T", "h"] = "T") -> int:
 
     Raises UsageError with the nearest values that fit of the one of the two that is ``adapted``.
     """
-    N = _whole(T, h)
-    if N is not None:
-        return N
     ratio = T / h
+    if 0.5 <= ratio <= MAX_STEPS + 0.5 and abs(ratio - (N := round(ratio))) <= WHOLE_NUMBER * N:
+        return N
     if not 0.0 < ratio <= MAX_STEPS:
         raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.6g} steps; must be from 1 to {MAX_STEPS}")
     counts = [N for N in (math.floor(ratio), math.floor(ratio) + 1) if 1 <= N <= MAX_STEPS]
@@ -130,17 +106,9 @@ def steps_of(T: float, h: float, adapted: Literal["T", "h"] = "T") -> int:
     raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {near}")
 
 
-def _whole(T: float, h: float) -> int | None:
-    """Number of steps T/h; None if it is not a whole number from 1 to ``MAX_STEPS`` within round-off."""
-    ratio = T / h
-    if not 0.5 <= ratio <= MAX_STEPS + 0.5:
-        return None
-    N = round(ratio)
-    return N if 1 <= N <= MAX_STEPS and abs(ratio - N) <= WHOLE_NUMBER * N else None
-
-
 def _shortest(T: float, h: float, N: int, adapted: str) -> str:
     """Fewest digits of the T or h that gives N steps."""
     value = N * h if adapted == "T" else T / N
     texts = (f"{value:.{digits}g}" for digits in range(6, 18))
-    return next(text for text in texts if (_whole(float(text), h) if adapted == "T" else _whole(T, float(text))) == N)
+    ratios = ((text, float(text) / h if adapted == "T" else T / float(text)) for text in texts)
+    return next((text for text, ratio in ratios if abs(ratio - N) <= WHOLE_NUMBER * N), f"{value:g}")

@@ -1,14 +1,11 @@
-"""JSON Schema of a config, for editors, and configs to start from: copies of packaged scenes."""
+"""JSON Schema of a config, for editors."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
-from topcli.config.ensemble import Section
-from topcli.config.files import read_document
 from topcli.config.formulas import CustomSection
 from topcli.config.models import Config
 from topcli.schemes.own_tops import top_names
@@ -26,27 +23,15 @@ def config_schema() -> Schema:
     schema, schemes = Config.model_json_schema(), all_schemes()
     sections = [_section(top, "kind", kind) for top in TOPS.values() for kind in {top.kind: 0, top.form: 0}]
     custom = _section(CustomSection, "kind", CUSTOM) | {"additionalProperties": {"type": "number"}}
+    schema["properties"]["top"] |= {"anyOf": [{"enum": top_names()}, *sections, custom]}
     options = {(scheme.name, scheme.options): scheme.title for scheme in schemes}
     named = [_section(model, "name", name) | {"description": title} for (name, model), title in options.items()]
     composed: Schema = {"type": "string", "pattern": r"\+"}
     with_steps = {"type": "object", "required": ["name"], "properties": {"name": composed}}
     names = {"enum": sorted({scheme.name for scheme in schemes})}
-    for key, part in {
-        "top": {"anyOf": [{"enum": top_names()}, *sections, custom]},
-        "initial": {"type": "object"},
-        "scheme": {"anyOf": [names, composed, with_steps, *named]},
-        "ensemble": {"anyOf": [Section.model_json_schema(), {"type": "null"}]},
-    }.items():
-        schema["properties"][key] |= part
-    schema["required"].remove("initial")
-    required = {"anyOf": [{"required": ["initial"]}, {"required": ["ensemble"]}]}
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **schema,
-        **required,
-        "oneOf": [{"required": ["N"]}, {"required": ["T"]}],
-        "title": "topcli config",
-    }
+    schema["properties"]["scheme"] |= {"anyOf": [names, composed, with_steps, *named]}
+    steps = {"oneOf": [{"required": ["N"]}, {"required": ["T"]}]}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, **steps, "title": "topcli config"}
 
 
 def _section(model: type[BaseModel], key: str, name: str) -> Schema:
@@ -57,14 +42,3 @@ def _section(model: type[BaseModel], key: str, name: str) -> Schema:
         properties["compose"] = {"type": "string", "description": "the symmetric composition of its steps"}
     required = [key, *fields.get("required", [])]
     return {**fields, "properties": properties, "required": required, "additionalProperties": False}
-
-
-def starter_config(scene: Path, schema: str) -> str:
-    """Return the text of a packaged scene as a config of another name.
-
-    ``schema`` is the path of the JSON Schema, which the first line names for editors.
-    """
-    modeline = f"#:schema {schema}" if scene.suffix == ".toml" else f"# yaml-language-server: $schema={schema}"
-    place = read_document(scene).places.get(("name",), "")
-    lines = enumerate(scene.read_text(encoding="utf-8").splitlines(), 1)
-    return "\n".join([modeline, *(line for number, line in lines if not place.endswith(f":{number}"))]) + "\n"

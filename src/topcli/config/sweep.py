@@ -1,94 +1,99 @@
-"""Loading of a sweep file: the base experiment, the varied keys and their values.
+"""Sweeps: one experiment for every combination of values of config keys.
 
-A sweep is never held as a list of rows: ``Sweep.assignments`` yields the values of the varied keys row by row, and
-``config.rows`` turns each into what the row computes.
+Rows that differ in components of the initial state or in the sample of a random draw alone are a group: one experiment,
+read like a config, with many initial states. So a million rows are a few arrays of numbers.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, Field
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter
 
-from topcli.config.document import STRICT, Document, describe, plain, unknown_key
+from topcli.config.document import STRICT, Document, canonical, number_of, plain, unknown_key
 from topcli.config.files import find_config, read_document
-from topcli.config.models import Name, canonical, name_fault
-from topcli.config.overrides import apply_overrides, is_override
-from topcli.config.ranges import MAX_SWEEP_ROWS, Range, is_range, read_axis
-from topcli.config.sections import read_top
+from topcli.config.load import read_experiment
+from topcli.config.models import Experiment, Name, name_fault
+from topcli.config.overrides import apply_overrides, drop_partner, set_key
+from topcli.config.ranges import MAX_STEPS, MAX_SWEEP_ROWS, Interval, Range, is_range, read_axis
+from topcli.config.states import NOTHING_DRAWN, Random, Seed, drawn_number, many_states
 from topcli.config.text import KeyPath, to_yaml
-from topcli.contracts import Top
-from topcli.errors import UnknownNameError, UsageError, quoted
-from topcli.schemes.own_tops import forms
-from topcli.schemes.registry import find_scheme
-from topcli.tops import CUSTOM, TOPS
+from topcli.contracts import Array, Top
+from topcli.errors import UnknownNameError
+from topcli.tops import TOPS
 
-PLAIN = ("scheme", "h", "N", "T", "top", "output.every")
-BASE = ("top", "initial", "scheme", "h", "N", "T", "output")
-"""Keys of an experiment that a sweep may have; ``T`` is the duration N*h."""
-INTEGER_KEYS = ("N", "output.every", "sample", "seed")
-"""Keys whose values are whole numbers; those of a range are rounded."""
-FIXED = {
-    "name": "cannot be varied: the rows are named after the sweep",
-    "ensemble": "cannot be varied: a row is one trajectory; vary initial states, or draw them by random",
-    "output.format": "cannot be varied: it does not change what a row computes",
-    "output.columns": "cannot be varied: it does not change what a row computes",
-    "sample": "needs the section random, which says what is drawn",
-    "seed": "needs the section random, which says what is drawn",
-}
-"""Reasons why a key cannot be varied."""
+STEPS, DRAWN = ("h", "T", "N", "output.every"), ("sample", "seed")
+"""Keys of the steps of a row, and of one that is drawn at random."""
+KEYS = ("scheme", "top", "scheme.OPTION", "top.PARAMETER", "initial.VECTOR", "initial.COMPONENT", *STEPS)
+UNFIT = ("name", "ensemble", "section", "precision", "max_digits", "output.columns", "output.attitude")
+"""Keys of an experiment that a row of a sweep, one trajectory in doubles without a series, cannot have."""
+CHUNK = 1 << 16
+"""Most rows of a group; a larger one is yielded in parts."""
+WHOLE: TypeAdapter[int] = TypeAdapter(Seed)
+
+Sections = Annotated[list[dict[str, Any]], BeforeValidator(lambda raw: [raw] if isinstance(raw, dict) else raw)]
 
 
 class SweepFile(BaseModel):
-    """The keys of a sweep file; the sections of keys and values are read by ``Axes``."""
+    """Content of a sweep file."""
 
     model_config = STRICT
 
     name: Name | None = None
-    base: Any = Field(description="an experiment: its top, initial, scheme, h and N or T")
-    grid: Any = None
-    zip: Any = None
-    exclude: Any = None
-    random: Any = None
-    measure: tuple[str, ...] | None = None
+    base: dict[str, Any] = Field(description="an experiment: its top, initial, scheme, h and N or T")
+    grid: dict[str, Any] = {}
+    zip: Sections = []
+    exclude: Sections = []
+    random: dict[str, Any] = {}
+    measure: tuple[str, ...] = ()
 
 
-Assignment = tuple[Any, ...]
-"""Values of the varied keys in one row, in the order of ``Sweep.keys``."""
+class Group(NamedTuple):
+    """Rows of a sweep that share an experiment except for their initial states.
+
+    ``experiment`` has the initial state of the first row; ``states`` (m, d) are those of all rows, ``numbers`` (m,) the
+    numbers of the rows in the order of the sweep, and ``values`` the values of each varied key as a table shows them.
+    """
+
+    experiment: Experiment
+    states: Array
+    numbers: NDArray[np.int64]
+    values: Mapping[str, Sequence[Any]]
 
 
-@dataclass(frozen=True)
-class Axis:
-    """Values that vary together: for each of ``keys`` a column of equal length."""
-
-    keys: tuple[str, ...]
-    columns: tuple[Sequence[Any], ...]
-
-    def __len__(self) -> int:
-        return len(self.columns[0])
+Axis = Mapping[str, Sequence[Any]]
+"""Values of keys that vary together, of equal length."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A validated sweep file; the values of its rows are validated when ``config.rows`` reads them.
+    """A sweep file. Its rows are read, and refused, by ``groups``.
 
-    ``data`` is the file as plain data, complete and with overrides applied; ``places`` of its keys are in ``document``.
+    The last of the ``axes`` varies fastest; rows that agree with an entry of ``file.exclude`` are left out. ``ranges``
+    are the keys whose values are a range, and ``intervals`` the parameters that are drawn.
     """
 
     name: str
     document: Document
+    file: SweepFile
     axes: tuple[Axis, ...]
-    exclude: tuple[Mapping[str, Any], ...]
-    keys: tuple[str, ...]
     ranges: Mapping[str, Range]
-    """Keys whose values are a range."""
+    intervals: Mapping[str, Interval]
+
+    @cached_property
+    def keys(self) -> tuple[str, ...]:
+        """Varied keys."""
+        return tuple(key for axis in self.axes for key in axis)
 
     @property
     def log(self) -> list[str]:
@@ -96,54 +101,39 @@ class Sweep:
         return [key for key, values in self.ranges.items() if values.spacing == "log"]
 
     @property
-    def base(self) -> dict[str, Any]:
-        """The experiment that rows start from."""
-        return self.document.data["base"]
-
-    @property
     def measures(self) -> tuple[str, ...]:
         """Names of the measures."""
-        return tuple(self.document.data.get("measure") or ())
+        return tuple(dict.fromkeys(self.file.measure))
 
-    @cached_property
-    def random(self) -> dict[str, Any]:
-        """The section ``random``, with keys such as ``top.c0`` in one piece; empty if there is none."""
-        raw = self.document.data.get("random")
-        return dict(_dotted(raw, ("top",))) if isinstance(raw, dict) else {}
-
-    @cached_property
+    @property
     def drawn(self) -> tuple[str, ...]:
         """Drawn components of the initial state and parameters of the top, as ``initial.NAME`` and ``top.NAME``."""
         components = {
             f"initial.{component}": None
             for cls in TOPS.values()
             for vector, (start, stop) in cls.vectors.items()
-            if vector in self.random
+            if vector in self.file.random
             for component in cls.components[start:stop]
         }
-        return (*components, *(key for key in self.random if key.startswith("top.")))
+        return (*components, *self.intervals)
 
-    @property
-    def count(self) -> int:
-        """Number of rows, without looking which ones are excluded."""
-        return math.prod(map(len, self.axes))
+    @cached_property
+    def numbers(self) -> NDArray[np.int64]:
+        """Numbers of the rows, with a dimension for each axis; -1 for those that are excluded."""
+        rows = np.ones([_size(axis) for axis in self.axes], dtype=bool)
+        for entry in self.file.exclude:
+            rows &= ~reduce(np.logical_and.outer, [_matches(axis, entry) for axis in self.axes])
+        return np.where(rows, np.cumsum(rows).reshape(rows.shape) - 1, -1)
 
     @property
     def count_left(self) -> int:
         """Number of rows that are not excluded."""
-        return sum(1 for _ in self.assignments()) if self.exclude else self.count
-
-    def assignments(self) -> Iterator[Assignment]:
-        """Yield the values of the varied keys row by row; the last axis varies fastest."""
-        exclusions = [[(self.keys.index(key), value) for key, value in row.items()] for row in self.exclude]
-        for values in _product(self.axes):
-            if not any(all(values[at] == value for at, value in row) for row in exclusions):
-                yield values
+        return int(self.numbers.max()) + 1
 
     def resolved(self) -> dict[str, Any]:
         """Return the sweep file as plain data with the scene of ``base`` and all overrides written out."""
-        data = self.document.data | {"name": self.name}
-        return {key: data[key] for key in SweepFile.model_fields if data.get(key) not in (None, {}, [])}
+        data = self.file.model_dump(mode="json") | {"name": self.name}
+        return {key: value for key, value in data.items() if value not in ({}, [])}
 
     @cached_property
     def digest(self) -> str:
@@ -154,14 +144,128 @@ class Sweep:
         """Return the resolved sweep file as YAML."""
         return to_yaml(self.resolved())
 
+    def groups(self) -> Iterator[Group]:
+        """Yield the rows in groups. Raises ConfigError or UnknownNameError for the first group with a mistake."""
+        return self._groups(self.numbers)
 
-def _product(axes: Sequence[Axis], before: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield every combination of the axes; unlike itertools.product, it copies no axis."""
-    for values in zip(*axes[0].columns, strict=True):
-        if len(axes) == 1:
-            yield before + values
-        else:
-            yield from _product(axes[1:], before + values)
+    def row(self, number: int) -> Experiment:
+        """Row ``number`` as an experiment. Raises IndexError."""
+        alone = np.where(self.numbers == number, number, -1)
+        group = next(self._groups(alone), None) if number >= 0 else None
+        if group is None:
+            raise IndexError(f"{self.name} has no row {number}; it has {self.count_left}")
+        return group.experiment.renamed(f"{self.name}_{number}")
+
+    def _groups(self, numbers: NDArray[np.int64]) -> Iterator[Group]:
+        """Yield the rows with these ``numbers``; an experiment is read once for all of its states."""
+        samples = not self.intervals  # else each sample has a top of its own
+        inner = [i for i, axis in enumerate(self.axes) if _varies_states(axis, samples)]
+        outer = [i for i in range(len(self.axes)) if i not in inner]
+        shapes = [[_size(self.axes[i]) for i in level] for level in (outer, inner)]
+        cells = numbers.transpose([*outer, *inner]).reshape([math.prod(shape) for shape in shapes])
+        arrays = [{key: np.array(column, dtype=_kind(key)) for key, column in self.axes[i].items()} for i in inner]
+        for place in np.flatnonzero((cells >= 0).any(axis=1)).tolist():
+            at = np.unravel_index(place, shapes[0]) if outer else ()
+            values = {
+                key: column[int(j)] for i, j in zip(outer, at, strict=True) for key, column in self.axes[i].items()
+            }
+            rows = np.flatnonzero(cells[place] >= 0)
+            for start in range(0, len(rows), CHUNK):
+                some = rows[start : start + CHUNK]
+                at = np.unravel_index(some, shapes[1]) if inner else ()
+                columns = {key: column[j] for axis, j in zip(arrays, at, strict=True) for key, column in axis.items()}
+                yield self._group(values, columns, cells[place, some])
+
+    def _group(
+        self, values: Mapping[str, Any], columns: Mapping[str, NDArray[Any]], numbers: NDArray[np.int64]
+    ) -> Group:
+        """Group of the rows with these ``values`` of some keys, and ``columns`` (m,) of values of the others."""
+        random, places = self.file.random, self._places
+        document = Document(dict(self.file.base), dict(places))
+        sample, seed = values.get("sample", 1), values.get("seed", random.get("seed", 0))
+        chosen = dict(values)
+        chosen |= {key: interval.value(drawn_number(seed, key, sample)) for key, interval in self.intervals.items()}
+        if "h" in document.data or "h" in values:
+            drop_partner(document.data, values)
+        for key in sorted(chosen.keys() - {*DRAWN}, key=lambda key: key.count(".")):  # sections before keys inside them
+            set_key(document, tuple(key.split(".")), chosen[key], places.get(("grid", key), ""))
+        _fit_step(document.data, "h" in self.ranges)
+
+        # the states, which may need the top
+        components = {key.removeprefix("initial."): column for key, column in columns.items() if key != "sample"}
+        document.places |= {("initial", key): places.get(("grid", f"initial.{key}"), "") for key in components}
+        vectors = {key: rule for key, rule in random.items() if not key.startswith("top.")}
+        samples, states = columns.get("sample", np.full(len(numbers), sample)), np.empty((0, 0))
+
+        def start(top: Top, initial: object) -> Array | None:
+            nonlocal states
+            rows = many_states(top, initial, document, columns=components, random=vectors, samples=samples, seed=seed)
+            states = states if rows is None else rows
+            return rows
+
+        experiment = read_experiment(document, self.name, start, [*components, *vectors])
+        table = {
+            key: columns[key].tolist() if key in columns else [_shown(key, values[key], experiment)] * len(numbers)
+            for key in self.keys
+        }
+        return Group(experiment, states, numbers, table)
+
+    @cached_property
+    def _places(self) -> dict[KeyPath, str]:
+        """Places of the keys of the base as keys of an experiment, and of the varied keys as keys of the grid."""
+        places = {path[1:] if path[:1] == ("base",) else path: at for path, at in self.document.places.items()}
+        zipped = {("grid", path[-1]): place for path, place in places.items() if path[:1] == ("zip",) and len(path) > 1}
+        return zipped | places
+
+
+def _size(axis: Axis) -> int:
+    return len(next(iter(axis.values())))
+
+
+def _kind(key: str) -> type:
+    return int if key == "sample" else float
+
+
+def _matches(axis: Axis, entry: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """True for each value of the axis that agrees with the keys of ``entry``."""
+    rows = zip(*axis.values(), strict=True)
+    return np.array([all(value == entry.get(key, value) for key, value in zip(axis, row, strict=True)) for row in rows])
+
+
+def _varies_states(axis: Axis, samples: bool) -> bool:
+    """True if an axis varies only numbers of components of the initial state, or ``samples``."""
+    return all(
+        (samples and key == "sample") or (key.startswith("initial.") and {*map(type, column)} <= {int, float})
+        for key, column in axis.items()
+    )
+
+
+def _fit_step(data: dict[str, Any], spaced: bool) -> None:
+    """Make h and N of T: h = T/N if h is missing, and of a ``spaced`` h the nearest that divides T."""
+    h, N, T = (number_of(data.get(key)) for key in ("h", "N", "T"))
+    if T and N and data.get("h") is None:
+        data["h"] = T / N
+        del data["T"]
+    elif T and h and data.get("N") is None and spaced and 0.5 <= T / h <= MAX_STEPS:
+        data["N"] = round(T / h)
+        data["h"] = T / data["N"]
+        del data["T"]
+
+
+def _shown(key: str, value: Any, experiment: Experiment) -> Any:
+    """Value of a varied key as a table shows it."""
+    steps = {"h": experiment.h, "N": experiment.N, "T": experiment.duration, "output.every": experiment.output.every}
+    if key in steps:
+        return steps[key]
+    if key == "scheme":
+        options = value.items() if isinstance(value, dict) else ()
+        texts = [(name, option if isinstance(option, str) else json.dumps(option)) for name, option in options]
+        return ":".join([experiment.scheme.name, *(f"{a}={b}" for a, b in texts if a not in ("name", "compose"))])
+    if key == "top" and isinstance(value, str):
+        return experiment.top.kind
+    if isinstance(value, str) or (number := number_of(value)) is None:
+        return value if isinstance(value, str) else json.dumps(value)
+    return value if key.startswith("scheme.") or key in DRAWN else number
 
 
 def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] = ()) -> Sweep:
@@ -174,18 +278,48 @@ def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] 
         path = find_config(source, sweep=True)
         document = read_document(path)
     else:
-        path, document = Path("sweep"), Document({})
-        document.data = plain(source, document)
+        path, document = Path("sweep"), Document(plain(source, Document({})))
     _expand_base(document, path.parent)
     apply_overrides(document, overrides)
-    for section in ("grid", "zip"):  # keys such as top.c0, also where TOML or an override has made sections
+    for section, inside in (("grid", ()), ("zip", ()), ("random", ("top",))):  # keys such as top.c0 in one piece
         raw = document.data.get(section)
-        if isinstance(raw, dict):
-            flat = dict(_dotted(raw))
-            places = {(section, key): document.place((section, *key.split("."))) for key in flat}
-            document.places |= {key: place for key, place in places.items() if place and key not in document.places}
-            document.data[section] = flat
-    return _sweep(document, path.stem)
+        if isinstance(raw, dict):  # also where TOML or an override has made sections
+            document.data[section] = flat = dict(_dotted(raw, inside))
+            for key in flat:
+                document.places.setdefault((section, key), document.place((section, *key.split("."))))
+    data = {key: value for key, value in document.data.items() if value is not None}
+    if "base" not in data and "top" in data:
+        document.fault((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
+        document.check()
+    file = document.read(SweepFile, data)
+    name = data.get("name") or path.stem
+    if "name" not in data and (fault := name_fault(name)):
+        document.fault(("name",), f"missing, and the file name cannot be used instead: {fault}")
+    document.check()
+    assert file is not None
+    _check_base(file.base, document)
+    axes, ranges = _read_axes(file, isinstance(data.get("zip"), list), document)
+    document.check()
+    entries = [dict(_dotted(entry)) for entry in file.exclude]
+    fitting = [entry for entry in entries if _fits(entry, axes)]
+    if len(fitting) < len(entries) and not overrides:  # which may have removed it
+        index = next(i for i, entry in enumerate(entries) if entry not in fitting)
+        document.fault(("exclude", index), f"no row has {entries[index]}")
+    random = file.random and Random(**{k: v for k, v in file.random.items() if k in Random.model_fields}).model_dump()
+    file = file.model_copy(update={"exclude": fitting, "random": {**file.random, **random}})
+    parameters = [key for key in file.random if key.startswith("top.")]
+    intervals = {
+        key: interval for key in parameters if (interval := document.read(Interval, file.random[key], "random", key))
+    }
+    sweep = Sweep(name, document, file, tuple(axes), ranges, intervals)
+    if not axes:
+        document.fault((), "varies nothing: give grid, zip or random; for example grid: {h: [0.1, 0.2]}")
+    elif (count := math.prod(map(_size, axes))) > MAX_SWEEP_ROWS:
+        document.fault((), f"{count} rows; a sweep has at most {MAX_SWEEP_ROWS}")
+    elif not sweep.count_left:
+        document.fault(("exclude",), "excludes every row, so the sweep would have none")
+    document.check()
+    return sweep
 
 
 def _expand_base(document: Document, folder: Path) -> None:
@@ -216,215 +350,55 @@ def _dotted(section: Mapping[str, Any], inside: Sequence[str] = (), prefix: str 
             yield from _dotted(value, (), f"{prefix}{key}.")
 
 
-def _sweep(document: Document, default_name: str) -> Sweep:
-    data = document.data
-    if "base" not in data and "top" in data:
-        document.fault((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
-        document.check()
-    document.read(SweepFile, data)
-    name = default_name if data.get("name") is None else data["name"]
-    if data.get("name") is None and (fault := name_fault(default_name)):
-        document.fault(("name",), f"missing, and the file name cannot be used instead: it {fault}")
-    measures = data.get("measure") or ()
-    for measure in {name: None for name in measures if measures.count(name) > 1} if isinstance(measures, list) else ():
-        document.fault(("measure",), f"names {quoted(str(measure))} twice")
-    base = _base(data.get("base"), document) if "base" in data else {}
-    axes = Axes(data, base, document)
-    keys = tuple(axes.values)
-    exclude = axes.exclusions()
-    axes.check_exclusions(exclude)
-    axes.check_drawn(keys)
-    document.check()
-    sweep = Sweep(name, document, tuple(axes.axes), exclude, keys, axes.ranges)
-    if not keys:
-        document.fault((), "varies nothing: give grid, zip or random; for example grid: {h: [0.1, 0.2]}")
-    elif sweep.count > MAX_SWEEP_ROWS:
-        document.fault((), f"{sweep.count} rows; a sweep has at most {MAX_SWEEP_ROWS}")
-    elif next(sweep.assignments(), None) is None:
-        document.fault(("exclude",), "excludes every row, so the sweep would have none")
-    document.check()
-    return sweep
+def _check_base(base: dict[str, Any], document: Document) -> None:
+    """Add a fault for each key of ``base`` that has no meaning in a sweep."""
+    for key in UNFIT:
+        *sections, last = path = key.split(".")
+        section = base.get(sections[0]) if sections else base
+        if isinstance(section, dict) and section.get(last) is not None:
+            document.fault(("base", *path), "cannot be in base: a row is one trajectory in doubles without a series")
 
 
-def _base(base: Any, document: Document) -> dict[str, Any]:
-    """Return the experiment of a sweep, with its unknown keys reported."""
-    if base is None:
-        document.fault(("base",), f"missing; give {SweepFile.model_fields['base'].description}")
-    elif not isinstance(base, dict):
-        document.fault(("base",), f"must be an experiment or the name of a scene, not {describe(base)}")
-    reasons = {
-        "name": "the base has no name; the rows are named after the sweep",
-        "ensemble": "a row is one trajectory; vary initial states by grid, or by random",
-        "section": "a row measures whole orbits; `topcli run` records sections, of ensembles too",
-    }
-    for key in base if isinstance(base, dict) else ():
-        if key not in BASE:
-            document.fault(("base", key), reasons.get(key) or unknown_key(key, BASE))
-    return base if isinstance(base, dict) else {}
+def _read_axes(file: SweepFile, listed: bool, document: Document) -> tuple[list[Axis], dict[str, Range]]:
+    """Return the axes of the sections ``grid``, ``random`` and ``zip``, and the keys whose values are a range.
 
-
-class Axes:
-    """The axes of a sweep file, ``values`` all values of their keys, and ``ranges`` those given as a range."""
-
-    def __init__(self, data: dict[str, Any], base: dict[str, Any], document: Document) -> None:
-        self.data, self.document, self.known = data, document, known_keys(data, base)
-        self.axes: list[Axis] = []
-        self.values: dict[str, Sequence[Any]] = {}
-        self.ranges: dict[str, Range] = {}
-        for key, raw in self._section(data.get("grid"), ("grid",), "grid: {h: [0.1, 0.2]}").items():
-            values = self._read(key, raw, ("grid", key))
-            if values is not None:
-                self.axes.append(Axis((key,), (values,)))
-        random = data.get("random")
-        count = random.get("count", 1) if isinstance(random, dict) and "sample" not in self.values else None
-        if isinstance(count, int) and 1 <= count <= MAX_SWEEP_ROWS:
-            self.values["sample"] = range(1, count + 1)
-            self.axes.append(Axis(("sample",), (self.values["sample"],)))
-        zipped = data.get("zip")
-        for index, raw in enumerate(zipped) if isinstance(zipped, list) and zipped else ((None, zipped),):
-            self._zip(raw, ("zip",) if index is None else ("zip", index))
-
-    def _section(self, raw: object, path: KeyPath, example: str) -> dict[str, Any]:
-        if isinstance(raw, dict) and raw:
-            return raw
-        if raw is not None:
-            given = "an empty one" if raw == {} else describe(raw)
-            self.document.fault(path, f"must be a section of keys and their values, not {given}; for example {example}")
-        return {}
-
-    def _known(self, key: str, path: KeyPath) -> bool:
-        if key not in self.known:
-            self.document.fault(path, FIXED.get(key) or unknown_key(key, self.known))
-        return key in self.known
-
-    def _read(self, key: str, raw: Any, path: KeyPath) -> Sequence[Any] | None:
-        """Values of a key that no axis has yet; None if they are wrong."""
-        if not self._known(key, path):
-            return None
-        if key in self.values:
-            self.document.fault(path, "is varied twice; keep one of them")
-            return None
-        if key in ("sample", "seed") and is_range(raw) and "count" not in raw:
-            first, last = raw.get("from"), raw.get("to")
-            if isinstance(first, int) and isinstance(last, int):
-                raw = {**raw, "count": max(1, last - first + 1)}
-        with self.document.at(*path, model=Range):
-            axis = read_axis(raw)
+    ``listed`` says that ``zip`` is a list of sections.
+    """
+    known, axes, ranges = [*KEYS, *(DRAWN if file.random else ())], list[Axis](), dict[str, Range]()
+    sections: list[tuple[KeyPath, dict[str, Any]]] = [(("grid",), {key: raw}) for key, raw in file.grid.items()]
+    if file.random:
+        numbers = {key: value for key, value in file.random.items() if key in Random.model_fields}
+        random = document.read(Random, numbers, "random")
+        if len(numbers) == len(file.random):
+            document.fault(("random",), NOTHING_DRAWN)
+        if random and "sample" not in file.grid:
+            sections.append((("random",), {"sample": list(range(1, random.count + 1))}))
+    sections += [(("zip", i) if listed else ("zip",), section) for i, section in enumerate(file.zip) if section]
+    for path, section in sections:
+        columns: dict[str, Sequence[Any]] = {}
+        for key, raw in section.items():
+            if key not in known and not key.startswith(("top.", "initial.", "scheme.")):
+                document.fault((*path, key), unknown_key(key, known))
+            if any(key in axis for axis in axes):
+                document.fault((*path, key), "is varied twice; keep one of them")
+            rule = key if key in file.random else key.removeprefix("initial.")
+            centred = isinstance(file.random.get(rule), dict) and "near" in file.random[rule]
+            if rule in file.random and rule not in Random.model_fields and not centred:
+                document.fault(("random", rule), f"is drawn in every row, and {key} is varied; keep one of them")
+            axis = read_axis(raw, document, *path, key) or []
             if isinstance(axis, Range):
-                self.ranges[key] = axis
-                values = axis.values()
-                if key in INTEGER_KEYS:
-                    values = list(dict.fromkeys(map(round, values)))
-            else:
-                values = axis
-                _check_list(values, key, unique=path[0] == "grid")
-            self.values[key] = values
-            return values
-        return None
-
-    def _zip(self, raw: object, path: KeyPath) -> None:
-        """Add the axis of a section of lists that go together."""
-        section = self._section(raw, path, "zip: {h: [0.1, 0.2], N: [200, 100]}")
-        lists = {key: self._read(key, values, (*path, key)) for key, values in section.items()}
-        columns = {key: values for key, values in lists.items() if values is not None}
-        if len(set(map(len, columns.values()))) > 1:
-            listed = ", ".join(f"{key} has {len(values)}" for key, values in columns.items())
-            self.document.fault(path, f"its lists must have equal lengths: {listed}")
-        elif lists and len(columns) == len(lists):
-            self.axes.append(Axis(tuple(columns), tuple(columns.values())))
-
-    def exclusions(self) -> tuple[Mapping[str, Any], ...]:
-        """Return the entries of ``exclude``, each a section of keys with one value."""
-        raw = self.data.get("exclude")
-        entries = [raw] if isinstance(raw, dict) else [] if raw is None else raw
-        if not isinstance(entries, list) or raw == []:
-            given = "an empty one" if raw == [] else describe(raw)
-            self.document.fault(("exclude",), f"must be a list of rows such as [{{scheme: hk, h: 0.1}}], not {given}")
-            return ()
-        rows = []
-        for index, entry in enumerate(entries):
-            row = dict(_dotted(self._section(entry, ("exclude", index), "exclude: [{scheme: hk, h: 0.1}]")))
-            known = [self._known(key, ("exclude", index, key)) for key in row]  # every one is reported
-            if row and all(known):
-                rows.append(row)
-        return tuple(rows)
-
-    def check_exclusions(self, exclude: Sequence[Mapping[str, Any]]) -> None:
-        """Report exclusions that no row can match, unless an override has set the values in the grid."""
-        for index, row in enumerate(exclude):
-            for key, value in row.items():
-                values = self.values.get(key)
-                if values is None:
-                    varied = ", ".join(self.values) or "none"
-                    text = f"is not varied by grid or zip, so nothing is excluded; varied: {varied}"
-                    self.document.fault(("exclude", index, key), text)
-                elif value not in values and not is_override(self.document.place(("grid", key))):
-                    shown = ", ".join(map(repr, list(values)[:5])) + (", ..." if len(values) > 5 else "")
-                    self.document.fault(("exclude", index, key), f"no row has the value {value!r}; values: {shown}")
-
-    def check_drawn(self, keys: Sequence[str]) -> None:
-        """Report vectors and parameters that are drawn and varied as well; the centre of ``near`` may vary."""
-        random = self.data.get("random")
-        for name, rule in random.items() if isinstance(random, dict) else ():
-            if name in ("count", "seed") or (isinstance(rule, dict) and "near" in rule):
-                continue
-            for key in keys:
-                vector = key.removeprefix("initial.")
-                if key == name or (vector != key and name in (vector, vector.rstrip("0123456789"))):
-                    text = f"is drawn in every row, and {key} is varied; keep one of them"
-                    self.document.fault(("random", name), text)
+                ranges[key], axis = axis, axis.values()
+                if key in (*DRAWN, "N", "output.every"):  # whole numbers
+                    axis = list(dict.fromkeys(map(round, axis)))
+            with document.at(*path, key):
+                columns[key] = [WHOLE.validate_python(value, strict=True) for value in axis] if key in DRAWN else axis
+        if len({len(column) for column in columns.values()}) > 1:
+            lengths = ", ".join(f"{key} has {len(column)}" for key, column in columns.items())
+            document.fault(path, f"its lists must have equal lengths: {lengths}")
+        axes.append(columns)
+    return axes, ranges
 
 
-def _check_list(values: list[Any], key: str, unique: bool) -> None:
-    """Refuse a single vector in the place of a list of vectors, and equal values. Raises ValueError."""
-    vectors = {name for cls in TOPS.values() for name, (start, stop) in cls.vectors.items() if stop - start > 1}
-    if key.removeprefix("initial.") in vectors and not any(isinstance(value, list) for value in values):
-        raise ValueError(f"must be a list of vectors, each a list of numbers; for a single one write [{values}]")
-    seen: set[str] = set()
-    for value in values if unique else ():
-        text = repr(value)
-        if text in seen:
-            raise ValueError(f"contains {text if isinstance(value, list) else describe(value)} twice")
-        seen.add(text)
-
-
-def known_keys(data: dict[str, Any], base: dict[str, Any]) -> list[str]:
-    """Return the keys that rows of the sweep file ``data`` may set; unknown tops and schemes add none."""
-    keys = [*PLAIN]
-    classes: list[type[Top]] = []
-    for raw in _given(data, base, "top"):
-        kind = raw.get("kind") if isinstance(raw, dict) else raw
-        if kind == CUSTOM:
-            cls, _ = read_top(raw, None, Document({}))
-            classes += [cls] if cls else []
-            keys += [f"top.parameters.{name}" for name in cls.model_fields] if cls else []
-            continue
-        try:
-            classes += forms(kind) if isinstance(kind, str) else []
-        except UsageError:
-            continue
-    classes = list(dict.fromkeys(classes)) or list(TOPS.values())
-    for cls in classes:
-        keys += [f"top.{name}" for name in cls.model_fields]
-        keys += [f"initial.{name}" for name in (*cls.vectors, *cls.components)]
-    keys += ["initial.normalize", "scheme.compose"]
-    for raw in _given(data, base, "scheme"):
-        name = raw.get("name") if isinstance(raw, dict) else raw
-        for cls in classes if isinstance(name, str) else ():
-            try:
-                keys += [f"scheme.{option}" for option in find_scheme(str(name), cls.form).options.model_fields]
-            except UsageError:
-                continue
-    if data.get("random") is not None:
-        keys += ["sample", "seed"]
-    return list(dict.fromkeys(keys))
-
-
-def _given(data: dict[str, Any], base: dict[str, Any], key: str) -> Iterator[Any]:
-    """Yield every value of ``key`` in the base and in the sections that vary it, valid or not."""
-    yield base.get(key)
-    for name in ("grid", "zip", "exclude"):
-        raw = data.get(name)
-        for section in raw if isinstance(raw, list) else [raw]:
-            values = section.get(key) if isinstance(section, dict) else None
-            yield from values if name in ("grid", "zip") and isinstance(values, list) else [values]
+def _fits(entry: Mapping[str, Any], axes: Sequence[Axis]) -> bool:
+    """True if some row agrees with ``entry`` of ``exclude``."""
+    return entry.keys() <= {key for axis in axes for key in axis} and all(_matches(axis, entry).any() for axis in axes)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from fractions import Fraction
@@ -17,11 +18,10 @@ from typing import Any
 from topcli.config.document import Document
 from topcli.config.text import WrittenFloat
 from topcli.contracts import Top
-from topcli.engine.numbers import DOUBLE, NotRationalError
+from topcli.engine.numbers import NotRationalError
 from topcli.errors import shortened
 
 _NUMBER = re.compile(r"[-+]?(\d+/0*[1-9]\d*|(\.\d+|\d+(\.\d*)?)([eE][-+]?\d{1,3})?)")
-_MODEST = re.compile(r"[^eE]*([eE][-+]?\d{1,3})?")
 GUARD = 5
 """Decimal digits beyond the precision with which a completed component is written."""
 SECTIONS = ("h", "top", "initial")
@@ -38,21 +38,19 @@ class WrittenNumbers:
 
     def resolved(self, top: Top) -> dict[str, Any]:
         """Return the sections h, top and initial of a config; numbers that are not short decimals are texts."""
-        parameters = {name: plain(value) for name, value in self.parameters.items()}
+        parameters = {name: shown(value) for name, value in self.parameters.items()}
         return {
-            "h": plain(self.h),
+            "h": shown(self.h),
             "top": top.section(parameters),
-            "initial": top.initial_section([plain(x) for x in self.y0]),
+            "initial": top.initial_section([shown(x) for x in self.y0]),
         }
 
 
-def plain(value: Fraction) -> float | str:
+def shown(value: Fraction) -> float | str:
     """Return a number as a float, if its shortest decimal text is exact, or as a text from which it can be read."""
-    try:
+    with suppress(OverflowError):
         if Fraction(repr(float(value))) == value:
             return float(value)
-    except OverflowError:
-        pass
     quotient = f"{_integer(value.numerator)}/{_integer(value.denominator)}"
     decimal = _rounded(value, len(quotient))
     return str(decimal.normalize(Context(prec=len(quotient)))) if Fraction(decimal) == value else quotient
@@ -82,73 +80,53 @@ def root_of(value: Fraction, precision: int | str) -> Fraction:
         return Fraction(Context(prec=digits).sqrt(_rounded(value, 2 * digits)))
     root = Fraction(math.isqrt(value.numerator), math.isqrt(value.denominator))
     if root * root != value:
-        below = "" if value.denominator == 1 else f"/{_integer(value.denominator)}"
-        raise NotRationalError(f"the square root of {shortened(_integer(value.numerator) + below)} is not rational")
+        text = shortened(_integer(value.numerator) + f"/{_integer(value.denominator)}" * (value.denominator != 1))
+        hint = "write a unit vector of rational numbers, such as [0.6, 0, 0.8] or [2/7, 3/7, 6/7]"
+        raise NotRationalError(f"the square root of {text} is not rational; {hint}")
     return root
 
 
-def with_written_numbers(data: dict[str, Any]) -> dict[str, Any]:
-    """Copy of a config in which texts that are numbers are numbers, unless the precision is double."""
-    if data.get("precision", DOUBLE) in (DOUBLE, None):
-        return data
-    return data | {key: _numbers(data[key]) for key in SECTIONS if key in data}
-
-
-def _numbers(value: Any) -> Any:
+def with_written_numbers(value: Any) -> Any:
+    """Copy of plain data in which texts that are numbers are numbers that know their text."""
     if isinstance(value, dict):
-        return {key: _numbers(item) for key, item in value.items()}
+        return {key: with_written_numbers(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_numbers(item) for item in value]
+        return [with_written_numbers(item) for item in value]
     if isinstance(value, str) and _NUMBER.fullmatch(value):
-        try:
-            made = WrittenFloat(float(fraction_from(value)))
-        except OverflowError:
-            return value
-        made.text = value
-        return made
+        with suppress(OverflowError):  # too large for a double, which a fault will say
+            number = WrittenFloat(float(fraction_from(value)))
+            number.text = value
+            return number
     return value
 
 
 def fraction_of(value: float) -> Fraction:
     """Number as it is written in the config."""
-    text = value.text if isinstance(value, WrittenFloat) else repr(value)
-    return fraction_from(text if _MODEST.fullmatch(text) else repr(float(value)))
+    return fraction_from(value.text if isinstance(value, WrittenFloat) else repr(value))
 
 
 def read_written(
     data: Mapping[str, Any], top: Top, y0: Sequence[float], precision: int | str, document: Document
-) -> WrittenNumbers | None:
-    """Return the numbers of a valid config; ``y0`` is its initial state in doubles. None if one is not rational."""
-    given = top.parameters_in(data["top"])
-    resolved = {name: value for name, value in top.model_dump().items() if isinstance(value, float)}
+) -> WrittenNumbers:
+    """Return the numbers of a valid config, whose initial state in doubles is ``y0``; faults of vectors are added."""
+    given, initial = top.parameters_in(data["top"]), data["initial"]
     parameters = {
         name: fraction_of(given[name] if isinstance(given.get(name), int | float) else value)
-        for name, value in resolved.items()
+        for name, value in top.model_dump().items()
+        if isinstance(value, float)
     }
     state = list(map(fraction_of, y0))
     for name, (start, stop) in top.vectors.items():
-        try:
-            state[start:stop] = _vector(data["initial"], name, y0[start:stop], name in top.unit_vectors, precision)
-        except NotRationalError as error:
-            text = f"{error}; write a unit vector of rational numbers, such as [0.6, 0, 0.8] or [2/7, 3/7, 6/7]"
-            document.fault(("initial", name), text)
-            return None
+        raw = initial[name] if isinstance(initial[name], list) else [initial[name]]
+        vector = [Fraction(0) if isinstance(value, str) else fraction_of(value) for value in raw]
+        auto = next((index for index, value in enumerate(raw) if isinstance(value, str)), None)
+        square = sum((value * value for value in vector), Fraction(0))
+        with document.at("initial", name):
+            if auto is not None:
+                root = root_of(max(1 - square, Fraction(0)), precision)
+                vector[auto] = root if y0[start + auto] >= 0.0 else -root
+            elif name in top.unit_vectors and initial.get("normalize"):
+                length = root_of(square, precision)
+                vector = [value / length for value in vector]
+        state[start:stop] = vector
     return WrittenNumbers(fraction_of(data["h"]), parameters, tuple(state))
-
-
-def _vector(
-    initial: Mapping[str, Any], name: str, in_doubles: Sequence[float], unit: bool, precision: int | str
-) -> list[Fraction]:
-    """Vector of the initial state, completed or scaled to unit length. Raises NotRationalError."""
-    raw = initial[name] if isinstance(initial[name], list) else [initial[name]]
-    vector = [Fraction(0) if isinstance(value, str) else fraction_of(value) for value in raw]
-    auto = next((index for index, value in enumerate(raw) if isinstance(value, str)), None)
-    if not unit or (auto is None and not initial.get("normalize")):
-        return vector
-    square = sum((value * value for value in vector), Fraction(0))
-    if auto is None:
-        length = root_of(square, precision)
-        return [value / length for value in vector]
-    root = root_of(max(1 - square, Fraction(0)), precision)
-    vector[auto] = root if in_doubles[auto] >= 0.0 else -root
-    return vector

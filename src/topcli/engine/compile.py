@@ -373,22 +373,16 @@ NO_VARIANTS: Variants = types.MappingProxyType({})
 
 
 def native(
-    function: Callable[..., Any],
-    signature: str,
-    *,
-    inline: bool = True,
-    variants: Variants = NO_VARIANTS,
-    duals: bool = False,
+    function: Callable[..., Any], signature: str, *, variants: Variants = NO_VARIANTS, duals: bool = False
 ) -> Native:
     """Machine code of ``function``, from the store if its content is known there.
 
-    ``inline`` forces every kernel into its caller, which is right for a step of a hundred operations and wrong for
-    loops. ``variants`` maps kernels to those that replace them. ``duals`` are needed by a function that makes dual
-    numbers (``engine.duals``). Raises CompileError if the compiler refuses the function, SchemeCodeError naming a value
-    that compiled code cannot refer to.
+    Every kernel is inlined into its caller. ``variants`` maps kernels to those that replace them. ``duals`` are needed
+    by a function that makes dual numbers (``engine.duals``). Raises CompileError if the compiler refuses the function,
+    SchemeCodeError naming a value that compiled code cannot refer to.
     """
-    identity = f"{digest(function, *variants.items())}|{inline}|{rules_digest() if duals else ''}"
-    return _stored_or_made(identity, signature, lambda: _compiled(function, signature, inline, variants, duals))
+    identity = f"{digest(function, *variants.items())}|{rules_digest() if duals else ''}"
+    return _stored_or_made(identity, signature, lambda: _compiled(function, signature, variants, duals))
 
 
 # numba
@@ -492,14 +486,12 @@ def _numba() -> dict[Any, Any]:
 
 
 @contextmanager
-def kernels(
-    inline: bool = True, variants: Variants = NO_VARIANTS, duals: bool = False, **more: Any
-) -> Iterator[Mapping[str, Any]]:
+def kernels(variants: Variants = NO_VARIANTS, duals: bool = False, **more: Any) -> Iterator[Mapping[str, Any]]:
     """Within the block, numba compiles plain functions as kernels with these options, to which ``more`` are added."""
     stand_ins = {**_numba(), **variants}
     if duals:
         stand_ins |= dual_numbers()
-    options = {"forceinline": inline, "error_model": "numpy", **more}
+    options = {"forceinline": True, "error_model": "numpy", **more}
     token = _choice.set(_Choice(options, stand_ins))
     try:
         yield options
@@ -507,12 +499,10 @@ def kernels(
         _choice.reset(token)
 
 
-def _compiled(
-    function: Callable[..., Any], signature: str, inline: bool, variants: Variants, duals: bool
-) -> tuple[str, str]:
+def _compiled(function: Callable[..., Any], signature: str, variants: Variants, duals: bool) -> tuple[str, str]:
     """Text of the module that numba makes of a function, and the function's symbol in it."""
     # no kernel is called from Python: without these wrappers it compiles in half of the time, to the same code
-    with kernels(inline, variants, duals, no_cpython_wrapper=True, no_cfunc_wrapper=True):
+    with kernels(variants, duals, no_cpython_wrapper=True, no_cfunc_wrapper=True):
         from numba import cfunc
         from numba import types as kinds
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ ARRAYS = ("outcome", "step", "counts", "left")
 
 
 @dataclass
-class Endings(Sequence[Ending]):
+class Endings:
     """Endings of B trajectories with steps of ``h``; before they end they count as interrupted at step 0.
 
     Attributes
@@ -98,15 +98,10 @@ class Endings(Sequence[Ending]):
     def __len__(self) -> int:
         return len(self.outcome)
 
-    @overload
-    def __getitem__(self, index: int) -> Ending: ...
+    def __iter__(self) -> Iterator[Ending]:
+        return map(self.__getitem__, range(len(self)))
 
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Ending, ...]: ...
-
-    def __getitem__(self, index: int | slice) -> Ending | tuple[Ending, ...]:
-        if isinstance(index, slice):
-            return tuple(self[i] for i in range(*index.indices(len(self))))
+    def __getitem__(self, index: int) -> Ending:
         i = range(len(self))[index]
         step, left, h = int(self.step[i]), int(self.left[i]), self.h
         counters = dict(zip(self.counters, self.counts[i].tolist(), strict=True))

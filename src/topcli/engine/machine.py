@@ -124,6 +124,8 @@ def machine_of(top: Top, scheme: Scheme, options: Any) -> Machine:
     return _machines[kind]
 
 
+REPETITIONS = 9
+"""Times that each step is timed."""
 PLAIN_STEPS = 1 << 9
 """Most steps that are timed at once if they run in the interpreter."""
 PLAIN_NANOSECONDS = 1e8
@@ -135,7 +137,6 @@ SAMPLED_STATES = 5000
 def nanoseconds_per_step(
     runs: Sequence[tuple[Top, Method, Sequence[float], float]],
     steps: int = 50_000,
-    repetitions: int = 9,
     clock: Callable[[], int] = time.perf_counter_ns,
 ) -> list[float]:
     """Median warm time of one step, in nanoseconds, for each (top, method, y0, h), measured in turn.
@@ -152,7 +153,7 @@ def nanoseconds_per_step(
     sampled = np.empty(SAMPLED_STATES * max((len(y0) for _, y0, *_ in prepared), default=0))
     times: list[list[float]] = [[] for _ in prepared]
     interpreted = [1] * len(prepared)
-    for repetition in range(repetitions + 1):
+    for repetition in range(REPETITIONS + 1):
         for i, (loop, y0, p, h, work) in enumerate(prepared):
             loop.enter(y0, work, p, h)
             start = clock()

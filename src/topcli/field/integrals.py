@@ -250,11 +250,12 @@ def polynomial_integrals(field: Field, degree: int) -> list[Polynomial]:
     return found
 
 
-def further_integrals(field: Field, declared: Sequence[Polynomial], degree: int = 4) -> tuple[int, list[Polynomial]]:
+def further_integrals(field: Field, declared: Sequence[Polynomial]) -> tuple[int, list[Polynomial]]:
     """Polynomial integrals of a field that are not polynomials of the ``declared`` ones.
 
-    Returns the degree up to which they were looked for, at most ``degree`` and less for many components, and a basis.
+    Returns the degree up to which they were looked for, at most 4 and less for many components, and a basis.
     """
+    degree = 4
     while degree > 2 and math.comb(len(field) + degree, degree) > MOST_MONOMIALS:
         degree -= 1
     products = [Polynomial.of(1)]

@@ -1,70 +1,38 @@
-"""Type of a figure, and the drawing of figures that are not up to date."""
+"""Type of a figure: a function that computes columns, a function that draws them, and the files of both."""
 
 from __future__ import annotations
 
-import hashlib
-import json
+import inspect
+import io
+import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from topcli.errors import UsageError
-from topcli.figures.picture import DEFAULT_FORMATS, IMAGE_FORMATS, Drawable, Grid, draw, save
-from topcli.schemes.plugins import SOURCES, is_built_in
+from topcli.figures.style import styled
+from topcli.schemes.plugins import origin_of
 from topcli.store.files import io_failure, require_new, require_writable, write_whole
-from topcli.store.series import read_metadata, write_parquet
+from topcli.store.series import read_metadata
 from topcli.store.sources import digest_of_texts, package_digest
-from topcli.studies import imported
 
 if TYPE_CHECKING:
-    pass
+    from matplotlib.figure import Figure as Canvas
 
-SOURCE = "topcli.figure.source"
+Columns = Mapping[str, np.ndarray]
+"""One-dimensional arrays by name; they may differ in length."""
+Drawing = Callable[[Any], Any]
+"""Function that draws into matplotlib axes."""
+KEY = "topcli.figure"
+IMAGE_FORMATS = ("png", "pdf", "svg")
+DEFAULT_FORMATS = ("png", "pdf")
 
 
 class NothingMeasuredError(UsageError):
     """Figure of measurements that have not been made yet; the exit code is 2."""
-
-
-def ignored(*news: object) -> None:
-    """Ignore progress or a message."""
-
-
-@dataclass(frozen=True)
-class Request:
-    """Request for a figure: the folder of results, and options.
-
-    With ``force``, existing results are computed again.
-    """
-
-    results: Path = Path("results")
-    force: bool = False
-    on_progress: Callable[[int, int], None] = ignored
-    on_message: Callable[[str], None] = ignored
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """Content of a figure.
-
-    ``source`` is plain data that identifies the results in the figure. ``data()`` returns the columns of the data file,
-    some of which may be added while the panels are drawn; it is called only if the figure must be drawn. ``metadata``
-    is stored with the plotted data.
-    """
-
-    panels: Sequence[Drawable]
-    data: Callable[[], Mapping[str, np.ndarray]]
-    source: Mapping[str, Any]
-    layout: Grid = field(default_factory=Grid)
-    metadata: Mapping[str, str] = field(default_factory=dict)
-
-
-def study_digest(study: Mapping[str, Any]) -> str:
-    """Digest of the plain data of a study."""
-    return hashlib.sha256(json.dumps(study).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -77,102 +45,145 @@ class Figure:
         Name on the command line and of the files.
     title : str
         Description in one line.
-    scene : str
-        Scene or command that the results come from.
-    load : callable
-        Function of a ``Request`` that returns panels, data and source; it raises UsageError and RunError.
+    data : callable
+        Function without arguments that returns the columns; it raises UsageError and RunError.
+    draw : callable
+        Function that draws the columns into an empty matplotlib figure.
+    size : (float, float)
+        Width and height in inches.
+    takes : callable
+        Function that returns the digests of the stored results that ``data`` reads, as one text.
     origin : str
         Distribution or file that registered the figure.
     """
 
     name: str
     title: str
-    scene: str
-    load: Callable[[Request], Loaded]
+    data: Callable[[], Columns]
+    draw: Callable[[Any, Columns], None]
+    size: tuple[float, float] = (7.0, 2.9)
+    takes: Callable[[], str] = str
     origin: str = "topcli"
 
+    @property
+    def key(self) -> str:
+        """Digest of the code and the results behind the columns: equal keys mean equal columns."""
+        module = Path(inspect.getfile(self.data)).read_text(encoding="utf-8")
+        return digest_of_texts([package_digest(), module, self.takes()])
 
-@dataclass(frozen=True)
-class MadeFigure:
-    """Files of a figure, and its ``status``: ``drawn`` or ``up to date``."""
+    def make(self, out: Path, formats: Sequence[str] = DEFAULT_FORMATS, force: bool = False) -> tuple[Path, ...]:
+        """Write the pictures and the plotted columns, as Parquet, into ``out``; return their paths.
 
-    name: str
-    files: tuple[Path, ...]
-    status: str
-
-
-def deferred(place: str) -> Callable[[Request], Loaded]:
-    """The function ``module:name`` of this package, imported when it is called."""
-    return lambda request: imported(f"topcli.figures.{place}")(request)
-
-
-def _source(loaded: Loaded) -> str:
-    """Text that identifies data, panels and code, also of a plugin's panels: equal texts mean equal pictures."""
-    painting = dict.fromkeys([type(loaded.layout), *map(type, loaded.panels)])
-    own = () if all(map(is_built_in, painting)) else (text for texts in SOURCES.values() for text in texts.values())
-    return json.dumps(
-        {
-            "code": package_digest() + digest_of_texts(own),
-            "panels": repr((tuple(loaded.panels), loaded.layout)),
-            **loaded.source,
-        }
-    )
-
-
-def _files(name: str, out: Path, formats: Sequence[str]) -> tuple[Path, ...]:
-    """Paths of the pictures, then of the plotted data."""
-    return tuple(out / f"{name}.{suffix}" for suffix in (*formats, "parquet"))
+        Columns that are stored there under the same key are drawn again, without computing them. Raises UsageError for
+        files that topcli did not draw, unless ``force``, and RunError if a file cannot be written.
+        """
+        require_writable(out)
+        table = out / f"{self.name}.parquet"
+        pictures = [out / f"{self.name}.{suffix}" for suffix in formats]
+        stored = read_metadata(table).get(KEY)
+        if stored is None and not force:
+            require_new([*pictures, table])
+        columns = None if force or stored != self.key else read_columns(table)
+        try:
+            if columns is None:
+                columns = self.data()
+                for suffix in IMAGE_FORMATS:  # they show the earlier columns
+                    (out / f"{self.name}.{suffix}").unlink(missing_ok=True)
+                write_whole(table, lambda path: write_columns(path, columns or {}, self.key))
+            canvas = canvas_of(self.draw, columns, self.size)
+            for picture in pictures:
+                write_whole(picture, lambda path, form=picture.suffix[1:]: save(canvas, path, form))
+        except OSError as error:
+            raise io_failure(error, out, "the figure was not drawn") from error
+        return (*pictures, table)
 
 
-def _padded(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Columns of equal length, with nan after the end of shorter ones."""
+def write_columns(path: Path, columns: Columns, key: str) -> None:
+    """Write columns as Parquet; shorter ones end in nulls."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     rows = max(map(len, columns.values()))
-    return {name: np.append(values, np.full(rows - len(values), np.nan)) for name, values in columns.items()}
+    arrays = {name: pa.array(np.asarray(values)) for name, values in columns.items()}
+    padded = {
+        name: pa.chunked_array([values, pa.nulls(rows - len(values), values.type)]) for name, values in arrays.items()
+    }
+    pq.write_table(pa.table(padded).replace_schema_metadata({KEY: key}), path, compression="zstd")
 
 
-def write_figure(
-    name: str, loaded: Loaded, out: Path, formats: Sequence[str] = DEFAULT_FORMATS, force: bool = True
-) -> tuple[Path, ...]:
-    """Draw a loaded figure, write pictures and data into ``out``, and return their paths.
+def read_columns(path: Path) -> dict[str, np.ndarray] | None:
+    """Columns as they were written; None if the file is damaged."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
-    Raises UsageError if files exist that show another figure, unless ``force``, and RunError if they cannot be written.
-    """
-    *pictures, data_path = files = _files(name, out, formats)
-    drawn = read_metadata(data_path).get(SOURCE)
-    other = drawn != _source(loaded)
-    if other and not force:
-        require_new(files)
-    data = loaded.data()
-    data = _padded(data) if data else data  # the columns of runs are read when they are drawn
-    metadata = {SOURCE: _source(loaded), **loaded.metadata}
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        figure = draw(loaded.panels, data, loaded.layout)
-        data_path.unlink(missing_ok=True)  # written last: it vouches for the pictures
-        for path in pictures:
-            write_whole(path, lambda temporary: save(figure, temporary))
-        write_whole(data_path, lambda temporary: write_parquet(temporary, _padded(data), metadata))
-        for path in _files(name, out, IMAGE_FORMATS) if drawn and other else ():
-            if path not in files:
-                path.unlink(missing_ok=True)  # shows the earlier figure
-    except OSError as error:
-        raise io_failure(error, out, "the figure was not drawn") from error
-    return files
+        table = pq.read_table(path)
+        return {name: table[name].drop_null().to_numpy() for name in table.column_names}
+    except (OSError, pa.ArrowException):
+        return None
 
 
-def make_figure(figure: Figure, request: Request, out: Path, formats: Sequence[str] = DEFAULT_FORMATS) -> MadeFigure:
-    """Make one figure in the folder ``out``: ``<name>.png``, ``.pdf`` and the plotted data as ``.parquet``.
+def canvas_of(draw: Callable[[Any, Columns], object], columns: Columns, size: tuple[float, float]) -> Canvas:
+    """Return a matplotlib figure of ``size`` inches with the columns drawn in the print style."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Canvas
 
-    A figure whose data, drawing code and style have not changed is not drawn again unless ``request.force``.
-    Raises UsageError and RunError.
+    with styled():
+        canvas = Canvas(figsize=size)
+        FigureCanvasAgg(canvas)
+        draw(canvas, columns)
+    return canvas
+
+
+def save(canvas: Canvas, target: Path | io.BytesIO, form: str) -> None:
+    """Write the picture in a format, without a date, so that equal data gives equal files."""
+    dates = {"pdf": ("CreationDate", "ModDate"), "svg": ("Date",)}.get(form, ())
+    # a letter that no font has is drawn as a box, without a warning
+    with warnings.catch_warnings(action="ignore"), styled({"svg.hashsalt": "topcli"}):
+        canvas.savefig(target, format=form, metadata=dict.fromkeys(dates))
+
+
+FIGURES: dict[str, Figure] = {}
+
+
+def figure(
+    name: str,
+    title: str,
+    draw: Callable[[Any, Columns], None],
+    size: tuple[float, float] = (7.0, 2.9),
+    takes: Callable[[], str] = str,
+) -> Callable[[Callable[[], Columns]], Callable[[], Columns]]:
+    """Register the decorated function as the data of a figure of ``topcli plot``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the figure and of its files, in lower case.
+    title : str
+        Description on one line.
+    draw : callable
+        Function ``draw(canvas, columns)`` that draws the columns into an empty ``matplotlib.figure.Figure``.
+    size : (float, float), optional
+        Width and height in inches.
+    takes : callable, optional
+        Function that returns a text that changes when stored results change that the data come from.
+
+    Returns
+    -------
+    callable
+        Decorator that registers the function and returns it unchanged. The decorated function takes no arguments and
+        returns a dictionary of one-dimensional arrays, which is stored as Parquet beside the picture.
+
+    Raises
+    ------
+    ValueError
+        If there is already a figure with this name.
     """
-    require_writable(out)
-    loaded = figure.load(request)
-    files = _files(figure.name, out, formats)
-    drawn = read_metadata(files[-1]).get(SOURCE)
-    if not request.force and drawn is None:
-        require_new(files)  # topcli did not draw them
-    existing = all(path.is_file() for path in files)
-    if existing and not request.force and drawn == _source(loaded):
-        return MadeFigure(figure.name, files, "up to date")
-    return MadeFigure(figure.name, write_figure(figure.name, loaded, out, formats), "drawn")
+
+    def register(data: Callable[[], Columns]) -> Callable[[], Columns]:
+        if name in FIGURES:
+            raise ValueError(f"figure {name!r} is already registered by {FIGURES[name].origin}")
+        FIGURES[name] = Figure(name, title, data, draw, size, takes, origin=origin_of(data))
+        return data
+
+    return register

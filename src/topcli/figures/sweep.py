@@ -2,41 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.contracts import Array
-from topcli.errors import UsageError
-from topcli.figures.curves import LINEAR, LOG, SYMLOG, CurvePanel, HeatPanel, KeyAxis, curve_column, plain
-from topcli.figures.figure import Figure, Loaded, Request
-from topcli.figures.picture import Grid
+from topcli.analysis.order import convergence
+from topcli.errors import UsageError, nearest, quoted
+from topcli.figures.figure import Columns, Figure
+from topcli.figures.labels import labelled, plain
+from topcli.figures.style import looks
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
-from topcli.store.files import sha256_of
 from topcli.sweeps.measures import in_words
-from topcli.sweeps.rows import SweepRows, key_labels
-from topcli.sweeps.table import SPREADS, aggregated, require_aggregate, require_groups
-from topcli.sweeps.table_text import left_out
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 KEYS = {"h": "step size h", "N": "number of steps N", "T": "time T"}
 """Keys of a config in words."""
-TIMES = ("seconds", "nanoseconds_per_step")
-"""Measures that have no order in h."""
-DECADES = 2.0
-"""Magnitudes over more decades than this have a logarithmic scale, on both sides of zero if there are both signs."""
-CROWDED = 20.0
-"""Ratio of the largest to the smallest value and gap of a key from which its axis is logarithmic."""
-MOST_KEYS = 10
-"""Most curves with a legend; more have their names at their ends."""
-ROOM = 0.215
-"""Height of a figure in inches for each name at the end of a curve."""
+ROOM = 0.21
+"""Height of a figure in inches for each curve in its legend."""
 CEILING = 1e10
-"""Values above this one, of runs that explode, are drawn at the upper edge."""
+"""Larger values, of runs that explode, are not drawn but counted in the title."""
 DEEPEST = 1e-10
 """A scale with two signs is linear up to the smallest magnitude, or up to this part of the largest."""
+AGGREGATES: dict[str, str | None] = {"median": " and quartiles", "mean": " ± standard error", "max": ""}
+"""Ways to combine the values of rows at one point, each with the band around it in words."""
+
+
+Scale = Mapping[str, Any]
+"""Arguments of ``Axes.set_yscale``."""
+
+
+def scale_of(values: np.ndarray) -> Scale:
+    """Scale that shows ``values`` (m,): more than two decades are logarithmic, on both sides of zero if need be."""
+    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    if not len(sizes) or sizes.max() <= 100.0 * sizes.min():
+        return {"value": "linear"}
+    if (values < 0.0).any():
+        return {"value": "symlog", "linthresh": max(float(sizes.min()), DEEPEST * float(sizes.max()))}
+    return {"value": "log"}
+
+
+def is_geometric(values: np.ndarray) -> bool:
+    """True for three or more positive numbers whose ratios are more even than their differences."""
+    at = np.unique(values)
+    if len(at) < 3 or at[0] <= 0.0:
+        return False
+    ratios, gaps = np.diff(np.log(at)), np.diff(at)
+    return bool(ratios.std() / ratios.mean() < gaps.std() / gaps.mean())
 
 
 @dataclass(frozen=True)
@@ -50,203 +66,154 @@ class Choice:
     aggregate: str | None = None
 
     @property
-    def keys(self) -> tuple[str, ...]:
-        """Keys whose values are distinguished."""
-        return (self.x, self.y) if self.colour else (self.x, self.by) if self.by else (self.x,)
-
-    @property
     def measure(self) -> str:
         """Measure that is drawn."""
         return self.colour or self.y
 
-    def require(self, rows: SweepRows) -> None:
-        """Raise UsageError for names that the sweep does not have or that do not go together."""
-        require_aggregate(self.aggregate)
-        if self.colour and self.by:
+    @property
+    def keys(self) -> list[str]:
+        """Keys of the axes and curves."""
+        return [name for name in (self.x, self.y if self.colour else self.by) if name]
+
+    def require(self, frame: pd.DataFrame) -> None:
+        """Raise UsageError for columns that the rows do not have, and for several rows at one point."""
+        for option, name in (("--x", self.x), ("--y", self.y), ("--by", self.by), ("--colour", self.colour)):
+            if name is not None and name not in frame:
+                raise UsageError(f"{option} {quoted(name)}: no such column; {nearest(name, list(frame))}")
+        if self.by and self.colour:
             raise UsageError("--colour and --by cannot be combined: a heat map has no curves")
-        rows.require_key(self.x, "--x")
-        if self.colour:
-            rows.require_key(self.y, "--y")
-            rows.require_measure(self.colour, "--colour")
-        else:
-            rows.require_measure(self.y, "--y")
-            if self.by:
-                rows.require_key(self.by, "--by")
+        if frame[self.measure].dtype.kind not in "fiub":
+            option = "--colour" if self.colour else "--y"
+            raise UsageError(f"{option} {quoted(self.measure)}: has words, not numbers; give a measure")
+        if self.aggregate not in (None, *AGGREGATES):
+            raise UsageError(f"--aggregate {quoted(self.aggregate)}: unknown aggregate; use {', '.join(AGGREGATES)}")
         if len(set(self.keys)) < len(self.keys):
             raise UsageError(f"key {self.x!r} is used twice; choose two different keys")
+        most = max(frame.groupby(self.keys, dropna=False).size().tolist())
+        if self.aggregate is None and most > 1:
+            ways = "--aggregate median or --where" + ("" if self.colour or self.by else " or --by")
+            raise UsageError(f"up to {most} rows have the same {' and '.join(self.keys)}; add {ways}")
 
 
-def _geometric(values: Array) -> bool:
-    """True for three or more positive numbers with a constant ratio."""
-    at = np.unique(values)
-    if len(at) < 3 or at[0] <= 0.0:
-        return False
-    ratios = np.diff(np.log(at))
-    return bool(np.ptp(ratios) < 1e-6 * ratios.mean())
+def sweep_figure(frame: pd.DataFrame, choice: Choice, title: str, takes: str) -> Figure:
+    """The figure of ``topcli plot sweep``: the part of the rows ``frame`` of a sweep that ``choice`` names.
 
-
-def _uneven(values: Array) -> bool:
-    """True for three or more positive numbers whose places would crowd together on a linear axis."""
-    at = np.unique(values)
-    return len(at) > 2 and bool(at[-1] >= CROWDED * at[0]) and bool(np.diff(at).max() >= CROWDED * np.diff(at).min())
-
-
-def scale_of(values: Array) -> tuple[str, float]:
-    """Scale that shows ``values`` (m,): linear, log or symlog, and the threshold of the last."""
-    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
-    if not len(sizes) or sizes.max() <= 10.0**DECADES * sizes.min():
-        return LINEAR, 0.0
-    if (values < 0.0).any():
-        return SYMLOG, max(float(sizes.min()), DEEPEST * float(sizes.max()))
-    return LOG, 0.0
-
-
-def _axis(rows: SweepRows, key: str) -> tuple[KeyAxis, dict[Any, float]]:
-    """Axis of a key, and the place of each of its values on it."""
-    column = rows.columns[key]
-    labels, words = key_labels(column), plain(KEYS.get(key, key))
-    if column.dtype.kind in "OU":
-        return KeyAxis(words, categories=tuple(plain(display_name(label)) for label in labels.values())), {
-            value: float(i) for i, value in enumerate(labels)
-        }
-    numbers = np.array([value for value in labels if value is not None], dtype=float)
-    positive = bool(len(numbers)) and bool((numbers > 0.0).all())
-    log = positive and (key in rows.log or _geometric(numbers) or _uneven(numbers))
-    return KeyAxis(words, log), {value: np.nan if value is None else float(value) for value in labels}
-
-
-def _points(rows: SweepRows, choice: Choice) -> dict[tuple[Any, ...], tuple[float, float, float]]:
-    """Value of each combination of the keys, and the ends of its spread; nan without a value.
-
-    Raises UsageError for several rows without an aggregate.
+    ``title`` begins with the name of the sweep; ``takes`` is the digest of the rows and conditions. Raises UsageError
+    for a choice that the rows do not have.
     """
-    grouped = require_groups(rows, choice.keys, "point", () if choice.colour else ("--by",), choice.aggregate)
-    points = {}
-    for keys, indices in grouped.items():
-        cell = aggregated(rows, indices, choice.measure, choice.aggregate)
-        low, value, high = (cell.low, cell.value, cell.high) if cell else (np.nan, np.nan, np.nan)
-        points[keys] = value, value if low is None else low, value if high is None else high
-    return points
+    choice.require(frame)
+    sweep = title.partition(",")[0]
+    over = ["by", choice.by] if choice.by else choice.keys[1:]
+    name = "_".join([sweep, choice.measure, "over", choice.x, *over]).replace("/", "-")
+    size = (6.4, min(9.4, max(3.8, ROOM * curves_of(frame, choice))))
+
+    def draw(canvas: Any, columns: Columns) -> None:
+        import pandas as pd
+
+        draw_sweep(canvas.subplots(), pd.DataFrame(dict(columns)), choice, title)
+
+    def data() -> Columns:
+        return {name: frame[name].to_numpy() for name in dict.fromkeys([*choice.keys, choice.measure])}
+
+    return Figure(name, f"{choice.measure} of {sweep}", data, draw, size, lambda: f"{takes} {choice}")
 
 
-def _measure_label(choice: Choice) -> str:
-    spread = {"quartiles": " and quartiles", "standard error": " ± standard error", "": ""}
-    if not choice.aggregate:
-        return plain(in_words(choice.measure))
-    around = "" if choice.colour else spread[SPREADS[choice.aggregate]]
-    return plain(in_words(choice.measure)) + f" ({choice.aggregate}{around})"
+def curves_of(frame: pd.DataFrame, choice: Choice) -> int:
+    """Number of curves of a figure."""
+    return len(set(frame[choice.by])) if choice.by else 1
 
 
-def _title(rows: SweepRows) -> str:
-    return plain(", ".join([rows.name, *rows.chosen]))
+def draw_sweep(axes: Any, frame: pd.DataFrame, choice: Choice, title: str = "") -> None:
+    """Draw the rows of a sweep; the title has the number of values that are missing or have no place on the scale."""
+    frame, value = frame.copy(), choice.measure
+    values = frame[value].to_numpy(dtype=float)
+    values = np.where(np.abs(values) <= CEILING, values, np.nan)
+    scale = scale_of(values)
+    frame[value] = values = np.where(values > 0.0, values, np.nan) if scale["value"] == "log" else values
+    if missing := int(np.isnan(values).sum()):
+        title = ", ".join(filter(None, [title, f"{missing} of {len(frame)} values not shown"]))
+    around = "" if choice.colour or not choice.aggregate else AGGREGATES[choice.aggregate]
+    label = plain(in_words(value)) + (f" ({choice.aggregate}{around})" if choice.aggregate else "")
+    x, y = (KEYS.get(key, plain(key)) for key in (choice.x, choice.y))
+    if choice.colour:
+        cells: Any = frame.groupby([choice.y, choice.x], sort=False)[value].agg(choice.aggregate or "max")
+        _heat(axes, cells.unstack(choice.x), scale, label)
+    else:
+        _curves(axes, frame, scale, choice)
+    labelled(axes, x, y if choice.colour else label, plain(title))
 
 
-def _labels(rows: SweepRows, choice: Choice) -> tuple[dict[Any, str], str]:
-    """Label of the curve of each value, and the title of the legend."""
-    if choice.by is None:
-        return {None: choice.y}, ""
-    labels = key_labels(rows.columns[choice.by])
-    if rows.columns[choice.by].dtype.kind in "OU":
-        return labels, plain(choice.by)
-    return {value: f"{choice.by} = {label}" for value, label in labels.items()}, ""
+def _texts(values: Sequence[Any]) -> list[str]:
+    """Names of keys on an axis; those of schemes as people read them."""
+    return [f"{value:.4g}" if isinstance(value, float) else plain(display_name(str(value))) for value in values]
 
 
-def _adaptive() -> tuple[str, ...]:
-    """Names of the schemes that choose their own steps: h is only the distance of their rows."""
-    return tuple(dict.fromkeys(one.name for one in all_schemes() if one.adaptive))
+def _heat(axes: Any, table: Any, scale: Scale, label: str) -> None:
+    """Draw a table as cells; values of both signs have two hues, and cells without a value are grey."""
+    from matplotlib.colors import LogNorm, Normalize, SymLogNorm
+
+    # numbers in their order, names in that of the rows and from top to bottom
+    table = table.sort_index(axis=1) if table.columns.dtype.kind in "fi" else table
+    table = table.sort_index() if table.index.dtype.kind in "fi" else table[::-1]
+    cells = np.ma.masked_invalid(np.asarray(table, dtype=float))
+    both = cells.count() and cells.min() < 0.0 < cells.max()
+    bound = float(np.abs(cells).max()) if cells.count() else 1.0
+    norm: Any = Normalize(-bound, bound) if both else Normalize()
+    if scale["value"] != "linear":
+        norm = LogNorm() if scale["value"] == "log" else SymLogNorm(scale["linthresh"], vmin=-bound, vmax=bound)
+    axes.set_facecolor("0.85")
+    axes.grid(visible=False)
+    axes.tick_params(which="both", direction="out", top=False, right=False)  # the cells would cover them
+    mesh = axes.pcolormesh(cells, norm=norm, cmap="RdBu_r" if both or scale["value"] == "symlog" else "viridis")
+    axes.figure.colorbar(mesh, ax=axes, label=label, pad=0.02)
+    for ticks, values in ((axes.set_xticks, table.columns), (axes.set_yticks, table.index)):
+        at = np.arange(0, len(values), max(1, len(values) // 12))
+        ticks(at + 0.5, _texts(values[at].tolist()))
+    axes.tick_params(axis="x", rotation=90 if table.shape[1] > 5 else 0)
 
 
-def curves(rows: SweepRows, choice: Choice) -> tuple[CurvePanel, dict[str, np.ndarray]]:
-    """Panel and columns of the curves. Raises UsageError for several rows at a point without an aggregate."""
-    axis, place = _axis(rows, choice.x)
-    points = {keys: point for keys, point in _points(rows, choice).items() if not np.isnan(place[keys[0]])}
-    labels, legend = _labels(rows, choice)
-    data = {}
-    band = bool(choice.aggregate and SPREADS[choice.aggregate])
-    for i, (value, label) in enumerate(labels.items()):
-        beside = (i - 0.5 * (len(labels) - 1)) * min(0.12, 0.7 / len(labels)) if axis.categories else 0.0
-        mine = [keys for keys in points if not choice.by or keys[1] == value]
-        mine.sort(key=lambda keys: place[keys[0]])
-        data[curve_column(label, "x")] = np.array([place[keys[0]] + beside for keys in mine])
-        for part, kind in enumerate(("y", "low", "high") if band else ("y",)):
-            data[curve_column(label, kind)] = np.array([points[keys][part] for keys in mine])
-    every = np.array([point[0] for point in points.values()])
-    scale, threshold = scale_of(every)
-    slopes = axis.log and scale == LOG and choice.y not in TIMES
-    flat = _adaptive() if choice.by == "scheme" and choice.x == "h" else ()
-    panel = CurvePanel(
-        tuple(labels.values()),
-        axis.label,
-        _measure_label(choice),
-        axis.log,
-        scale,
-        threshold,
-        CEILING,
-        band=band,
-        categories=axis.categories,
-        title=_title(rows),
-        legend=": ".join([one for one in (legend, "slope" * slopes) if one]),
-        flat=flat if slopes else tuple(labels.values()),
-        at_ends=len(labels) > MOST_KEYS and not axis.categories,
-    )
-    return panel, data
+def _curves(axes: Any, frame: pd.DataFrame, scale: Scale, choice: Choice) -> None:
+    """Draw the curves; if both axes are logarithmic, the legend has the slopes above the plateau of round-off."""
+    x, y, by, aggregate = choice.x, choice.y, choice.by, choice.aggregate
+    words = frame[x].dtype.kind not in "fiu"
+    names = list(frame[x].unique()) if words else []
+    logs = not words and is_geometric(frame[x].dropna().to_numpy(dtype=float))
+    axes.set_yscale(**scale)
+    axes.set_xscale("log" if logs else "linear")
+    adaptive = {scheme.name for scheme in all_schemes() if scheme.adaptive}
+    groups = dict(iter(frame.groupby(by, sort=False, dropna=False))) if by else {y: frame}
+    styles = looks(map(str, groups), markers=True)
+    for i, (key, rows) in enumerate(groups.items()):
+        style = styles[str(key)] | {"markersize": 4.6 - 1.8 * i / len(groups)}  # all at one place are seen
+        text = f"{by} = {key:.6g}" if by and isinstance(key, float | int) else plain(display_name(str(key)))
+        table = _summary(rows.groupby(x, sort=not words)[y], aggregate).dropna(subset="middle")
+        at = table.index.to_numpy()
+        if words:
+            beside = (i - 0.5 * (len(groups) - 1)) * min(0.12, 0.7 / len(groups))
+            at, style["linestyle"] = np.array([names.index(name) for name in at]) + beside, "none"
+        low, middle, high = (table[name].to_numpy() for name in ("low", "middle", "high"))
+        if logs and scale["value"] == "log" and not (x == "h" and key in adaptive):
+            order = convergence(at.tolist(), middle.tolist()).order
+            text += "" if order is None else f": {order:.2f}".replace("-", "−")
+        axes.plot(at, middle, label=text, **style)
+        if words and aggregate:
+            spread = [middle - low, high - middle]
+            axes.errorbar(at, middle, spread, color=style["color"], fmt="none", elinewidth=0.9, capsize=2.0)
+        elif aggregate:
+            axes.fill_between(at, low, high, color=style["color"], alpha=0.18, linewidth=0.0)
+    if words:
+        axes.set_xlim(-0.5, len(names) - 0.5)
+        axes.set_xticks(range(len(names)), _texts(names), rotation=90 if len(names) > 5 else 0)
+    if by:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize="small")
 
 
-def _heat(rows: SweepRows, choice: Choice) -> tuple[HeatPanel, dict[str, np.ndarray]]:
-    """Panel and columns of the heat map."""
-    (x, x_place), (y, y_place) = _axis(rows, choice.x), _axis(rows, choice.y)
-    points = {
-        keys: point
-        for keys, point in _points(rows, choice).items()
-        if not np.isnan([x_place[keys[0]], y_place[keys[1]]]).any()
-    }
-    data = {
-        "x": np.array([x_place[keys[0]] for keys in points]),
-        "y": np.array([y_place[keys[1]] for keys in points]),
-        "value": np.array([point[0] for point in points.values()]),
-    }
-    return HeatPanel(x, y, _measure_label(choice), *scale_of(data["value"]), _title(rows)), data
+def _summary(groups: Any, aggregate: str | None) -> pd.DataFrame:
+    """Middle, low and high value of the groups of a column; without an aggregate all three are the only value."""
+    import pandas as pd
 
-
-def sweep_notes(rows: SweepRows, choice: Choice) -> list[str]:
-    """Sentences about rows that did not complete, have no value, cannot be drawn or were left out."""
-    values = rows.columns[choice.measure].astype(float)
-    outcomes = [str(one) for one in rows.columns["outcome"][~rows.completed]]
-    missing = int(np.isnan(values).sum())
-    said = []
-    if outcomes:
-        listed = ", ".join(f"{outcomes.count(name)} {name}" for name in dict.fromkeys(outcomes))
-        said.append(f"{len(outcomes)} of {len(rows)} rows did not complete: {listed}")
-    if missing:
-        said.append(f"{missing} of {len(rows)} values could not be computed (nan)")
-    if scale_of(values)[0] == LOG and (zeros := int((values == 0.0).sum())):
-        said.append(f"{zeros} of {len(rows)} values are zero and cannot be shown on a logarithmic scale")
-    axes = choice.keys if choice.colour else (choice.x,)
-    if any(np.isnan(rows.columns[key]).any() for key in axes if rows.columns[key].dtype.kind == "f"):
-        said.append(f"rows without a number for {' or '.join(axes)} are not drawn")
-    return [*said, left_out(rows.left_out)] if rows.left_out else said
-
-
-def figure_name(rows: SweepRows, choice: Choice) -> str:
-    """Name of the files of the figure."""
-    parts = [rows.name, choice.measure, "over", choice.x]
-    parts += [choice.y] if choice.colour else ["by", choice.by] if choice.by else []
-    return "_".join(parts).replace("/", "-")
-
-
-def sweep_figure(rows: SweepRows, choice: Choice) -> Figure:
-    """The figure of ``topcli plot sweep``: the part of the ``rows`` of a sweep that ``choice`` names."""
-    title = f"{choice.measure} of {rows.name}"
-    return Figure(figure_name(rows, choice), title, "topcli sweep", partial(_load_rows, rows, choice))
-
-
-def _load_rows(rows: SweepRows, choice: Choice, request: Request) -> Loaded:
-    """Load panel and data. Raises UsageError for a choice that the rows do not have."""
-    choice.require(rows)
-    prepare = _heat if choice.colour else curves
-    panel, data = prepare(rows, choice)
-    source = {"rows": sha256_of(rows.path), "choice": repr(choice)}
-    for line in sweep_notes(rows, choice):
-        request.on_message(line)
-    curves_named = len(panel.labels) if isinstance(panel, CurvePanel) and panel.at_ends else 0
-    return Loaded((panel,), lambda: data, source, Grid(figsize=(6.4, min(9.4, max(3.8, ROOM * curves_named)))))
+    middle = groups.agg(aggregate or "max")
+    if aggregate == "median":
+        return pd.DataFrame({"low": groups.quantile(0.25), "middle": middle, "high": groups.quantile(0.75)})
+    error = groups.sem().fillna(0.0) if aggregate == "mean" else 0.0
+    return pd.DataFrame({"low": middle - error, "middle": middle, "high": middle + error})

@@ -5,9 +5,9 @@ The blocks on the origin of a result, its config and files, are common to all ch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import base64
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -22,8 +22,7 @@ from topcli.table import DASH, Cells, number
 from topcli.tops import CATALOGUE, TOPS
 
 if TYPE_CHECKING:
-    from topcli.contracts import Array
-    from topcli.figures.picture import Drawable
+    pass
 
 
 @dataclass(frozen=True)
@@ -48,26 +47,21 @@ class Facts(Text):
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture of one panel over columns of ``data``, drawn with the page; ``name`` is unique within it.
-
-    ``size`` is in inches; that of a picture with few curves is still readable at the width of a phone.
-    """
-
-    panel: Drawable
-    data: Mapping[str, Array]
-    name: str
-    caption: str
-    size: tuple[float, float] = (5.6, 3.2)
-
-
-@dataclass(frozen=True)
 class Pictures:
-    """Pictures side by side where there is room."""
+    """Pictures side by side where there is room: SVG, which browsers show without running anything in it, and captions.
+
+    SVG that is drawn in a size of 5 inches is still readable at the width of a phone.
+    """
 
     kind: ClassVar[str] = "pictures"
     title: ClassVar[str] = "Pictures"
-    pictures: Sequence[Picture]
+    pictures: Sequence[tuple[bytes, str]]
+
+    @property
+    def lines(self) -> list[tuple[str, str]]:
+        """Address of each picture, which contains it, and its caption."""
+        prefix = "data:image/svg+xml;base64,"
+        return [(prefix + base64.b64encode(svg).decode(), caption) for svg, caption in self.pictures]
 
 
 Block = Facts | Cells | Pictures | Text | Notes
@@ -91,16 +85,9 @@ class Chapter:
     details: list[Block] = field(default_factory=list)
     data: dict[str, Any] = field(default_factory=dict)
 
-    def add(self, *blocks: Block | None, folded: bool = False) -> None:
-        """Add blocks; None, and those without content, are left out."""
-        for block in blocks:
-            if block is not None and (block.pictures if isinstance(block, Pictures) else block.lines):
-                (self.details if folded else self.blocks).append(block)
-
-    def drawn(self, draw: Callable[[Picture], str]) -> dict[str, str]:
-        """Draw all pictures, and return them by name."""
-        blocks = [block for block in self.blocks if isinstance(block, Pictures)]
-        return {picture.name: draw(picture) for block in blocks for picture in block.pictures}
+    def add(self, *blocks: Block, folded: bool = False) -> None:
+        """Add the blocks that have content."""
+        (self.details if folded else self.blocks).extend(block for block in blocks if block.lines)
 
 
 MALFORMED = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
@@ -133,23 +120,9 @@ def text_block(title: str, text: str) -> Text:
     return Text(title, lines if left <= 0 else [*lines[:LONGEST_TEXT], f"... and {left} more lines"])
 
 
-def file_block(title: str, path: Path) -> Text:
-    """A text file."""
-    return text_block(title, path.read_text(encoding="utf-8"))
-
-
 def config_block(config: Mapping[str, Any]) -> Text:
     """The resolved config as YAML."""
     return text_block("Resolved config", to_yaml(dict(config)))
-
-
-def local_time(text: object, timespec: str = "seconds") -> str:
-    """Time of a manifest in the local time zone, such as "2026-11-23 15:55:43 CET"; any other text as it is."""
-    try:
-        time = datetime.fromisoformat(str(text)).astimezone()
-    except ValueError:
-        return str(text)
-    return f"{time.replace(tzinfo=None).isoformat(' ', timespec)} {time.tzname()}"
 
 
 def _seconds(value: Any) -> str | None:
@@ -162,10 +135,9 @@ def _seconds(value: Any) -> str | None:
 def provenance_block(manifest: Mapping[str, Any]) -> Facts:
     """Times, versions, machine, commit and digests of a manifest or a study."""
     commit, dirty = manifest.get("commit"), " with uncommitted changes" if manifest.get("dirty") else ""
-    started, ended = manifest.get("started"), manifest.get("ended", manifest.get("written"))
     facts = {
-        "started": started and local_time(started),
-        "ended": ended and local_time(ended),
+        "started": manifest.get("started"),
+        "ended": manifest.get("ended", manifest.get("written")),
         "seconds": _seconds(manifest.get("seconds")),
         **(manifest.get("environment") or {}),
         "commit": f"{commit}{dirty}" if commit else None,
@@ -187,12 +159,11 @@ def files_block(folder: Path, files: Mapping[str, Any]) -> Cells:
 
 
 def experiment_of(config: Mapping[str, Any]) -> Experiment | None:
-    """Experiment of a resolved config, or the first of an ensemble; None if this topcli does not know its parts."""
+    """Experiment of a resolved config; None if this topcli does not know its parts."""
     try:
-        loaded = load(config)
+        return load(config)
     except (TopcliError, *MALFORMED):
         return None
-    return loaded if isinstance(loaded, Experiment) else loaded.first
 
 
 def parts_of(experiment: Experiment | None) -> Parts:

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from topcli import __version__
-from topcli.errors import RunError, UsageError, counted, printable
-from topcli.pages.contents import MALFORMED, Chapter, Picture, local_time
-from topcli.pages.pictures import svg_of
+from topcli.errors import UsageError, counted, printable
+from topcli.pages.contents import MALFORMED, Chapter
 from topcli.pages.results import comparisons, run_chapter, sweep_chapter
-from topcli.pages.studies import bench_chapter, study_chapter
-from topcli.store.files import SEAL, DamagedError, check_study, read_json
+from topcli.pages.studies import record_chapter
 from topcli.store.provenance import now
 from topcli.store.results import MANIFEST, intact_result
-from topcli.studies.study import stored_result, study_file, study_of
-from topcli.sweeps.rows import ROWS_FILE
-from topcli.sweeps.run import SWEEP_FILE, is_sweep
-from topcli.sweeps.sweep_list import intact_sweep, missing_result
+from topcli.studies.report import read_record
+from topcli.sweeps.store import ROWS_FILE, SWEEP_FILE, intact_sweep, is_sweep, missing_result
 
 _EXPONENT = re.compile(r"(?:(?<!\w)-)?\d[\d.]*e[-+]\d+")
 FOLDER = Path(__file__).parent
@@ -62,11 +58,10 @@ def _environment() -> Any:
     return made
 
 
-def rendered(chapters: Sequence[Chapter], title: str, draw: Callable[[Picture], str] = svg_of) -> str:
+def rendered(chapters: Sequence[Chapter], title: str) -> str:
     """Return the page of ``chapters`` as text; everything in them but the pictures is escaped."""
     from markupsafe import Markup
 
-    svgs = {name: svg for chapter in chapters for name, svg in chapter.drawn(draw).items()}
     text = (
         _environment()
         .get_template(TEMPLATE)
@@ -74,19 +69,11 @@ def rendered(chapters: Sequence[Chapter], title: str, draw: Callable[[Picture], 
             title=title,
             chapters=chapters,
             styles=Markup((FOLDER / STYLES).read_text(encoding="utf-8")),
-            svgs=svgs,
-            safe=Markup,
             version=__version__,
-            written=local_time(now(), "minutes"),
+            written=now(),
         )
     )
     return text.lstrip()
-
-
-def fragment(chapter: Chapter) -> str:
-    """Return the chapter as HTML for a cell of a notebook, without styles of its own."""
-    module = _environment().get_template(TEMPLATE).make_module({"safe": str, "title": "", "chapters": ()})
-    return str(module.summary(chapter))
 
 
 @dataclass(frozen=True)
@@ -97,23 +84,22 @@ class Page:
     text: str
 
 
-def page_of(chapters: Sequence[Chapter], title: str | None = None, draw: Callable[[Picture], str] = svg_of) -> Page:
-    """Page on ``chapters``, after comparisons of the runs among them that share a top; ``draw`` draws the pictures."""
+def page_of(chapters: Sequence[Chapter], title: str | None = None) -> Page:
+    """Page on ``chapters``, after comparisons of the runs among them that share a top."""
     whole = [*comparisons(chapters), *chapters]
     titles = [chapter.title for chapter in chapters]
     named = ", ".join(titles) if len(titles) <= MOST_NAMED else counted(len(titles), "result")
-    return Page(whole, rendered(whole, title or named, draw))
+    return Page(whole, rendered(whole, title or named))
 
 
 _RUN_FILES = ("report.json", "config.yaml", "series.parquet", "series.csv", "trajectories.parquet", "trajectories.csv")
-_KNOWN = "give the folder of a run or sweep, or a JSON file of topcli compare, order or stress"
 
 
 def all_chapters(places: Sequence[str], results: Path) -> list[Chapter]:
     """Chapters on all ``places``, each once. Raises UsageError and RunError."""
     chapters: list[Chapter] = []
     for place in dict.fromkeys(places):
-        chapters += _chapters(place, results, f"part{len(chapters) + 1}")
+        chapters.append(_chapter(place, results))
     return chapters
 
 
@@ -121,25 +107,24 @@ def report_page(
     places: Sequence[str],
     results: Path = Path("results"),
     title: str | None = None,
-    draw: Callable[[Picture], str] = svg_of,
 ) -> Page:
     """Page on the results that ``places`` name: paths, or names of folders in ``results``.
 
     Raises UsageError and RunError.
     """
-    return page_of(all_chapters(places, results), title, draw)
+    return page_of(all_chapters(places, results), title)
 
 
-def _chapters(place: str, results: Path, name: str) -> list[Chapter]:
-    """Chapters on what ``place`` names: a path, or the name of a folder in ``results``.
+def _chapter(place: str, results: Path) -> Chapter:
+    """Chapter on what ``place`` names: a path, or the name of a folder in ``results``.
 
-    ``name`` is unique on the page. Raises UsageError if there is nothing that topcli stored or the result is not
-    finished, and RunError if it is damaged.
+    Raises UsageError if there is nothing that topcli stored or the result is not finished, and RunError if it is
+    damaged.
     """
     try:
         for path in (Path(place), results / place):
             if path.exists():
-                return [_of_folder(path, name) if path.is_dir() else _of_file(path, name)]
+                return _of_folder(path) if path.is_dir() else _of_file(path)
     except OSError as error:
         raise UsageError(f"{place[:400]}: cannot be read ({error.strerror})") from None
     except MALFORMED as error:
@@ -148,30 +133,14 @@ def _chapters(place: str, results: Path, name: str) -> list[Chapter]:
     raise missing_result(place, results)
 
 
-def _of_folder(folder: Path, name: str) -> Chapter:
+def _of_folder(folder: Path) -> Chapter:
     if is_sweep(folder):
-        return sweep_chapter(intact_sweep(folder), name)
-    if (file := study_file(folder)) and not (folder / MANIFEST).exists():
-        return _of_file(file, name)
-    run = intact_result(folder)
-    return bench_chapter(run) if run.manifest.get("kind") == "bench" else run_chapter(run, name)
+        return sweep_chapter(intact_sweep(folder))
+    return run_chapter(intact_result(folder))
 
 
-def _of_file(path: Path, name: str) -> Chapter:
+def _of_file(path: Path) -> Chapter:
     """Chapter on a file: a study as JSON, or a file of a run or sweep, which stands for its folder."""
     if path.name in (ROWS_FILE, SWEEP_FILE, MANIFEST, *_RUN_FILES):
-        return _of_folder(path.parent, name)
-    try:
-        data = read_json(path)
-    except DamagedError as error:
-        wrong = f"{error}" if path.suffix == ".json" else "not a file that topcli report reads"
-        raise UsageError(f"{path}: {wrong}", _KNOWN) from None
-    study = study_of(data)
-    if study is None:
-        raise UsageError(f"{path}: not a result that topcli report shows", _KNOWN)
-    if SEAL in data:
-        try:
-            check_study(data)
-        except DamagedError as error:
-            raise RunError(f"{path}: damaged: {error}") from None
-    return study_chapter(study, stored_result(data), name)
+        return _of_folder(path.parent)
+    return record_chapter(read_record(path))

@@ -5,53 +5,52 @@ The chapter on a sweep shows its rows, and its measures over the key that varies
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from fractions import Fraction
+from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from topcli.config.models import OUTSIDE_IDENTITY
-from topcli.config.rows import RowReader
 from topcli.config.sweep import Sweep
 from topcli.contracts import Outcome
 from topcli.errors import counted
-from topcli.figures.sweep import Choice, curves
+from topcli.figures.run import draw_quantiles, quantiles_of, run_pictures, series_of
+from topcli.figures.study import picture
+from topcli.figures.sweep import Choice, draw_sweep
 from topcli.pages.contents import (
     Chapter,
-    Facts,
     Notes,
     Parts,
-    Picture,
     Pictures,
     add_origin,
     experiment_of,
-    file_block,
     files_block,
     parts_of,
+    text_block,
     value_text,
 )
-from topcli.pages.pictures import quantile_pictures, series_pictures
 from topcli.runs.report import (
-    ENSEMBLE,
-    INVARIANTS,
-    QUANTITIES,
     VERDICT_MARKS,
     comparison_lines,
     ensemble_statements,
     precision_note,
+    report_tables,
     warning_of,
 )
 from topcli.schemes.display import display_name
 from topcli.store.result_folder import flattened
 from topcli.store.results import StoredResult
 from topcli.sweeps.measures import in_words
-from topcli.sweeps.rows import SweepRows, encoded, key_labels, read_rows
-from topcli.sweeps.run import SWEEP_FILE, stored_sweep_file
+from topcli.sweeps.store import COMPLETED, SWEEP_FILE, stored_sweep_file
+from topcli.sweeps.table import Frame, key_labels, read_rows
 from topcli.table import DASH, Cells, number, significant
+
+SMALL = (4.8, 2.8)
+"""Size of a picture in inches."""
 
 
 def outcome_in_words(outcome: str) -> str:
@@ -59,8 +58,8 @@ def outcome_in_words(outcome: str) -> str:
     return "left its energy surface" if outcome == Outcome.LEFT_MOTION.value else outcome.replace("_", " ")
 
 
-def run_chapter(run: StoredResult, name: str | None) -> Chapter:
-    """Chapter on a finished or interrupted run; ``name`` is unique within the page, None leaves out pictures."""
+def run_chapter(run: StoredResult) -> Chapter:
+    """Chapter on a finished or interrupted run."""
     manifest, report, config = run.manifest, run.report(), run.manifest["config"]
     many = report.get("kind") == "ensemble"
     chapter = Chapter(manifest["name"], "ensemble" if many else "run")
@@ -71,54 +70,20 @@ def run_chapter(run: StoredResult, name: str | None) -> Chapter:
     chapter.subtitle = f"{report['top_title']}; {display_name(report['scheme'])}: {report['scheme_title']}; h = {h}"
     if many:
         chapter.add(Notes("Verdicts", ensemble_statements(report)), outcome_notes(report))
-        if name:
-            chapter.add(quantile_pictures(run.folder, report, name))
+        caption = "largest deviation of each invariant, over the fraction of trajectories that stay below it"
+        quantiles = quantiles_of(run.folder, report)
+        chapter.add(Pictures([(picture(lambda axes: draw_quantiles(axes, quantiles), size=SMALL), caption)]))
     else:
         chapter.add(_verdicts(report), _warnings(report))
-        if name:
-            step = float(Fraction(h))  # h of a config may be the text 1/3
-            chapter.add(series_pictures(run.series, experiment, step, name))
-    chapter.add(_quantiles(report) if many else INVARIANTS.cells(report))
-    if report.get("quantities"):
-        chapter.add(QUANTITIES.cells(report))
+        series = series_of(run.series, float(Fraction(h)))  # h of a config may be the text 1/3
+        pictures = run_pictures(series, experiment) if series and experiment else []
+        chapter.add(Pictures([(picture(one.draw, size=SMALL), one.caption) for one in pictures]))
+    chapter.add(*(table.cells() for table in report_tables(report)))
     if not many:
         chapter.add(_reasons(report), folded=True)
-    chapter.add(_setup(config, report), folded=True)
     add_origin(chapter, manifest, parts_of(experiment))
     chapter.add(files_block(run.folder, manifest["files"]), folded=True)
     return chapter
-
-
-def _without(data: Any, key: str) -> Any:
-    """Mapping without a ``key``; any other content of a file as it is."""
-    return {name: value for name, value in data.items() if name != key} if isinstance(data, dict) else data
-
-
-def _of_top(top: Any) -> dict[str, Any]:
-    """Parameters of a top, and the formulas of one that the config declares."""
-    if not (isinstance(top, dict) and isinstance(top.get("field"), dict)):
-        return {"parameters": _without(top, "kind")}
-    formulas = {f"{name}'": formula for name, formula in top["field"].items()}
-    return {"parameters": top.get("parameters"), **formulas, "invariants": top.get("invariants")}
-
-
-def _setup(config: Mapping[str, Any], report: Mapping[str, Any]) -> Facts:
-    """Top, scheme, steps and initial state."""
-    top, scheme, h, N = ({**report, **config}.get(key) for key in ("top", "scheme", "h", "N"))
-    described = isinstance(scheme, dict)
-    facts = {
-        "top": report.get("top_title"),
-        **_of_top(top),
-        "scheme": f"{scheme['name']}: {report.get('scheme_title', '')}" if described else scheme,
-        "options": _without(scheme, "name") if described else None,
-        **{f"initial {key}": value for key, value in (config.get("initial") or {}).items()},
-        "step size h": h,
-        "steps N": N,
-        "time N h": f"{h * N:.10g}" if isinstance(h, float | int) and isinstance(N, int) else None,
-        "precision": report.get("precision"),
-        "trajectories": report.get("trajectories"),
-    }
-    return Facts("Setup", [(key, value_text(value)) for key, value in facts.items() if value not in (None, {}, "")])
 
 
 def _counters(report: Mapping[str, Any]) -> dict[str, int]:
@@ -146,10 +111,6 @@ def _reasons(report: dict[str, Any]) -> Notes:
     """Reasons of the verdicts, and counts of the scheme."""
     lines = [f"{row['symbol']} {row['verdict']}: {row['reason']}" for row in report["invariants"]]
     return Notes("Reasons of the verdicts", [*lines, *(f"{name}: {n}" for name, n in _counters(report).items())])
-
-
-def _quantiles(report: dict[str, Any]) -> Cells:
-    return replace(ENSEMBLE.cells(report), caption="Quantiles over the trajectories.")
 
 
 def outcome_notes(report: Mapping[str, Any]) -> Notes:
@@ -192,7 +153,7 @@ def _runs_table(runs: Sequence[Chapter]) -> Cells:
     lines.append(["steps", *(value_text(report["step"]) for report in reports)])
     lines.append(["run seconds", *(f"{report['seconds']['run']:.3g}" for report in reports)])
     shared = set.intersection(*({row["name"] for row in report["invariants"]} for report in reports))
-    common = [{"invariants": [row for row in report["invariants"] if row["name"] in shared]} for report in reports]
+    common = [[row for row in report["invariants"] if row["name"] in shared] for report in reports]
     return Cells(
         "Comparison",
         ["", *(run.title for run in runs)],
@@ -211,21 +172,16 @@ KINDS = ("scheme", "top")
 """Keys over whose values no median is taken."""
 
 
-def sweep_chapter(stored: StoredResult, name: str | None) -> Chapter:
-    """Chapter on a finished sweep; ``name`` is unique within the page, None leaves out pictures."""
+def sweep_chapter(stored: StoredResult) -> Chapter:
+    """Chapter on a finished sweep."""
     folder, rows = stored.folder, read_rows(stored.folder)
-    outcomes = Counter(map(str, rows.columns["outcome"]))
+    outcomes = Counter(rows["outcome"])
     listed = ", ".join(f"{count} {outcome_in_words(outcome)}" for outcome, count in outcomes.items())
     chapter = Chapter(
         folder.name, "sweep", "rows of a sweep", "finished", message=f"{counted(len(rows), 'row')}: {listed}"
     )
-    facts = [("varied keys", ", ".join(rows.keys)), ("measures", ", ".join(rows.measures))]
-    if rows.left_out:
-        facts.append(("rows left out", f"{rows.left_out}, of an earlier version of the sweep file"))
-    if name:
-        chapter.add(sweep_pictures(rows, name))
-    chapter.add(rows_table(rows))
-    chapter.add(Facts("Setup", facts), file_block("Sweep file", folder / SWEEP_FILE), folded=True)
+    chapter.add(sweep_pictures(rows), rows_table(rows))
+    chapter.add(text_block("Sweep file", (folder / SWEEP_FILE).read_text(encoding="utf-8")), folded=True)
     add_origin(chapter, stored.manifest, _parts(stored_sweep_file(folder)))
     chapter.add(files_block(folder, stored.manifest["files"]), folded=True)
     return chapter
@@ -233,73 +189,51 @@ def sweep_chapter(stored: StoredResult, name: str | None) -> Chapter:
 
 def _parts(sweep: Sweep) -> Parts:
     """Forms of the tops and names of the schemes of all rows, each pair once. Raises ConfigError."""
-    reader, document = RowReader(sweep), replace(sweep.document, faults=[])
-    chosen = [key in ("top", "top.kind") or key.partition(".")[0] == "scheme" for key in sweep.keys]
-    parts: dict[tuple[str, str], None] = {}
-    seen: set[tuple[object, ...]] = set()
-    for row_number, values in enumerate(sweep.assignments()):
-        kind = tuple(id(value) for chooses, value in zip(chosen, values, strict=True) if chooses)
-        if kind not in seen:
-            seen.add(kind)
-            if row := reader.read(row_number, values, document):
-                parts[row.form, json.loads(row.scheme)["name"]] = None
-    document.check()
-    return list(parts)
+    return list(dict.fromkeys((group.experiment.top.form, group.experiment.scheme.name) for group in sweep.groups()))
 
 
-def rows_table(rows: SweepRows) -> Cells:
+def rows_table(rows: Frame) -> Cells:
     """The first rows of a sweep with their keys, outcome and measures."""
-    labels = {key: key_labels(rows.columns[key]) for key in rows.keys}
+    names, measures = rows.attrs["keys"], rows.attrs["measures"]
+    labels = {key: key_labels(rows[key]) for key in names}
     lines = []
-    for i in range(min(len(rows), MOST_ROWS)):
-        keys = [labels[key].get(_plain(rows.columns[key][i]), DASH) for key in rows.keys]
-        values = [significant(float(rows.columns[name][i]), 4) for name in rows.measures]
-        lines.append(
-            [str(int(rows.columns["row"][i])), *keys, outcome_in_words(str(rows.columns["outcome"][i])), *values]
-        )
+    for row in rows.head(MOST_ROWS).to_dict("records"):
+        keys = [labels[key].get(row[key], DASH) for key in names]
+        values = [significant(row[name], 4) for name in measures]
+        lines.append([str(row["row"]), *keys, outcome_in_words(row["outcome"]), *values])
     more = len(rows) - len(lines)
-    caption = f"The first {MOST_ROWS} rows; {more} more are in {rows.path}." if more > 0 else ""
-    failed = rows.columns["outcome"][~rows.completed]
-    marks = dict.fromkeys((outcome_in_words(str(outcome)) for outcome in failed), "bad")
-    header = ["row", *rows.keys, "outcome", *rows.measures]
-    return Cells("Rows", header, lines, caption, keys=1 + len(rows.keys), marks=marks)
+    caption = f"The first {MOST_ROWS} rows; {more} more are in {rows.attrs['path']}." if more > 0 else ""
+    marks = {outcome_in_words(outcome): "bad" for outcome in rows["outcome"] if outcome != COMPLETED}
+    return Cells("Rows", ["row", *names, "outcome", *measures], lines, caption, keys=1 + len(names), marks=marks)
 
 
-def _plain(value: Any) -> Any:
-    """Value of a column as the labels of ``key_labels`` know it."""
-    plain = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(plain, float) and np.isnan(plain) else plain
-
-
-def sweep_choices(rows: SweepRows) -> Iterator[Choice]:
+def sweep_choices(rows: Frame) -> Iterator[Choice]:
     """Yield a choice for each measure: over the numeric key with most values, with a curve for each scheme or top.
 
     Without them the curves are those of the next key if it has few values. Values of rows that differ in other keys are
     combined by their median.
     """
-    codes = {key: encoded(rows.columns[key]) for key in rows.keys}
-    counts = {key: len(values) for key, (_, values) in codes.items() if len(values) > 1}
+    counts = {key: count for key in rows.attrs["keys"] if (count := rows[key].nunique(dropna=False)) > 1}
     varied = sorted(counts, key=lambda key: -counts[key])
     if not varied:
         return
-    x = next((key for key in varied if rows.columns[key].dtype.kind in "fi"), varied[0])
+    x = next((key for key in varied if rows[key].dtype.kind in "fi"), varied[0])
     named = [key for key in (*KINDS, *varied) if key in counts and key != x]
     by = next((key for key in named if key in KINDS or counts[key] <= MOST_CURVES), None)
-    combinations = set(zip(*(codes[key][0].tolist() for key in (x, by) if key), strict=True))
-    aggregate = "median" if len(combinations) < len(rows) else None
-    for measure in rows.measures:
-        if np.isfinite(rows.columns[measure].astype(float)).any():
+    aggregate = "median" if rows.duplicated([key for key in (x, by) if key]).any() else None
+    for measure in rows.attrs["measures"]:
+        if np.isfinite(rows[measure]).any():
             yield Choice(x, measure, by, aggregate=aggregate)
 
 
-def sweep_pictures(rows: SweepRows, name: str) -> Pictures:
+def sweep_pictures(rows: Frame) -> Pictures:
     """Pictures of the first measures; none if no key varies. Raises UsageError."""
     pictures = []
-    for i, choice in zip(range(MOST_PICTURES), sweep_choices(rows), strict=False):
+    for choice in islice(sweep_choices(rows), MOST_PICTURES):
         combined = f", {choice.aggregate} over the rows" if choice.aggregate else ""
-        measured = in_words(choice.y)
-        caption = f"{measured} against {choice.x}{f' for each {choice.by}' if choice.by else ''}{combined}"
-        panel, data = curves(rows, choice)
-        size = (5.6, max(3.2, 0.2 * len(panel.labels) + 1.0))  # as high as the legend
-        pictures.append(Picture(panel, data, f"{name}-measure{i}", caption, size))
+        each = f" for each {choice.by}" if choice.by else ""
+        curves = len(set(rows[choice.by])) if choice.by else 1
+        size = (5.6, max(3.2, 0.2 * curves + 1.0))  # as high as the legend
+        svg = picture(partial(draw_sweep, frame=rows, choice=choice), size=size)
+        pictures.append((svg, f"{in_words(choice.y)} against {choice.x}{each}{combined}"))
     return Pictures(pictures)

@@ -1,111 +1,64 @@
-"""Chapters of a page on studies, on benchmarks, and on the exact motion."""
+"""Chapters of a page on studies and on the exact motion."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from topcli.analysis.motion import QUANTITIES, Motion
+from topcli.analysis.motion import Motion, motion_table
 from topcli.analysis.motion.of_top import closed_form_top
+from topcli.config.formulas import declared_class
 from topcli.config.models import Experiment
-from topcli.errors import TopcliError
-from topcli.figures.motion import motion_drawn
+from topcli.errors import ExitCode, TopcliError
+from topcli.figures.motion import motion_drawing
+from topcli.figures.study import picture
 from topcli.pages.contents import (
     Chapter,
     Notes,
-    Picture,
     Pictures,
     add_origin,
     citation_block,
     config_block,
-    files_block,
     sources_of,
 )
-from topcli.store.results import StoredResult
-from topcli.studies import imported
-from topcli.studies.bench.result import DECADE_TABLE, POINT_TABLE
-from topcli.studies.study import Result, Study, parts_of
+from topcli.schemes.own_tops import top_class
+from topcli.table import stored_cells
 
 
-def bench_chapter(run: StoredResult) -> Chapter:
-    """Chapter on a benchmark of speed against error."""
-    manifest = run.manifest
-    chapter = Chapter(manifest["name"], "bench", "speed against error", "measured")
-    report = run.report()
-    chapter.add(Notes("In words", [row["words"] for row in report["decades"]]))
-    chapter.add(DECADE_TABLE.cells(report), POINT_TABLE.cells(report))
-    add_origin(chapter, manifest, _measured_parts(report))
-    chapter.add(files_block(run.folder, manifest["files"]), folded=True)
-    return chapter
+def parts_of(config: Mapping[str, Any], names: Iterable[str]) -> list[tuple[str, str]]:
+    """Form of the top of a resolved config, and each of the schemes; their settings may follow the names."""
+    form = (declared_class(config["top"]) or top_class(config["top"]["kind"], config.get("initial") or ())).form
+    return [(form, re.split("[ :]", name)[0]) for name in names]
 
 
-def _measured_parts(report: Mapping[str, Any]) -> Sequence[tuple[str, str]]:
-    """Top and schemes of a benchmark; the settings of a competitor follow its name."""
-    rows = [*report["competitors"], *report["closed_forms"]]
-    names = [re.split("[ :]", row["name"])[0] for row in rows if row.get("kind", "topcli") == "topcli"]
-    return parts_of(report["config"], names)
-
-
-def study_chapter(study: Study, result: Result, name: str | None) -> Chapter:
-    """Chapter on a ``result`` of a study; ``name`` is unique within the page, None leaves out pictures."""
-    data = result.data
-    chapter = Chapter(study.name.capitalize(), study.name)
-    chapter.title, chapter.subtitle, chapter.state, chapter.good, message = study.head(data)
-    chapter.message = message or study.answer(data)
-    if name and study.captions:
-        chapter.add(_pictures(study, result, name))
-    chapter.add(*(table.cells(data) for table in study.tables_of(data)))
-    chapter.add(_notes(study, result, chapter.message))
+def record_chapter(record: Mapping[str, Any]) -> Chapter:
+    """Chapter on a stored report of a study."""
+    code, errors = record["code"], record["errors"]
+    state = ExitCode(code).meaning if code else "measured"
+    chapter = Chapter(f"topcli {record['command']}", record["command"], record["title"], state, not code)
+    chapter.message = record["answer"]
+    pictures = [(record["picture"].encode(), record["title"])] if record["picture"] else []
+    chapter.add(Pictures(pictures), *(stored_cells(table) for table in record["tables"]))
+    chapter.add(Notes("Notes", [*record["notes"], *errors]))
+    named = [row["scheme"] for table in record["tables"] for row in table["rows"] if row.get("scheme")]
     try:
-        parts = study.parts(data)
+        parts = parts_of(record["config"], named) if "top" in record["config"] else ()
     except TopcliError:  # of a plugin that is not loaded
         parts = ()
-    add_origin(chapter, data, parts)
+    add_origin(chapter, record, parts)
     return chapter
 
 
-def _notes(study: Study, result: Result, told: str) -> Notes | None:
-    """Notes and faults, without those that the head tells."""
-    lines = [*study.notes(result.data), *(line for line in study.faults(result.data).lines if line not in told)]
-    return Notes("Notes", lines) if lines else None
-
-
-def _pictures(study: Study, result: Result, name: str) -> Pictures:
-    """Pictures of the panels of the study's figure."""
-    loaded = imported(study.figure)(result)
-    if not loaded.panels:
-        return Pictures([])
-    data = loaded.data()
-    captions = study.captions(result.data) if callable(study.captions) else study.captions
-    pictures = [
-        Picture(panel, data, f"{name}-{i}", caption)
-        for i, (panel, caption) in enumerate(zip(loaded.panels, captions, strict=True))
-    ]
-    return Pictures(pictures)
-
-
-def motion_chapter(motion: Motion, experiment: Experiment, name: str | None) -> Chapter:
-    """Chapter on the ``motion`` that an experiment starts.
-
-    ``name`` is unique within the page; None leaves out pictures.
-    """
+def motion_chapter(motion: Motion, experiment: Experiment) -> Chapter:
+    """Chapter on the ``motion`` that an experiment starts."""
     from topcli import __version__
 
     chapter = Chapter(experiment.name, "motion", motion.top, motion.kind, message=motion.title)
-    if name:
-        chapter.add(_motion_picture(motion, experiment, name))
-    chapter.blocks.append(replace(QUANTITIES.cells(motion), numbers=False))
-    if motion.notes:
-        chapter.blocks.append(Notes("Notes", motion.notes))
+    draw, projection = motion_drawing(closed_form_top(experiment.top), motion, experiment.name)
+    chapter.add(Pictures([(picture(draw, size=(5.6, 4.0), projection=projection), motion.title)]))
+    chapter.add(motion_table(motion).cells(), Notes("Notes", motion.notes))
     config = experiment.resolved()
-    chapter.details.append(config_block({key: config[key] for key in ("top", "initial")}))
-    chapter.blocks.append(citation_block(sources_of([(experiment.top.form, "")]), __version__))
+    chapter.add(config_block({key: config[key] for key in ("top", "initial")}), folded=True)
+    chapter.add(citation_block(sources_of([(experiment.top.form, "")]), __version__))
     return chapter
-
-
-def _motion_picture(motion: Motion, experiment: Experiment, name: str) -> Pictures:
-    panel, data = motion_drawn(closed_form_top(experiment.top), motion, experiment.name)
-    caption = motion.title
-    return Pictures([Picture(panel, data, name, caption, (5.6, 4.0))])

@@ -1,5 +1,5 @@
-"""Ledger (list) of the paper's checkable claims, each of which an experiment tests.
+"""Claims (checkable statements) of the paper, each of which an experiment tests.
 
-``claim`` defines an entry, ``kinds`` the checks, ``subjects`` the entries, ``printed`` the paper's equations.
-``decide`` carries the experiments out; only afterwards are the verdicts compared with those of ``recorded``.
+``claims.yaml`` lists them, ``formulas`` are the paper's equations, ``checks`` the experiments, and ``claims`` compares
+their verdicts with the recorded ones.
 """

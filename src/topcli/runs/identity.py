@@ -10,16 +10,12 @@ makes it other code; a change elsewhere, as in the command line or the figures, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from topcli.config.models import Experiment, digest_of
 from topcli.contracts import Scheme, Top
 from topcli.schemes.plugins import made_from, own_sources
 from topcli.store.sources import digest_of_texts, source_digest
-
-if TYPE_CHECKING:
-    from topcli.config.ensemble import EnsembleExperiment
-
 
 LOOPS = ("topcli.engine.machine", "topcli.engine.integration")
 """Modules with the time loops of all schemes."""
@@ -46,14 +42,13 @@ class Identity:
     code: str
 
     @classmethod
-    def of(cls, experiment: Experiment | EnsembleExperiment) -> Identity:
+    def of(cls, experiment: Experiment) -> Identity:
         """Identity of an experiment or an ensemble. Raises SchemeCodeError for code without a file."""
         config = experiment.resolved()
-        first = experiment if isinstance(experiment, Experiment) else experiment.first
-        parts = {"attitude": first.output.attitude, "numbers": first.written, "loops": first.section}
+        parts = {"attitude": experiment.output.attitude, "numbers": experiment.written, "loops": experiment.section}
         modules = [f"topcli.engine.{module}" for module, needed in parts.items() if needed]
-        code = code_digest(type(first.top), first.scheme, *modules)
-        return cls(config, digest_of(config, first.own_code), code)
+        code = code_digest(type(experiment.top), experiment.scheme, *modules)
+        return cls(config, digest_of(config, experiment.own_code), code)
 
     @property
     def key(self) -> str:

@@ -24,7 +24,6 @@ from topcli.engine.rows import Rows
 from topcli.errors import UsageError
 
 if TYPE_CHECKING:
-    from topcli.config.ensemble import EnsembleExperiment
     from topcli.engine.numbers import PreciseRun
 
 BLOCK = 1024
@@ -33,19 +32,20 @@ MAX_NUMBERS = 5 * 10**8
 """Largest count of numbers in the states of a result in memory: four gigabytes."""
 
 
-def plans(experiment: Experiment | EnsembleExperiment, block: int = BLOCK) -> Iterator[Plan]:
+def plans(experiment: Experiment, block: int = BLOCK) -> Iterator[Plan]:
     """Plans of an experiment: one, or of an ensemble one for each ``block`` of trajectories with the same top.
 
     Raises UsageError for an experiment that cannot be computed.
     """
-    if isinstance(experiment, Experiment):
+    if not experiment.ensemble:
         yield _single(experiment)
         return
     offset = 0
-    for group in experiment.members.groups:
-        plan = _doubles(experiment.of_group(group), np.empty((0, 0)))
-        for states in group.source.blocks(block):
-            yield replace(plan, states=np.ascontiguousarray(states, dtype=np.float64), first=offset)
+    for top in experiment.ensemble.tops:
+        plan = _doubles(experiment.model_copy(update={"top": top}), np.empty((0, 0)))
+        for start in range(0, len(experiment.ensemble.states), block):
+            states = experiment.ensemble.states[start : start + block]
+            yield replace(plan, states=states, first=offset)
             offset += len(states)
 
 
@@ -111,18 +111,19 @@ def precise_of(experiment: Experiment) -> PreciseRun | None:
     return prepared(experiment.scheme, experiment.top, options, precision, numbers, experiment.max_digits)
 
 
-def trajectory_of(experiment: Experiment | EnsembleExperiment, threads: int | None = None) -> Trajectory:
+def trajectory_of(experiment: Experiment, threads: int | None = None) -> Trajectory:
     """Trajectories of an experiment, computed in memory. Raises UsageError if they would not fit."""
-    if isinstance(experiment, Experiment):
+    ensemble = experiment.ensemble
+    if not ensemble:
         if experiment.section:
             return _crossings(experiment)
         return trajectory_along(next(plans(experiment)), experiment.scheme.name)
-    first, store = experiment.first, experiment.store == "trajectories"
-    if first.section is not None:
+    store = ensemble.store == "trajectories"
+    if experiment.section is not None:
         raise UsageError("`topcli run` records the crossings of an ensemble, in a file; leave out section")
-    rows = (first.rows or 0) if store else 0
-    _require_memory(experiment.count, rows, len(first.top.components))
-    parts = [_part(plan, first, store, threads) for plan in plans(experiment, experiment.count)]
+    rows = experiment.N // experiment.output.every + 1 if store else 0
+    _require_memory(ensemble.count, rows, len(experiment.top.components))
+    parts = [_part(plan, experiment, store, threads) for plan in plans(experiment, ensemble.count)]
     if len(parts) == 1:
         return parts[0]
     last, last_n = (np.concatenate([getattr(part, name) for part in parts]) for name in ("last", "last_n"))
@@ -133,7 +134,7 @@ def trajectory_of(experiment: Experiment | EnsembleExperiment, threads: int | No
     together = Rows(parts[0].rows.plan, parts[0].rows.n, recorded, lengths=lengths)
     seconds = {**parts[0].seconds, "run": sum(part.seconds["run"] for part in parts)}
     tallies = [tally for part in parts for tally in part.tallies]
-    return Trajectory(together, first.scheme.name, endings, last, last_n, seconds, tallies, tuple(parts))
+    return Trajectory(together, experiment.scheme.name, endings, last, last_n, seconds, tallies, tuple(parts))
 
 
 def _require_memory(count: int, rows: int, d: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,8 @@ from topcli.engine.numbers import longest
 from topcli.engine.plan import Plan
 from topcli.engine.rows import Rows
 from topcli.runs.plans import search_of
-from topcli.runs.report import EndingTally, ensemble_report, quantity_rows, run_report
+from topcli.runs.report import ensemble_report, quantity_rows, run_report
 from topcli.store.table import Table
-
-if TYPE_CHECKING:
-    from topcli.config.ensemble import EnsembleExperiment
 
 Columns = dict[str, NDArray[Any]]
 
@@ -153,33 +150,34 @@ class Digits(Consumer):
 class Recording:
     """The ``consumers`` that record an experiment into tables in a folder, and the report on what they recorded."""
 
-    def __init__(self, experiment: Experiment | EnsembleExperiment, folder: Path, metadata: dict[str, str]) -> None:
-        self.experiment = experiment
-        self.first = experiment if isinstance(experiment, Experiment) else experiment.first
+    def __init__(self, experiment: Experiment, folder: Path, metadata: dict[str, str]) -> None:
+        self.experiment, ensemble = experiment, experiment.ensemble
         self.seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
         self.tables: list[Table] = []
-        self._folder, self._metadata, first = folder, metadata, self.first
-        store = "trajectories" if isinstance(experiment, Experiment) else experiment.store
-        names = [invariant.name for invariant in (*first.top.invariants(), *first.modified)] if first.section else None
-        self._tally, self._section, self._members = Tally(names, judged=experiment is first), None, None
+        self._folder, self._metadata = folder, metadata
+        store = ensemble.store if ensemble else "trajectories"
+        names = None
+        if experiment.section:
+            names = [invariant.name for invariant in (*experiment.top.invariants(), *experiment.modified)]
+        self._tally, self._section, self._members = Tally(names, judged=not ensemble), None, None
         self.consumers: list[Consumer] = [self._tally]
-        self._digits = Digits() if first.written is not None else None
+        self._digits = Digits() if experiment.written is not None else None
         if self._digits:
             self.consumers.append(self._digits)
-        self._columns = [*(["trajectory"] if experiment is not first else []), *first.recorded]
+        self._columns = [*(["trajectory"] if ensemble else []), *experiment.recorded]
         if store != "statistics":
             rows = (LastRows if store == "final" else Series)(self._table("series"), self._columns)
-            if first.section and store == "trajectories":
-                rows = self._section = SectionRows(lambda plan: search_of(first, plan), rows)
+            if experiment.section and store == "trajectories":
+                rows = self._section = SectionRows(lambda plan: search_of(experiment, plan), rows)
             self.consumers.append(rows)
-        if not isinstance(experiment, Experiment):
-            tops = [group.top for group in experiment.members.groups]
+        if ensemble:
+            tops = ensemble.tops
             varied = [name for name in type(tops[0]).model_fields if len({getattr(top, name) for top in tops}) > 1]
             self._members = Members(self._table("trajectories"), self._tally, self._section, varied)
             self.consumers.append(self._members)
 
     def _table(self, name: str) -> Table:
-        self.tables.append(Table(self._folder, name, self._metadata, self.first.output.format))
+        self.tables.append(Table(self._folder, name, self._metadata, self.experiment.output.format))
         return self.tables[-1]
 
     def add_seconds(self, run: Integration) -> None:
@@ -192,16 +190,15 @@ class Recording:
     def report(self, plan: Plan, endings: Endings, digest: str) -> dict[str, Any]:
         """Content of ``report.json``; ``plan`` is the last one, and the ``endings`` are those of its trajectories."""
         counts = None if self._section is None else self._section.counts
-        if self._members is None or isinstance(self.experiment, Experiment):
+        if self._members is None:
             tally = self._section.quantities if self._section else self._tally
-            quantities = quantity_rows(self.first.quantities, tally.quantities(), counts)
-            rows, further = self._tally.report(), self._digits.entries(self.first, plan) if self._digits else {}
-            return run_report(self.first, digest, endings[0], rows, self.seconds, quantities, counts, further)
-        outcomes, members = EndingTally(self.first.N), self._members
-        outcomes.add(members.endings)
+            quantities = quantity_rows(self.experiment.quantities, tally.quantities(), counts)
+            rows, further = self._tally.report(), self._digits.entries(self.experiment, plan) if self._digits else {}
+            return run_report(self.experiment, digest, endings[0], rows, self.seconds, quantities, counts, further)
+        members = self._members
         rows = summary(plan, members.figures, members.within, members.judged)
-        quantities = quantity_rows(self.first.quantities, members.figures, counts)
-        return ensemble_report(self.experiment, digest, outcomes, rows, self.seconds, quantities, counts)
+        quantities = quantity_rows(self.experiment.quantities, members.figures, counts)
+        return ensemble_report(self.experiment, digest, members.endings, rows, self.seconds, quantities, counts)
 
     def finish(self, outcome: Outcome, message: str, more: dict[str, str]) -> list[Path]:
         """Complete the tables, and return their files."""

@@ -113,11 +113,11 @@ def obstacle(top: Top, scheme: Scheme) -> str:
 class SharedReferences:
     """References of this process, of at most ``max_bytes``; refusals are remembered too.
 
-    One takes at most ``max_steps`` Taylor steps. They heed a request to stop.
+    One takes at most ``SHARED_TAYLOR_STEPS`` Taylor steps. They heed a request to stop.
     """
 
-    def __init__(self, max_bytes: int = MAX_BYTES, max_steps: int = SHARED_TAYLOR_STEPS) -> None:
-        self._max_bytes, self._bytes, self._max_steps = max_bytes, 0, max_steps
+    def __init__(self, max_bytes: int = MAX_BYTES) -> None:
+        self._max_bytes, self._bytes = max_bytes, 0
         self._lock = threading.Lock()
         self._states: OrderedDict[Any, Array | str] = OrderedDict()
         """States (m, d) by motion and times, or the reason why there are none; the latest come last."""
@@ -130,7 +130,7 @@ class SharedReferences:
         # a closed form is computed at the exact products n h, the series at their rounded values
         step, top = h if reference.closed_form else 0.0, reference.top
         key = (
-            top.form,
+            type(top),  # a notebook may define a top again under its name
             top.model_dump_json(),
             step,
             np.ascontiguousarray(y0).tobytes(),
@@ -140,7 +140,7 @@ class SharedReferences:
             states = self._states.get(key)
         if states is None:
             try:
-                states = reference.states(np.asarray(y0, dtype=np.float64), h, n, self._max_steps)
+                states = reference.states(np.asarray(y0, dtype=np.float64), h, n, SHARED_TAYLOR_STEPS)
             except RunError as error:
                 states = str(error)
             self._store(key, states)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,65 +14,52 @@ from topcli.analysis.verdict import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, Invarian
 from topcli.contracts import Array, Ending, Outcome
 from topcli.engine.endings import Endings
 from topcli.errors import counted
-from topcli.table import Column, Table, number, plus_minus, rounded_up, ten_digits, two_digits
+from topcli.table import Format, Table, heading_of, number, plus_minus, rounded_up, ten_digits, two_digits
 
 if TYPE_CHECKING:
     from topcli.analysis.quantities import Quantity
-    from topcli.config.ensemble import EnsembleExperiment
     from topcli.config.models import Experiment
 
 SCHEMA_VERSION = 1
 
 
-@dataclass(frozen=True)
-class ReportColumn(Column):
-    """Column of the report on invariants; the path is its key in ``report.json``.
-
-    ``compared`` is True if comparisons of schemes show the column.
-    """
-
-    show: Callable[[Any], str] = number
-    compared: bool = False
-
-    def value(self, row: Mapping[str, Any]) -> Any:
-        """Figure of a row; None in a report that was stored before the column existed."""
-        return row.get(self.name)
-
-    def compared_head(self, symbol: str) -> str:
-        """Heading in comparisons, for the invariant of this symbol."""
-        head, unit, _ = self.head.partition(" per unit time")
-        return f"{head} of {symbol}{unit}"
-
-
-REPORT_COLUMNS = (
-    ReportColumn("invariant", "symbol", str),
-    ReportColumn("first value", "first", ten_digits),
-    ReportColumn("min", "min", ten_digits),
-    ReportColumn("max", "max", ten_digits),
-    ReportColumn("max deviation", "max_deviation", compared=True),
-    ReportColumn("max deviation, relative", "max_deviation_relative"),
-    ReportColumn("rms deviation", "rms_deviation"),
-    ReportColumn("rms deviation, relative", "rms_deviation_relative"),
-    ReportColumn("drift per unit time", "drift", compared=True),
-    ReportColumn("standard error of the drift", "drift_error", two_digits, compared=True),
-    ReportColumn("95 % bound of the drift", "drift_bound", two_digits),
-    ReportColumn("drift over the run", "drift_over_run"),
-    ReportColumn("model", "model", str, compared=True),
-    ReportColumn("round-off bound", "round_off_bound"),
-    ReportColumn("verdict", "verdict", str, compared=True),
-)
-"""Figures of the invariant report in the order of all its tables; the paths are fields of ``InvariantRow``."""
+NAMES = {
+    "symbol": "invariant",
+    "first": "first value",
+    "max_deviation_relative": "max deviation, relative",
+    "rms_deviation_relative": "rms deviation, relative",
+    "drift": "drift per unit time",
+    "drift_error": "standard error of the drift",
+    "drift_bound": "95 % bound of the drift",
+    "round_off_bound": "round-off bound",
+    "within_round_off": "within round-off",
+}
+"""Headings of fields of ``InvariantRow`` that are not their names."""
+FORMATS: dict[str, Format] = {
+    **dict.fromkeys(("first", "min", "max"), ten_digits),
+    **dict.fromkeys(("drift_error", "drift_bound"), two_digits),
+}
+COMPARED = ("max_deviation", "drift", "drift_error", "model", "verdict")
+"""Fields that comparisons of runs show."""
+SENTENCES = ("name", "statement", "reason")
+"""Fields that tables leave out."""
 VERDICT_MARKS = {"lost": "bad", "drifting": "middling", "exact": "good"}
 """Looks of the verdicts on terminals and pages."""
-INVARIANTS = Table(
-    "invariants",
-    REPORT_COLUMNS[1:],
-    heading="Conservation laws",
-    index="symbol",
-    across=REPORT_COLUMNS[0],
-    marks=VERDICT_MARKS,
-)
-"""The invariant report, a column for each invariant."""
+
+
+def invariant_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Table of all figures on the invariants, one a column."""
+    shown = [{key: value for key, value in row.items() if key not in SENTENCES} for row in rows]
+    return Table("Conservation laws", shown, FORMATS, names=NAMES, across=True, marks=VERDICT_MARKS)
+
+
+def report_tables(report: Mapping[str, Any]) -> list[Table]:
+    """Tables of the content of ``report.json``: invariants, and the user's own observables."""
+    invariants = ensemble_table if report.get("kind") == "ensemble" else invariant_table
+    quantities = [{key: row[key] for key in ("name", *FIGURES)} for row in report.get("quantities", ())]
+    formats: dict[str, Format] = dict.fromkeys(FIGURES, ten_digits)
+    own = [Table("Quantities", quantities, formats, names={"name": "quantity"})] if quantities else []
+    return [invariants(report["invariants"]), *own]
 
 
 def deviation_text(row: Mapping[str, Any]) -> str | None:
@@ -99,20 +84,15 @@ def drift_text(row: Mapping[str, Any], short: bool = False) -> str | None:
     return number(drift) if error < 0.1 * abs(drift) else plus_minus(drift, error).replace(" ", "")
 
 
-BRIEF = Table(
-    "invariants",
-    (
-        Column("invariant", "symbol"),
-        Column("first value", "first", ten_digits),
-        Column("max deviation", deviation_text),
-        Column("drift per unit time", drift_text),
-        Column("verdict", "verdict"),
-    ),
-    caption="Deviations are relative, drifts have 95 % bounds; -v prints all values.",
-    numbers=(1, 2, 3),
-    marks=VERDICT_MARKS,
-)
-"""The invariant report as a terminal shows it without ``--verbose``, a line for each invariant."""
+def brief_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Table of the invariants as a terminal shows it without ``--verbose``, a line for each."""
+    columns = ("symbol", "first", "max_deviation", "drift", "verdict")
+    shown = [
+        {**{key: row[key] for key in columns}, "max_deviation": deviation_text(row), "drift": drift_text(row)}
+        for row in rows
+    ]
+    caption = "Deviations are relative, drifts have 95 % bounds; -v prints all values."
+    return Table("", shown, FORMATS, names=NAMES, right=columns[1:4], caption=caption, marks=VERDICT_MARKS)
 
 
 def open_lines(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
@@ -182,18 +162,6 @@ def precision_note(report: Mapping[str, Any]) -> str:
         factor = growth["factor"]
         return f"{length}; the bits grow exponentially ({factor:.2f} times a step), as for no integrable map"
     return f"{length}; the run has too few rows to tell how the bits grow"
-
-
-QUANTITIES = Table(
-    "quantities",
-    (
-        Column("quantity", "name"),
-        *(Column(figure, figure, ten_digits) for figure in FIGURES),
-    ),
-    heading="Quantities",
-    index="name",
-)
-"""The report on the user's own observables."""
 
 
 def report_data(
@@ -294,13 +262,13 @@ def warning_of(report: dict[str, Any]) -> str:
     )
 
 
-def comparison_lines(schemes: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Compared figures of each invariant as lines: a label, then a cell for each of the ``schemes``."""
+def comparison_lines(runs: Sequence[Sequence[Mapping[str, Any]]]) -> list[list[str]]:
+    """Compared figures of each invariant as lines: a label, then a cell for each of the ``runs``."""
     return [
-        [column.compared_head(rows[0]["symbol"]), *map(column.text, rows)]
-        for rows in zip(*(scheme["invariants"] for scheme in schemes), strict=True)
-        for column in REPORT_COLUMNS
-        if column.compared
+        [f"{NAMES.get(key, heading_of(key))} of {rows[0]['symbol']}", *(table.cell(key, row.get(key)) for row in rows)]
+        for rows in zip(*runs, strict=True)
+        for table in [invariant_table(rows)]
+        for key in COMPARED
     ]
 
 
@@ -330,53 +298,30 @@ def _failure(ending: Ending) -> dict[str, Any]:
     return {"outcome": ending.outcome.value, "step": at[0], "t": at[1]}
 
 
-class EndingTally:
-    """Counts of outcomes over the trajectories of an ensemble of N steps, added up block by block."""
+def ensemble_outcome(endings: Endings) -> Outcome:
+    """Outcome of an ensemble: interrupted if any trajectory is; else that of the first failure; else completed."""
+    if Outcome.INTERRUPTED in endings.outcomes:
+        return Outcome.INTERRUPTED
+    failed = endings.failed
+    return endings[int(failed[0])].outcome if len(failed) else Outcome.COMPLETED
 
-    def __init__(self, N: int) -> None:
-        self.N, self.total = N, 0
-        self.counters: Counter[str] = Counter()
-        self.failures: list[tuple[int, Ending]] = []
-        """The first ``SHOWN_TRAJECTORIES`` that failed, by number."""
-        self._counts: Counter[Outcome] = Counter()
 
-    def add(self, endings: Endings) -> None:
-        """Add the endings of the next trajectories."""
-        self._counts.update(endings.outcomes)
-        self.counters.update(endings.totals)
-        for i in endings.failed[: SHOWN_TRAJECTORIES - len(self.failures)].tolist():
-            self.failures.append((self.total + i, endings[i]))
-        self.total += len(endings)
-
-    @property
-    def outcomes(self) -> dict[str, int]:
-        """Number of trajectories for each outcome that occurs."""
-        return {outcome.value: self._counts[outcome] for outcome in Outcome if self._counts[outcome]}
-
-    @property
-    def outcome(self) -> Outcome:
-        """Outcome of the ensemble: interrupted if any trajectory is; else that of the first failure; else completed."""
-        if self._counts[Outcome.INTERRUPTED]:
-            return Outcome.INTERRUPTED
-        return self.failures[0][1].outcome if self.failures else Outcome.COMPLETED
-
-    @property
-    def message(self) -> str:
-        """Outcomes of the trajectories, and the first failure, in one line."""
-        if self._counts[Outcome.COMPLETED] == self.total:
-            return f"all {self.total} trajectories completed {counted(self.N, 'step')}"
-        outcomes = ", ".join(f"{count} {WORDS[Outcome(name)]}" for name, count in self.outcomes.items())
-        message = f"of {self.total} trajectories {outcomes}"
-        if self.failures:
-            number, ending = self.failures[0]
-            message += f"; the first of them, trajectory {number}, {ending.message}"
-        return message
+def ensemble_message(endings: Endings, N: int) -> str:
+    """Outcomes of the trajectories of an ensemble of N steps, and the first failure, in one line."""
+    counts, failed = endings.outcomes, endings.failed
+    if counts.get(Outcome.COMPLETED) == len(endings):
+        return f"all {len(endings)} trajectories completed {counted(N, 'step')}"
+    outcomes = ", ".join(f"{count} {WORDS[outcome]}" for outcome, count in counts.items())
+    message = f"of {len(endings)} trajectories {outcomes}"
+    if len(failed):
+        message += f"; the first of them, trajectory {failed[0]}, {endings[int(failed[0])].message}"
+    return message
 
 
 def ensemble_report(
-    experiment: EnsembleExperiment,
+    experiment: Experiment,
     digest: str,
-    endings: EndingTally,
+    endings: Endings,
     invariants: Sequence[dict[str, Any]],
     seconds: dict[str, Any],
     quantities: Sequence[dict[str, Any]] = (),
@@ -387,15 +332,17 @@ def ensemble_report(
         {
             "schema_version": SCHEMA_VERSION,
             "kind": "ensemble",
-            **heading(experiment.first, experiment.name, digest),
-            "trajectories": endings.total,
-            "store": experiment.store,
-            "outcome": endings.outcome.value,
-            "message": endings.message + section_note(experiment.first, crossings),
+            **heading(experiment, experiment.name, digest),
+            "trajectories": len(endings),
+            "store": experiment.ensemble.store if experiment.ensemble else "",
+            "outcome": ensemble_outcome(endings).value,
+            "message": ensemble_message(endings, experiment.N) + section_note(experiment, crossings),
             **section_data(crossings),
-            "outcomes": endings.outcomes,
-            "failures": [{"trajectory": i, **_failure(ending)} for i, ending in endings.failures],
-            "counters": dict(endings.counters),
+            "outcomes": {outcome.value: count for outcome, count in endings.outcomes.items()},
+            "failures": [
+                {"trajectory": i, **_failure(endings[i])} for i in endings.failed[:SHOWN_TRAJECTORIES].tolist()
+            ],
+            "counters": endings.totals,
             "seconds": seconds,
             "round_off_ulps": ROUND_OFF_ULPS,
             "invariants": list(invariants),
@@ -409,22 +356,18 @@ def _within_round_off(row: Mapping[str, Any]) -> str:
     return f"{row['within_round_off']} of {row['judged']}"
 
 
-ENSEMBLE = Table(
-    "invariants",
-    (
-        Column("within round-off", _within_round_off),
-        *(Column("", key) for key in ("within_round_off", "judged")),
-        *(
-            Column(f"{measure.replace('_', ' ')}, {name}", f"{measure}.{name}", number)
+def ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Table of the quantiles over the trajectories, each invariant a column."""
+    shown = []
+    for row in rows:
+        quantiles = {
+            f"{measure.replace('_', ' ')}, {name}": row[measure][name]
             for measure in DEVIATIONS
             for name in (QUANTILES if measure == "max_deviation" else ("median", "max"))
-        ),
-    ),
-    heading="Conservation laws",
-    index="symbol",
-    across=Column("invariant", "symbol"),
-)
-"""The ensemble report, a column for each invariant."""
+        }
+        shown.append({**{key: row[key] for key in ("symbol", "within_round_off", "judged")}, **quantiles})
+    caption = "Quantiles over the trajectories."
+    return Table("Conservation laws", shown, names=NAMES, across=True, caption=caption)
 
 
 def ensemble_statements(report: Mapping[str, Any]) -> list[str]:
@@ -437,14 +380,16 @@ def ensemble_statements(report: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-ENSEMBLE_BRIEF = Table(
-    "invariants",
-    (
-        Column("invariant", "symbol"),
-        Column("within round-off", _within_round_off),
-        Column("max deviation, median", "max_deviation.median", number),
-        Column("max deviation, max", "max_deviation.max", number),
-    ),
-    caption="Quantiles over the trajectories; -v prints all values.",
-)
-"""Summary of an ensemble as a terminal shows it without ``--verbose``."""
+def brief_ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Summary of an ensemble as a terminal shows it without ``--verbose``."""
+    shown = [
+        {
+            "symbol": row["symbol"],
+            "within round-off": _within_round_off(row),
+            "max deviation, median": row["max_deviation"]["median"],
+            "max deviation, max": row["max_deviation"]["max"],
+        }
+        for row in rows
+    ]
+    caption, right = "Quantiles over the trajectories; -v prints all values.", list(shown[0])[1:]
+    return Table("", shown, names=NAMES, right=right, caption=caption)

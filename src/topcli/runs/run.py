@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,9 +25,6 @@ from topcli.store.files import json_text
 from topcli.store.provenance import git_commit, now
 from topcli.store.result_folder import ResultFolder, being_computed
 from topcli.store.results import SWEEP, StoredResult, intact_result, stored_results
-
-if TYPE_CHECKING:
-    from topcli.config.ensemble import EnsembleExperiment
 
 CHECKPOINT_SECONDS = 10.0
 """Seconds between two checkpoints; the first one comes after half of it."""
@@ -82,16 +79,14 @@ class RunResult:
         return Outcome(self.report["outcome"])
 
 
-def outlook(experiment: Experiment | EnsembleExperiment, out: Path, force: bool) -> tuple[Identity, str]:
+def outlook(experiment: Experiment, out: Path, force: bool) -> tuple[Identity, str]:
     """Identity of an experiment, and what ``run_experiment`` would do. Raises UsageError for what it would refuse."""
     identity = Identity.of(experiment)
     next(plans(experiment))
     return identity, ResultFolder.outlook(out / experiment.name, identity, force)
 
 
-def run_experiment(
-    experiment: Experiment | EnsembleExperiment, out: Path, options: RunOptions = RunOptions()
-) -> RunResult:
+def run_experiment(experiment: Experiment, out: Path, options: RunOptions = RunOptions()) -> RunResult:
     """Run an experiment or ensemble into ``out/NAME``, continue it if it was stopped, or find that it is up to date.
 
     With ``force`` it begins anew; what the name holds is renamed. A different experiment of that name is refused
@@ -111,7 +106,7 @@ def run_experiment(
 
 
 def _computed(
-    experiment: Experiment | EnsembleExperiment,
+    experiment: Experiment,
     folder: ResultFolder,
     identity: Identity,
     options: RunOptions,
@@ -122,7 +117,7 @@ def _computed(
     recording, state = Recording(experiment, folder.working, metadata), folder.checkpoint()
     continued, begun = bool(state), int(state.pop("plan", np.array(0)))
     save, run = Checkpoints(folder, options), None
-    N, count = recording.first.N, 1 if isinstance(experiment, Experiment) else experiment.count
+    N, count = recording.experiment.N, experiment.ensemble.count if experiment.ensemble else 1
     if continued:
         options.on_message(f"{experiment.name}: continues from the last checkpoint")
     with ExitStack() as open_tables:
@@ -149,13 +144,13 @@ def _computed(
         left = {"topcli.left_motion": json.dumps(report["left_motion"])} if report.get("left_motion") else {}
         tables = recording.finish(outcome, report["message"], left)
     entries = {
-        "kind": "run" if isinstance(experiment, Experiment) else "ensemble",
+        "kind": "ensemble" if experiment.ensemble else "run",
         "outcome": report["outcome"],
         "message": report["message"],
         **({"step": report["step"]} if "step" in report else {"trajectories": tables[-1].name}),
         "series": tables[0].name,
-        "scheme_origin": recording.first.scheme.origin,
-        "top_origin": top_origin(type(recording.first.top)),
+        "scheme_origin": recording.experiment.scheme.origin,
+        "top_origin": top_origin(type(recording.experiment.top)),
         "seconds": recording.seconds,
         **git_commit(),
         **({"continued": now()} if continued else {}),
@@ -168,7 +163,7 @@ def _texts(recording: Recording, identity: Identity, report: dict[str, Any]) -> 
     """Texts of a result by file name: the report, the config, and a user's own sources."""
     from topcli.config.text import to_yaml
 
-    own = own_sources(type(recording.first.top), recording.first.scheme)
+    own = own_sources(type(recording.experiment.top), recording.experiment.scheme)
     return {"report.json": json_text(report), "config.yaml": to_yaml(identity.config), **own}
 
 
@@ -189,15 +184,12 @@ class Checkpoints:
 
 
 def listed_runs(out: Path) -> list[dict[str, Any]]:
-    """Runs in ``out`` by name, as plain data for ``topcli list runs``; what is not known is None.
+    """Runs and sweeps in ``out`` by name, as plain data for ``topcli list runs``; what is not known is None.
 
-    The outcome is ``running`` while a process computes the run, ``killed`` if it no longer does, or ``damaged``.
+    The outcome is ``running`` while a process computes the run, ``killed`` if it no longer does, or ``damaged``. The
+    ``step`` and ``N`` of a sweep are the numbers of its finished rows and of all.
     """
-    return [_listed(name, stored) for name, stored in stored_results(out).items() if not _is_sweep(stored)]
-
-
-def _is_sweep(stored: StoredResult | RunError) -> bool:
-    return isinstance(stored, StoredResult) and stored.manifest.get("kind") == SWEEP
+    return [_listed(name, stored) for name, stored in stored_results(out).items()]
 
 
 def _listed(name: str, stored: StoredResult | RunError) -> dict[str, Any]:
@@ -207,12 +199,12 @@ def _listed(name: str, stored: StoredResult | RunError) -> dict[str, Any]:
         outcome = "running" if being_computed(stored.folder) else "killed"
     return {
         "name": name,
-        "kind": "ensemble" if "ensemble" in config else "run",
+        "kind": SWEEP if manifest.get("kind") == SWEEP else "ensemble" if "ensemble" in config else "run",
         "outcome": outcome,
         "step": manifest.get("step"),
         "scheme": config.get("scheme", {}).get("name"),
         "h": config.get("h"),
-        "N": config.get("N"),
+        "N": manifest.get("rows", config.get("N")),
         "digest": manifest["digest"][:8] if manifest else None,
         "ended": manifest.get("ended"),
         **({} if manifest else {"reason": str(stored)}),

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.document import Document
-from topcli.config.ensemble import SOURCES, EnsembleExperiment, Group, Listed, Members
+from topcli.config.ensemble import SOURCES, Ensemble
 from topcli.config.load import load, read_config
-from topcli.config.models import UNIT_LIMIT
+from topcli.config.models import Experiment
 from topcli.config.sections import read_top
+from topcli.config.states import UNIT_LIMIT
 from topcli.contracts import Array, Top
 from topcli.errors import UsageError
 from topcli.runs.plans import trajectory_of
@@ -110,7 +111,7 @@ def simulate(
     return trajectory_of(experiment, threads)
 
 
-def _from_states(data: dict[str, Any], states: Any) -> EnsembleExperiment:
+def _from_states(data: dict[str, Any], states: Any) -> Experiment:
     """Ensemble from an array of states; the section ``ensemble`` may only say what to store."""
     section = dict(data.pop("ensemble", None) or {})
     if given := [key for key in SOURCES if section.get(key) is not None]:
@@ -125,7 +126,7 @@ def _from_states(data: dict[str, Any], states: Any) -> EnsembleExperiment:
     kind = given.get("kind") if isinstance(given, dict) else given
     initial = data.get("initial")
     named = [key for key in initial if key != "normalize"] if isinstance(initial, dict) else None
-    declared, _ = read_top(given, None, Document({})) if kind == CUSTOM else (None, None)
+    declared, _ = read_top(given, (), Document({})) if kind == CUSTOM else (None, None)
     known = [declared] if declared else TOPS.values()
     fits = [top for top in known if top.kind == str(kind).lower() and len(top.components) == array.shape[1]]
     top = next((top for top in fits if named is None or set(top.vectors) == set(named)), fits[0] if fits else None)
@@ -134,14 +135,13 @@ def _from_states(data: dict[str, Any], states: Any) -> EnsembleExperiment:
         data["initial"] = top.initial_section(array[0].tolist())
     # an ensemble of the first state alone, so that ``store`` is checked like any other key
     single = load({**data, "ensemble": {**section, "states": [{}]}})
-    assert isinstance(single, EnsembleExperiment)
+    assert single.ensemble is not None
     d = len(single.top.components)
     if array.shape[1] != d:
         raise UsageError(f"simulate: a state of {single.top.kind} has {d} components, not {array.shape[1]}")
-    members = Members(
-        (Group(single.top, Listed(array)),), {**single.members.section, "states": []}, single.members.initial
-    )
-    return EnsembleExperiment(single.first, members, single.top)
+    section = {**single.ensemble.section, "states": []}
+    ensemble = Ensemble(single.ensemble.tops, array, section, single.ensemble.initial)
+    return single.model_copy(update={"ensemble": ensemble})
 
 
 def _check_units(top: type[Top], states: Array) -> None:

@@ -205,11 +205,6 @@ def forms(name: str) -> list[type[Top]]:
     return classes
 
 
-def other_forms(top: Top | type[Top]) -> list[type[Top]]:
-    """Forms of the kind of ``top`` other than its own."""
-    return [form for form in TOPS.values() if form.kind == top.kind and form.form != top.form]
-
-
 def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
     """Return the class of the top called ``name`` that has the ``vectors`` in its initial state.
 

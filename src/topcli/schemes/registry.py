@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
-from topcli.contracts import Block, Floats, Integrability, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
+from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.schemes.compose import Composition, compose, find_composition, obstacle
 from topcli.schemes.plugins import line_of, origin_of, plugin_failures, users_error
@@ -101,7 +101,6 @@ def scheme(
     longest_step: Callable[[Any, Floats, Any], float] | None = None,
     order_with: Callable[[Any], int | None] | None = None,
     formula: str = "",
-    integrable: Integrability | Callable[[Top], Integrability | None] | None = None,
     requires: Callable[[Top], object] | None = None,
     changes: bool = False,
 ) -> Callable[[B], B]:
@@ -154,9 +153,6 @@ def scheme(
         default options.
     formula : str, optional
         Step in LaTeX for the documentation: display formulas without delimiters, separated by empty lines.
-    integrable : Integrability or callable, optional
-        Lax pair and Poisson bracket if the step is an integrable map, or a function ``integrable(top)`` that returns
-        them, or None if the step is not integrable.
     requires : callable, optional
         With ``top=None``: ``requires(top)`` raises UsageError with the reason if the scheme does not integrate ``top``.
     changes : bool, optional
@@ -212,7 +208,6 @@ def scheme(
             "origin": origin,
             "order_with": order_with,
             "formula": formula,
-            "integrable": integrable,
         }
         SCHEMES.setdefault(key, []).append(Declaration(key, forms, requires, changes, traits))
         return build
@@ -284,7 +279,7 @@ class Projected(BaseModel):
 def _bound(declaration: Declaration, cls: type[Top], composition: Composition | None = None) -> Scheme:
     """The scheme for one form of a top, composed or not, with the wrappers of its steps."""
     top, traits = cls.generic(), dict(declaration.traits)
-    for key in ("conserves", "limits", "integrable"):
+    for key in ("conserves", "limits"):
         if callable(traits[key]):
             traits[key] = traits[key](top)
     traits["conserves"], traits["limits"] = tuple(traits["conserves"]), dict(traits["limits"])

@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 from topcli.errors import printable
@@ -118,7 +117,7 @@ class Progress(Watch):
     def __enter__(self) -> Progress:
         return self
 
-    def begin(self, name: str, *experiments: Any, file: Path | None = None) -> None:
+    def begin(self, name: str, *experiments: Any, unit: str = "steps") -> None:
         """Take the name of what is run."""
         self._name = printable(name)
 

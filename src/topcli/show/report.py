@@ -1,47 +1,30 @@
-"""Results of commands in Python: tables, plots on the caller's axes, files, and HTML for notebooks.
+"""Reports of stored results and of exact motions in Python: tables, plots on the caller's axes, files, notebooks.
 
-The Python function of a study has the parameters of the study's ``measure`` and returns a ``StudyReport``.
 ``topcli.motion`` needs only a top and a state.
 """
 
 from __future__ import annotations
 
-import inspect
-import json
 from abc import ABC, abstractmethod
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field, fields
-from functools import cache
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from topcli.analysis.motion import QUANTITIES, Motion
+from topcli.analysis.motion import Motion, motion_table
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.errors import UsageError, quoted
-from topcli.figures.picture import Drawable
-from topcli.figures.style import REFERENCE, REFERENCE_LOOK, styled
-from topcli.show.progress import Progress
-from topcli.store.files import io_failure, require_writable, write_whole
-from topcli.studies import STUDIES, find_study, imported
-from topcli.studies.study import Result, Study
-from topcli.table import Table
+from topcli.figures.study import on_axes, picture
+from topcli.store.files import json_text, write_by_ending
+from topcli.studies.report import PICTURES, html_of
+from topcli.table import Cells
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
     from topcli.pages.contents import Chapter
-
-
-PICTURES = (".png", ".pdf", ".svg")
-SUFFIXES = (".html", ".json", ".csv", ".parquet", *PICTURES)
-"""Endings of the names of files that ``Report.save`` writes."""
-_WIDTH = (6.4, 3.6)
 
 
 class Report(ABC):
@@ -67,8 +50,17 @@ class Report(ABC):
         """Draw the report into ``ax`` and return the axes; without ``ax``, make new axes."""
 
     @abstractmethod
-    def chapter(self, name: str | None) -> Chapter:
-        """Return the chapter of a page; ``name`` is unique within the page; with None, it has no pictures."""
+    def chapter(self) -> Chapter:
+        """Return the chapter of a page."""
+
+    @abstractmethod
+    def cells(self) -> Cells:
+        """Texts of the table that a notebook shows."""
+
+    @property
+    @abstractmethod
+    def headline(self) -> str:
+        """What the report is about, and the result in a sentence."""
 
     def save(self, path: str | Path) -> Path:
         """Write the report to a file; an existing file is overwritten.
@@ -79,8 +71,7 @@ class Report(ABC):
         ----------
         path : path or str
             Name of the file. Its ending chooses the content: ``.html`` gives the page that ``topcli report`` writes,
-            ``.json`` the plain data, ``.csv`` or ``.parquet`` the main table, and ``.png``, ``.pdf`` or ``.svg`` the
-            plot.
+            ``.json`` the plain data, ``.csv`` the main table, and ``.png``, ``.pdf`` or ``.svg`` the plot.
 
         Returns
         -------
@@ -94,184 +85,22 @@ class Report(ABC):
         RunError
             If writing fails.
         """
-        path = Path(path)
-        if path.suffix.lower() not in SUFFIXES:
-            raise UsageError(f"save: {quoted(path.name)}: unknown type of file; use {', '.join(SUFFIXES)}")
-        require_writable(path.parent)
-        try:
-            write_whole(path, self._write)
-        except OSError as error:
-            raise io_failure(error, path, "nothing was written") from error
-        return path
+        from topcli.pages.page import page_of
 
-    def _write(self, path: Path) -> None:
-        """Write the file in the format of its suffix."""
-        match path.suffix.lower():
-            case ".html":
-                from topcli.pages.page import page_of
-
-                path.write_text(page_of([self.chapter("part1")]).text, encoding="utf-8")
-            case ".json":
-                text = json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False)
-                path.write_text(text + "\n", encoding="utf-8")
-            case ".csv":
-                self.table.to_csv(path)
-            case ".parquet":
-                self.table.to_parquet(path)
-            case _:
-                self._picture(path)
-
-    def _picture(self, path: Path) -> None:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        from topcli.figures.picture import save
-
-        with styled():
-            figure = Figure(figsize=_WIDTH)
-            FigureCanvasAgg(figure)
-            self.plot(figure.add_subplot())
-        save(figure, path)
+        contents: dict[str, Callable[[], str | bytes]] = {
+            ".html": lambda: page_of([self.chapter()]).text,
+            ".json": lambda: json_text(self.as_dict()),
+            ".csv": lambda: str(self.table.to_csv()),
+        }
+        pictures = {ending: partial(picture, self.plot, ending[1:]) for ending in PICTURES}
+        return write_by_ending(path, contents | pictures)
 
     def __repr__(self) -> str:
-        chapter = self.chapter(None)
-        return f"<{type(self).__name__} of {chapter.title}: {chapter.message or chapter.state}>"
+        return f"<{type(self).__name__} of {self.headline}>"
 
     def _repr_html_(self) -> str:
-        """State and main table for a notebook, with everything escaped."""
-        from topcli.pages.page import fragment
-
-        return fragment(self.chapter(None))
-
-
-def draw_panel(panel: Drawable, data: Mapping[str, np.ndarray], ax: Axes | None) -> Axes:
-    """Draw ``panel`` into ``ax`` in the style of its owner; into new axes in the style of topcli's figures.
-
-    A three-dimensional picture replaces two-dimensional axes by others at their place.
-    """
-    own, projection = ax is None, getattr(panel, "projection", None)
-    with styled() if own else nullcontext():
-        if ax is None:
-            from matplotlib import pyplot
-
-            ax = pyplot.figure(figsize=_WIDTH).add_subplot(projection=projection)
-        elif projection and ax.name != projection:
-            figure, place, box = ax.figure, ax.get_subplotspec(), ax.get_position().bounds
-            ax.remove()
-            of = {"projection": projection}
-            ax = figure.add_subplot(place, **of) if place else figure.add_axes(box, **of)
-        panel.paint(ax, data, defaultdict(dict, {REFERENCE: REFERENCE_LOOK}))
-        texts = ax.get_legend_handles_labels()[1]
-        if len(texts) > 1 and ax.get_legend() is None:
-            ax.legend()
-    return ax
-
-
-@dataclass(frozen=True, repr=False)
-class StudyReport(Report):
-    """Result of a study, as returned by ``topcli.compare``, ``topcli.order`` and the functions of other studies.
-
-    Attributes
-    ----------
-    declaration : Study
-        Description of the study: its name, tables, notes and figure.
-    result : Result
-        The measured data.
-    study : dict
-        The measured data as plain data, ready for JSON.
-    table : pandas.DataFrame
-        The main table. Each further table is an attribute with the name of the table, such as ``errors`` in a report
-        of ``topcli.order``.
-    """
-
-    declaration: Study
-    result: Result
-
-    def __getattr__(self, name: str) -> Any:
-        """DataFrame of the table called ``name``, or another attribute that the study declares."""
-        if not name.startswith("_"):
-            if name in self.declaration.extras:
-                return self.declaration.extras[name](self.result)
-            if table := self._table(name):
-                return table.frame(self.study)
-        raise AttributeError(f"a report of {self.declaration.name!r} has no attribute {name!r}")
-
-    @property
-    def study(self) -> dict[str, Any]:
-        """Everything that was measured, as ``--json`` prints it."""
-        return self.result.data
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """DataFrame of the main table."""
-        main = self._table("table")
-        assert main is not None
-        return main.frame(self.study)
-
-    def _table(self, name: str) -> Table | None:
-        """Table of the result that is called ``name``."""
-        tables = (*self.declaration.frames, *self.declaration.tables_of(self.study))
-        return next((table for table in tables if table.name == name), None)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON, in the form that ``topcli report`` reads."""
-        return self.declaration.as_dict(self.result)
-
-    def chapter(self, name: str | None) -> Chapter:
-        """Return the chapter of a page; ``name`` is unique within the page; with None, it has no pictures."""
-        from topcli.pages.studies import study_chapter
-
-        return study_chapter(self.declaration, self.result, name)
-
-    def plot(self, ax: Axes | None = None, **options: Any) -> Axes:
-        """Draw the result into ``ax`` and return the axes; without ``ax``, make new axes. Some studies take options."""
-        if self.declaration.plotted:
-            panel, data = imported(self.declaration.plotted)(self.result, **options)
-            return draw_panel(panel, data, ax)
-        if not self.declaration.figure:
-            raise UsageError(f"plot: {self.declaration.name} has no picture; see its table")
-        loaded = imported(self.declaration.figure)(self.result)
-        return draw_panel(loaded.panels[0], loaded.data(), ax)
-
-
-_WATCH = """watch : Watch, optional
-        Observer of the study.
-"""
-_PROGRESS = """progress : bool, optional
-        False to show no progress bar.
-"""
-
-
-def _refuse_lists(name: str, bound: inspect.BoundArguments) -> None:
-    """Raise UsageError for a list, such as overrides in the wrong place, where a study takes no sequence."""
-    for key, value in bound.arguments.items():
-        parameter = bound.signature.parameters[key]
-        values = value if parameter.kind is inspect.Parameter.VAR_POSITIONAL else [value]
-        if "Sequence" not in str(parameter.annotation) and any(isinstance(each, list | tuple) for each in values):
-            raise UsageError(
-                f"topcli.{name}: {key}: a list is not expected here; KEY=VALUE texts go to overrides=[...]"
-            )
-
-
-@cache
-def function(name: str) -> Callable[..., StudyReport]:
-    """Return the Python function of the study called ``name``: ``measure``, with a progress bar."""
-    study = find_study(name)
-    signature = inspect.signature(study.measure, eval_str=True)
-
-    def call(*arguments: Any, progress: bool = True, **options: Any) -> StudyReport:
-        _refuse_lists(name, signature.bind(*arguments, **options))
-        with Progress(study.name, progress, study.unit) as bar:
-            return StudyReport(study, study.measure(*arguments, **options, watch=bar))
-
-    parameters = inspect.signature(study.measure).parameters
-    shown = inspect.Parameter("progress", inspect.Parameter.KEYWORD_ONLY, default=True, annotation="bool")
-    kept = [shown if parameter.name == "watch" else parameter for parameter in parameters.values()]
-    call.__signature__ = inspect.Signature(kept, return_annotation="StudyReport")  # pyright: ignore[reportFunctionMemberAccess]
-    call.__name__ = call.__qualname__ = name
-    call.__doc__ = (study.measure.__doc__ or "").replace(_WATCH, _PROGRESS)
-    call.__module__ = study.measure.__module__
-    return call
+        """Headline and main table for a notebook."""
+        return html_of([self.headline], self.cells())
 
 
 IRRELEVANT = {"scheme": "taylor", "h": 0.01}
@@ -295,13 +124,22 @@ class MotionReport(Motion, Report):
     @property
     def table(self) -> pd.DataFrame:
         """DataFrame of the quantities, one row each, indexed by name."""
-        return QUANTITIES.frame(self)
+        return motion_table(self).frame()
 
-    def chapter(self, name: str | None) -> Chapter:
+    def cells(self) -> Cells:
+        """Texts of the quantities."""
+        return motion_table(self).cells()
+
+    @property
+    def headline(self) -> str:
+        """Name of the config, and the class of the motion in words."""
+        return f"{self.experiment.name}: {self.title}"
+
+    def chapter(self) -> Chapter:
         """Return the chapter of a page."""
         from topcli.pages.studies import motion_chapter
 
-        return motion_chapter(self, self.experiment, name)
+        return motion_chapter(self, self.experiment)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the motion.
@@ -328,9 +166,10 @@ class MotionReport(Motion, Report):
             If the motion is too fast to be integrated for the picture.
         """
         from topcli.analysis.motion.of_top import closed_form_top
-        from topcli.figures.motion import motion_drawn
+        from topcli.figures.motion import motion_drawing
 
-        return draw_panel(*motion_drawn(closed_form_top(self.experiment.top), self, self.experiment.name), ax)
+        draw, projection = motion_drawing(closed_form_top(self.experiment.top), self, self.experiment.name)
+        return on_axes(draw, ax, projection)
 
 
 def motion(
@@ -384,10 +223,3 @@ def motion(
     experiment = load_experiment(config, overrides, changes, any_precision=True)
     plain = motion_of(experiment.top, experiment.y0)
     return MotionReport(**{entry.name: getattr(plain, entry.name) for entry in fields(plain)}, experiment=experiment)
-
-
-def __getattr__(name: str) -> Callable[..., StudyReport]:
-    """Python function of the study called ``name``."""
-    if name not in STUDIES:
-        raise AttributeError(name)
-    return function(name)

@@ -10,22 +10,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.config.load import load
-from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
+from topcli.figures.study import on_axes
+from topcli.runs.report import report_tables
 from topcli.runs.run import CHECKPOINT_SECONDS, RunOptions, RunResult, run_experiment
 from topcli.show.progress import Progress
-from topcli.show.report import Report, draw_panel
+from topcli.show.report import Report
 from topcli.store.series import read_series, series_names
-from topcli.sweeps.rows import ROWS_FILE, SweepRows, read_rows
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
+from topcli.sweeps.table import read_rows, require_names
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
     from topcli.pages.contents import Chapter
+    from topcli.table import Cells
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,11 +103,20 @@ class RunReport(Report):
         """Return the content of ``report.json``, with the ``folder`` and the ``status``."""
         return {"folder": str(self.folder), "status": self.status, **self.result.report}
 
-    def chapter(self, name: str | None) -> Chapter:
+    def chapter(self) -> Chapter:
         """Return the chapter of a page."""
         from topcli.pages.results import run_chapter
 
-        return run_chapter(self.result.stored, name)
+        return run_chapter(self.result.stored)
+
+    def cells(self) -> Cells:
+        """Texts of the invariants."""
+        return report_tables(self.result.report)[0].cells()
+
+    @property
+    def headline(self) -> str:
+        """Name of the run, and how it ended."""
+        return f"{self.result.report['name']}: {self.result.report['message']}"
 
     def plot(self, ax: Axes | None = None, *, columns: Sequence[str] = (), deviation: bool = False) -> Axes:
         """Draw columns of the recorded rows over time; for an ensemble, quantiles of the deviations of all invariants.
@@ -130,31 +141,21 @@ class RunReport(Report):
         UsageError
             If a column is unknown, or if ``columns`` are given for an ensemble.
         """
-        from topcli.pages import pictures
-        from topcli.store.envelope import envelope
+        from topcli.figures.run import draw_quantiles, draw_series, quantiles_of, recorded_vectors, series_of
 
         stored = self.result.stored
         if self.is_ensemble:
             if columns:
                 raise UsageError("plot: an ensemble is drawn by the deviations of its invariants; read columns by name")
-            return draw_panel(*pictures.stored_quantiles(self.folder, self.result.report), ax)
+            quantiles = quantiles_of(self.folder, self.result.report)
+            return on_axes(lambda axes: draw_quantiles(axes, quantiles), ax)
         known = self._require(columns, "plot: ")
         experiment = load(stored.manifest["config"])
-        assert isinstance(experiment, Experiment)
-        vectors = list(pictures.vectors_of(known, experiment).values())
-        integrals = [
-            invariant.name
-            for invariant in (*experiment.top.invariants(), *experiment.modified)
-            if invariant.name in known
-        ]
+        vectors = list(recorded_vectors(known, experiment).values())
+        integrals = [each.name for each in (*experiment.top.invariants(), *experiment.modified) if each.name in known]
         chosen = list(columns) or (integrals if deviation else (vectors or [integrals])[-1])
-        time = "t" if "t" in known else "n"
-        data = envelope(stored.series, list(dict.fromkeys([time, *chosen])))
-        data.setdefault("t", data[time] * experiment.h)
-        if deviation:
-            moved = pictures.deviations(data, chosen)
-            chosen, data = list(moved), data | moved
-        return draw_panel(pictures.time_panel(chosen, experiment, deviation=deviation), data, ax)
+        data = series_of(stored.series, experiment.h, chosen)
+        return on_axes(lambda axes: draw_series(axes, data, chosen, experiment, deviation), ax)
 
 
 def run(
@@ -234,11 +235,10 @@ class SweepReport(Report):
     Attributes
     ----------
     result : SweepResult
-        Folder of the sweep, its plan (the list of its rows), and the number of rows with each outcome.
+        Folder of the sweep, its number of rows, and the number of finished rows with each outcome.
     table : pandas.DataFrame
         The rows of the sweep, indexed by their numbers. The columns are the varied keys, ``outcome``, ``message``, the
-        measures, ``digest`` (a hash of the experiment) and ``cpu`` (the processor). Rows of an earlier version of the
-        sweep file are left out.
+        measures, and ``digest`` (a hash of what the row computes). ``table.attrs`` names the keys and the measures.
     """
 
     result: SweepResult
@@ -256,34 +256,36 @@ class SweepReport(Report):
     @property
     def table(self) -> pd.DataFrame:
         """DataFrame of the rows of the sweep, indexed by number."""
-        import pandas as pd
-
-        table = pd.read_parquet(self.folder / ROWS_FILE)
-        return table[table["current"]].drop(columns="current").set_index("row")
-
-    @property
-    def rows(self) -> SweepRows:
-        """Rows of the sweep, with the names of its keys and measures."""
-        return read_rows(self.folder)
+        return read_rows(self.folder).set_index("row")
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON: names of keys and measures, outcomes, and the rows."""
-        rows = self.rows
-        table = self.table.reset_index()
+        table = read_rows(self.folder)
         return {
             "folder": str(self.folder),
-            "keys": list(rows.keys),
-            "measures": list(rows.measures),
+            "keys": table.attrs["keys"],
+            "measures": table.attrs["measures"],
             "outcomes": dict(self.outcomes),
             "rows": table.astype(object).where(table.notna(), None).to_dict("records"),
         }
 
-    def chapter(self, name: str | None) -> Chapter:
+    def chapter(self) -> Chapter:
         """Return the chapter of a page."""
         from topcli.pages.results import sweep_chapter
-        from topcli.sweeps.sweep_list import intact_sweep
+        from topcli.sweeps.store import intact_sweep
 
-        return sweep_chapter(intact_sweep(self.folder), name)
+        return sweep_chapter(intact_sweep(self.folder))
+
+    def cells(self) -> Cells:
+        """Texts of the first rows."""
+        from topcli.pages.results import rows_table
+
+        return rows_table(read_rows(self.folder))
+
+    @property
+    def headline(self) -> str:
+        """Name of the sweep, and the number of its rows for each outcome."""
+        return f"{self.folder.name}: {', '.join(f'{count} {outcome}' for outcome, count in self.outcomes.items())}"
 
     def plot(
         self,
@@ -305,7 +307,7 @@ class SweepReport(Report):
             for each value of the key ``by``. If ``x``, ``by`` and ``aggregate`` are all left out, the plot is the one
             on the page of ``topcli report``: ``x`` is the numeric key with the most values, and ``by`` is the key with
             the next most.
-        aggregate : {"median", "mean", "max", "order"}, optional
+        aggregate : {"median", "mean", "max"}, optional
             Function that combines the values of ``y`` in rows that have the same values of ``x`` and ``by``.
 
         Returns
@@ -319,12 +321,12 @@ class SweepReport(Report):
             If the name of a key or measure is unknown, or if several rows fall on one point of a curve and
             ``aggregate`` is not given.
         """
-        from topcli.figures.sweep import Choice, curves
+        from topcli.figures.sweep import Choice, draw_sweep
         from topcli.pages.results import sweep_choices
 
-        rows = self.rows
+        rows = read_rows(self.folder)
         if y is not None:
-            rows.require_measure(y, "plot: y")
+            require_names(rows, "measure", [y], "plot: y")
         usual = {choice.y: choice for choice in sweep_choices(rows)}
         if not usual:
             raise UsageError("plot: no key of the sweep varies, or no measure has a value")
@@ -332,7 +334,7 @@ class SweepReport(Report):
         if x or by or aggregate:
             choice = Choice(x or choice.x, y or choice.y, by, aggregate=aggregate)
         choice.require(rows)
-        return draw_panel(*curves(rows, choice), ax)
+        return on_axes(lambda axes: draw_sweep(axes, rows, choice), ax)
 
 
 def sweep(
@@ -340,7 +342,7 @@ def sweep(
     out: str | Path = "results",
     *,
     overrides: Sequence[str] = (),
-    retry_failed: bool = False,
+    force: bool = False,
     threads: int | None = None,
     dask: str | None = None,
     progress: bool = True,
@@ -359,8 +361,8 @@ def sweep(
     overrides : sequence of str, optional
         Texts ``"key=value"`` that replace keys of the sweep file, as for ``--set`` on the command line, such as
         ``"base.N=100"``.
-    retry_failed : bool, optional
-        True to repeat rows that failed before.
+    force : bool, optional
+        True to begin anew; the folder of an earlier sweep of this name is renamed.
     threads : int, optional
         Number of threads, by default one per CPU. The results do not depend on this number.
     dask : str, optional
@@ -398,9 +400,5 @@ def sweep(
     """
     loaded = load_sweep(file, overrides)
     with Progress(loaded.name, progress, unit="rows") as bar:
-        options = SweepOptions(retry_failed=retry_failed, threads=threads, on_progress=bar)
-        if dask is None:
-            return SweepReport(run_sweep(loaded, Path(out), options))
-        from topcli.sweeps.cluster import run_on_cluster
-
-        return SweepReport(run_on_cluster(dask, loaded, Path(out), options))
+        options = SweepOptions(force=force, threads=threads, dask=dask, on_progress=bar)
+        return SweepReport(run_sweep(loaded, Path(out), options))

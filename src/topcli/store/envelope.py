@@ -33,18 +33,6 @@ def envelope(path: Path, names: Sequence[str], stretches: int = STRETCHES) -> di
     return {name: np.concatenate([piece[name] for piece in kept]) for name in names}
 
 
-def thinned(data: Mapping[str, Array], stretches: int = STRETCHES) -> dict[str, Array]:
-    """Columns (m,) in memory at the rows that ``envelope`` keeps of a series of these columns."""
-    length = len(next(iter(data.values())))
-    size = _stretch(length, len(data), stretches)
-    whole = length // size * size
-    parts = [
-        _extremes({name: values[part] for name, values in data.items()}, size)
-        for part in (slice(0, whole), slice(whole, None))
-    ]
-    return {name: np.concatenate([part[name] for part in parts]) for name in data}
-
-
 def _stretch(rows: int, columns: int, stretches: int) -> int:
     """Rows of a stretch; 1 if its extremes would be about as many as its rows."""
     size = -(-rows // stretches)

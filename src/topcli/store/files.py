@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from topcli.errors import RunError, UsageError
+from topcli.errors import RunError, UsageError, quoted
 from topcli.store.provenance import git_commit, now
 
 if TYPE_CHECKING:
@@ -33,12 +33,6 @@ def sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def named(error: OSError, path: Path) -> OSError:
-    """The same error, with ``path`` as its file name if it has none."""
-    error.filename = error.filename or str(path)
-    return error
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -142,12 +136,6 @@ def sealed(content: Mapping[str, Any], seal: str = SEAL) -> dict[str, Any]:
     return {**content, seal: hashlib.sha256(text.encode()).hexdigest()}
 
 
-def check_seal(content: Mapping[str, Any], seal: str = SEAL) -> None:
-    """Raise DamagedError if an entry has changed since ``sealed``."""
-    if content.get(seal) != sealed(content, seal)[seal]:
-        raise DamagedError("its SHA-256 differs from the one stored in it")
-
-
 def require_new(paths: Iterable[Path], option: str = "--out") -> None:
     """Raise UsageError if one of ``paths`` exists; the message names ``--force``."""
     for path in paths:
@@ -157,19 +145,10 @@ def require_new(paths: Iterable[Path], option: str = "--out") -> None:
             )
 
 
-def write_study(path: Path, data: Mapping[str, Any]) -> Path:
-    """Write a study to ``path`` atomically, with the time and the commit.
-
-    Returns the path. Raises UsageError and RunError.
-    """
-    require_writable(path.parent)
+def sealed_text(data: Mapping[str, Any]) -> str:
+    """JSON text of a stored report with its checksum, the time and the commit."""
     complete = {**data, "written": now(), **git_commit()}
-    text = json_text(sealed(json.loads(json.dumps(complete, allow_nan=False))))
-    try:
-        write_text(path, text)
-    except OSError as error:
-        raise io_failure(error, path, "nothing was written") from error
-    return path
+    return json_text(sealed(json.loads(json.dumps(complete, allow_nan=False))))
 
 
 def check_study(data: Mapping[str, Any], text: str | None = None) -> None:
@@ -179,14 +158,24 @@ def check_study(data: Mapping[str, Any], text: str | None = None) -> None:
     """
     if not isinstance(data.get(SEAL), str):
         raise DamagedError(f"holds no {SEAL}; it is not a study that topcli stored")
-    check_seal(data)
+    if data[SEAL] != sealed(data)[SEAL]:
+        raise DamagedError("its SHA-256 differs from the one stored in it")
     if text is not None and text != json_text(data):
         raise DamagedError("its text has changed since it was written")
 
 
-def is_study(path: Path) -> bool:
-    """True if topcli stored a study at ``path``, even one that is damaged now."""
+def write_by_ending(path: str | Path, contents: Mapping[str, Callable[[], str | bytes]]) -> Path:
+    """Write the content for the ending of the name of a file, whole or not at all, and return the path.
+
+    Raises UsageError for another ending or a folder that cannot be written to, and RunError if writing fails.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in contents:
+        raise UsageError(f"save: {quoted(path.name)}: unknown type of file; use {', '.join(contents)}")
+    content = contents[path.suffix.lower()]()
+    require_writable(path.parent)
     try:
-        return SEAL in json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, TypeError):
-        return False
+        write_whole(path, lambda file: file.write_bytes(content if isinstance(content, bytes) else content.encode()))
+    except OSError as error:
+        raise io_failure(error, path, "nothing was written") from error
+    return path

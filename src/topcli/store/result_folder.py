@@ -108,7 +108,7 @@ class ResultFolder:
             elif _valuable(stored):
                 _require_same(stored, identity, force)
                 if force or not _same(stored, identity):
-                    stored, aside = None, _renamed(stored)
+                    stored, aside = None, set_aside(stored)
                 elif stored.complete:
                     _remove_rests(path)  # its process was killed before it could do so
                     release(path, lock)
@@ -315,7 +315,7 @@ def _remove_rests(path: Path) -> None:
         (path / UNFINISHED).rmdir()
 
 
-def _renamed(stored: StoredResult) -> Path:
+def set_aside(stored: StoredResult) -> Path:
     """New path of a folder, which is renamed by the key of what it holds."""
     path = stored.folder
     for number in itertools.count(1):

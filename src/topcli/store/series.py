@@ -9,6 +9,7 @@ Numbers in CSV are the shortest that read back to the same bits.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ def _arrow_type(name: str) -> Any:
     return pa.int64() if name in INTEGERS else pa.string() if name in WORDS else pa.float64()
 
 
-def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None) -> Any:
+def arrow_table(data: Mapping[str, np.ndarray]) -> Any:
     """pyarrow table of the arrays (m,) of ``data``, without copying them and without importing pandas."""
     import pyarrow as pa
 
@@ -45,7 +46,7 @@ def arrow_table(data: Mapping[str, np.ndarray], metadata: Mapping[str, str] | No
         contiguous = np.ascontiguousarray(values)
         arrays.append(pa.Array.from_buffers(kind, len(contiguous), [None, pa.py_buffer(contiguous)]))
         fields.append(pa.field(name, kind, nullable=False))
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=dict(metadata or {})))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
 
 
 def column_type(name: str) -> type:
@@ -71,13 +72,6 @@ def parquet_options(names: Iterable[str]) -> dict[str, Any]:
     }
 
 
-def write_parquet(path: Path, data: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
-    """Write whole arrays (m,) as one Parquet file with ``metadata`` in its schema. Raises OSError."""
-    import pyarrow.parquet as pq
-
-    pq.write_table(arrow_table(data, metadata), path, **parquet_options(data))
-
-
 def csv_options() -> Any:
     """Options of pyarrow for CSV without quotation marks."""
     import pyarrow.csv as csv
@@ -101,36 +95,43 @@ def open_parquet(path: Path) -> pq.ParquetFile:
     return file
 
 
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Raise RunError for a file that cannot be read within the block."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (OSError, KeyError, ValueError, TypeError, pa.ArrowException) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RunError(f"{path}: cannot be read ({reason[:120]}); run again with --force") from None
+
+
 def read_series(path: Path, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """Columns ``names`` of a series, each (m,); by default all of them.
 
     Raises RunError if the file is missing or damaged.
     """
-    import pyarrow as pa
+    with _readable(path):
+        if path.suffix == ".csv":
+            import pyarrow.csv as csv
 
-    try:
-        return _read_columns(path, names)
-    except (OSError, KeyError, ValueError, TypeError, pa.ArrowException) as error:
-        raise _unreadable(path, error) from None
-
-
-def _unreadable(path: Path, error: Exception) -> RunError:
-    reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-    return RunError(f"{path}: cannot be read ({reason[:120]}); run again with --force")
+            table = csv.read_csv(path, convert_options=_csv_types(path))
+        else:
+            with open_parquet(path) as file:
+                table = file.read(columns=None if names is None else list(names))
+        return {name: table.column(name).to_numpy() for name in (table.column_names if names is None else names)}
 
 
 def series_names(path: Path) -> list[str]:
     """Names of the columns of a series. Raises RunError if the file is missing or damaged."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    try:
+    with _readable(path):
         if path.suffix == ".csv":
             with path.open(encoding="utf-8") as file:
                 return file.readline().strip().split(",")
         return list(pq.read_schema(path).names)
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise _unreadable(path, error) from None
 
 
 def _csv_types(path: Path) -> Any:
@@ -140,26 +141,12 @@ def _csv_types(path: Path) -> Any:
     return csv.ConvertOptions(column_types={name: _arrow_type(name) for name in series_names(path)})
 
 
-def _read_columns(path: Path, names: Sequence[str] | None) -> dict[str, np.ndarray]:
-    if path.suffix == ".csv":
-        import pyarrow.csv as csv
-
-        table = csv.read_csv(path, convert_options=_csv_types(path))
-    else:
-        with open_parquet(path) as file:
-            table = file.read(columns=None if names is None else list(names))
-    wanted = table.column_names if names is None else names
-    return {name: table.column(name).to_numpy() for name in wanted}
-
-
 def series_pieces(path: Path, names: Sequence[str] | None = None) -> Iterator[dict[str, np.ndarray]]:
     """Yield the rows of a series piece by piece: the row groups of a Parquet file, blocks of about 1 MB of a CSV file.
 
     Only the columns ``names`` are read, by default all. Raises RunError if the file is damaged.
     """
-    import pyarrow as pa
-
-    try:
+    with _readable(path):
         if path.suffix == ".csv":
             import pyarrow.csv as csv
 
@@ -171,22 +158,16 @@ def series_pieces(path: Path, names: Sequence[str] | None = None) -> Iterator[di
         for table in tables:
             wanted = table.schema.names if names is None else names
             yield {name: table.column(name).to_numpy(zero_copy_only=False) for name in wanted}
-    except (OSError, KeyError, ValueError, TypeError, pa.ArrowException) as error:
-        raise _unreadable(path, error) from None
 
 
 def series_length(path: Path) -> int:
     """Number of rows of a series. Raises RunError if the file is missing or damaged."""
-    import pyarrow as pa
-
-    try:
+    with _readable(path):
         if path.suffix == ".csv":
             with path.open("rb") as file:
                 return max(0, sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b"")) - 1)
         with open_parquet(path) as file:
             return file.metadata.num_rows
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise _unreadable(path, error) from None
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -199,17 +180,3 @@ def read_metadata(path: Path) -> dict[str, str]:
     except (OSError, pa.ArrowException):
         return {}
     return {key.decode(): value.decode() for key, value in metadata.items()}
-
-
-def write_table(path: Path, columns: Mapping[str, Sequence[Any]], metadata: Mapping[str, str]) -> None:
-    """Write ``columns`` of text or numbers, of equal lengths, with ``metadata`` in the schema. Raises OSError."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    arrays, fields = [], []
-    for name, values in columns.items():
-        kind = pa.string() if any(isinstance(value, str) for value in values) else pa.float64()
-        arrays.append(pa.array(list(values), kind))
-        fields.append(pa.field(name, kind))
-    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=dict(metadata)))
-    pq.write_table(table, path, write_page_checksum=True)

@@ -2,27 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import bz2
+import csv
+import gzip
+import lzma
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import islice, zip_longest
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from topcli.analysis.reference import reference_states
+from topcli.analysis.series_report import invariant_report, uneven_report
+from topcli.analysis.swings import minima_times
+from topcli.analysis.verdict import InvariantRow
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Top
+from topcli.errors import TopcliError, UsageError, counted, nearest, quoted, shortened
+from topcli.runs.report import COMPARED, invariant_table
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import Data, Flag, Head, Overrides, Result, Study, parts_of, steps_flag
-from topcli.table import DASH, Column, Table, number, ten_digits
+from topcli.studies.report import Report, Table
+from topcli.table import ten_digits
 
-SHOWN_TIMES = 5
-"""Times of swings in the table; --json has them all."""
+if TYPE_CHECKING:
+    import pandas as pd
+
+UNIT = 1e-3
+"""Deviation of the length of a unit vector from 1 that the first row may have; beyond it the units are wrong."""
+START_AGREEMENT = 1e-6
+"""Difference from the config's initial state, relative to its largest component, that writing few digits explains."""
+EVEN = 1e-6
+"""Deviation from even times, in units of their spacing, that writing few digits explains."""
+LOOKED_AT = 100
+"""Lines of a CSV file from which its form is taken."""
+OPENERS: Mapping[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 
 
-def measure(
-    path: Annotated[str | Path, Flag("", "FILE")],
-    config: Annotated[str | Path | Mapping[str, Any], Flag("--config", "CONFIG")],
-    overrides: Overrides = (),
+def analyse(
+    path: str | Path,
     *,
-    columns: Annotated[Sequence[str], Flag("--rename", "NAME=COLUMN,...")] = (),
-    steps: Annotated[int | None, steps_flag("rows - 1, or from the column n")] = None,
+    config: str | Path | Mapping[str, Any],
+    overrides: Sequence[str] = (),
+    rename: Sequence[str] = (),
+    steps: int | None = None,
     watch: Watch = SILENT,
-) -> Result:
+) -> Report:
     """Analyse a time series that another program computed.
 
     The report on the series has the same form as the report of a run. The times may start anywhere, increase or
@@ -32,13 +61,14 @@ def measure(
     Parameters
     ----------
     path : path or str
-        CSV or Parquet file with the time t and the components of the state as columns.
+        CSV or Parquet file with the time t and the components of the state as columns. CSV has commas, semicolons, tabs
+        or spaces between columns, with semicolons or tabs also decimal commas, and may be compressed.
     config : path, str or mapping
         Config that gives the top and the initial state.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
-    columns : sequence of str, optional
-        Read t or a component from a column of another name, e.g. t=time.
+    rename : sequence of str, optional
+        Read t or a component from another column or a formula of columns, e.g. t=time or omega1=w_x/2.
     steps : int, optional
         Number of steps that the program took, for the bound of round-off. By default, it is the difference between the
         last and the first step number in a column n or, without this column, the number of rows minus 1.
@@ -47,110 +77,210 @@ def measure(
 
     Returns
     -------
-    StudyReport
-        Report on the series. ``table`` contains the deviations and drifts of the invariants. ``summary`` gives the
-        numbers of rows and steps, the errors against the reference solution, and the times of the swings (falls and
-        rises of the top).
+    Report
+        ``table`` has the numbers of rows and steps, the errors against the reference solution, and the spacing of the
+        first swings (falls of the top); the second table has the deviations and drifts of the invariants, and the third
+        the times of all swings. ``columns`` contains the error and the deviations over the time.
 
     Raises
     ------
     UsageError
         If the file is not a series of this top. The message names the row and the column.
     """
-    from topcli.config.load import load_experiment
-    from topcli.store.foreign import ForeignSeries
-    from topcli.studies.analyse_series import analyse_series, column_map
-
+    if steps is not None and steps < 1:
+        raise UsageError(f"--steps {steps}: must be at least 1")
     experiment = load_experiment(config, overrides, any_precision=isinstance(config, Mapping))
+    path, top = Path(path), experiment.top
+    t, states, n = _series(path, top, rename)
+    taken, origin = len(t) - 1, "rows - 1"
+    if steps is not None:
+        taken, origin = steps, "--steps"
+    elif n is not None:
+        taken, origin = int(n[-1] - n[0]), "column n"
     watch.begin("analyse", experiment)
-    return analyse_series(experiment, ForeignSeries(Path(path)), column_map(columns, experiment.top), steps)
+    invariants, left, kind = _judged(experiment, t, states, n, taken)
+    notes = []
+    if left is not None:
+        notes.append(f"warning: {path}: far off its energy surface at row {left + 1} (t = {t[left]:.6g})")
 
+    # from the config's initial state, so that rounding in the file is not taken for the motion
+    y0, first = np.array(experiment.y0, dtype=float), states[0]
+    difference = float(np.abs(first - y0).max())
+    agrees = difference <= START_AGREEMENT * np.abs(y0).max()
+    columns = {"t": t}
+    reference = None
+    try:
+        reference = reference_states(top, tuple((y0 if agrees else first).tolist()), t - t[0])
+        with np.errstate(over="ignore"):
+            columns["error"] = np.linalg.norm(states - reference, axis=1)
+    except TopcliError as failure:
+        notes.insert(0, f"warning: no error: {failure.lines[0]}")
+    error = columns.get("error")
+    for invariant in top.invariants():
+        with np.errstate(all="ignore"):
+            values = invariant.value(states)
+            columns[f"deviation of {invariant.symbol}"] = np.abs(values - values[0])
 
-def _summary_columns(data: Data) -> list[Column]:
-    swing = data["swing"]
-
-    def span(data: Data) -> str:
-        return f"{ten_digits(data['t_first'])} to {ten_digits(data['t_last'])}, {data['times']}"
-
-    def start(data: Data) -> str:
-        known = {"config": "the config's initial state", "first row": "the first row"}[data["reference"]["start"]]
-        return "none" if data["reference"]["message"] else known
-
-    def minima(times: Sequence[float]) -> str:
-        listed = ", ".join(map(ten_digits, times[:SHOWN_TIMES])) or DASH
-        return listed + (f" and {len(times) - SHOWN_TIMES} more" if len(times) > SHOWN_TIMES else "")
-
-    def spacing(data: Data) -> str:
-        reference = swing["reference_first_swing_spacing"]
-        return ten_digits(swing["first_swing_spacing"]) + (
-            "" if reference is None else f" (reference {ten_digits(reference)})"
-        )
-
-    return [
-        Column("rows", "rows"),
-        Column("times", span),
-        *(Column("", key) for key in ("t_first", "t_last", "times")),
-        Column("steps", lambda data: f"{data['steps']} ({data['steps_from']})"),
-        *(Column("", key) for key in ("steps", "steps_from")),
-        Column("reference from", start),
-        Column("first row − config", "reference.difference", number, "difference"),
-        Column("max error", "max_error", number),
-        Column("final error", "final_error", number),
-        Column(f"minima of {swing['component']}", "swing.times", minima, ""),
-        Column("their first spacing", spacing),
-        *(Column("", f"swing.{key}", key=key) for key in ("first_swing_spacing", "reference_first_swing_spacing")),
+    place = top.components.index(top.swing)
+    swings = minima_times(t, states[:, place]).tolist()
+    due = [] if reference is None else minima_times(t, reference[:, place]).tolist()
+    spacing = _spacing(swings) + ("" if reference is None else f" (reference {_spacing(due)})")
+    summary = {
+        "rows": len(t),
+        "times": f"{ten_digits(float(t[0]))} to {ten_digits(float(t[-1]))}, {kind}",
+        "steps": taken,
+        "steps from": origin,
+        "reference from": "none" if error is None else "the config's initial state" if agrees else "the first row",
+        "first row − config": difference,
+        "max error": None if error is None else float(error.max()),
+        "final error": None if error is None else float(error[-1]),
+        f"first spacing of minima of {top.swing}": spacing,
+    }
+    minima = [
+        {"minimum": i + 1, "t": time, "reference": expected}
+        for i, (time, expected) in enumerate(zip_longest(swings, due))
     ]
 
+    def draw(axes: Any, looks: Callable[..., Any]) -> None:
+        for name, values in columns.items():
+            if name != "t":
+                axes.semilogy(t, np.where(values > 0.0, values, np.nan), label=name)
+        axes.set(xlabel="time $t$", ylabel="error, deviations", title=path.name.replace("$", r"\$"))
 
-SUMMARY = Table(
-    lambda data: [data],
-    _summary_columns,
-    name="summary",
-    heading="Series",
-    title=lambda data: f"{data['file']}: {data['top_title']}",
-    across=Column("", "file"),
-    ruled=False,
-    numbers=False,
-)
-
-
-def head(data: Data) -> Head:
-    """Head of the chapter."""
-    left = data["left_motion"]
-    return Head(str(data["file"]), data["top_title"], "left its motion" if left else "judged", not left)
+    laws = invariant_table([row.as_dict() for row in invariants])
+    tables = [
+        Table("Series", [{"figure": name, "value": value} for name, value in summary.items()]),
+        replace(laws, across=False, detail=[key for key in laws.columns()[1:] if key not in COMPARED]),
+        Table(f"Minima of {top.swing}", minima, {"t": ".10g", "reference": ".10g"}, detail=True),
+    ]
+    title = f"{path}: {top.title}"
+    return Report("analyse", title, "", tables, notes, config=experiment.resolved(), columns=columns, draw=draw)
 
 
-def notes(data: Data) -> Iterator[str]:
-    """Facts that the tables leave out: a missing reference, a motion that was left, components that were not read."""
-    if data["reference"]["message"]:
-        yield f"warning: no error: {data['reference']['message']}"
-    if left := data["left_motion"]:
-        where = f"row {left['row']} (t = {left['t']:.6g})"
-        yield f"warning: {data['file']}: far off its energy surface at {where}"
-    if data["unread"]:
-        yield f"not read: {', '.join(data['unread'])}; the config's initial state has no such components"
+def _spacing(times: Sequence[float]) -> str:
+    """Time from the first minimum to the second, which the drift of a method changes least."""
+    return ten_digits(abs(times[1] - times[0]) if len(times) > 1 else None)
 
 
-def _tables(data: Data) -> tuple[Table, Table]:
-    from topcli.runs.report import INVARIANTS
+def read_frame(path: Path) -> pd.DataFrame:
+    """Table of a CSV or Parquet file. Raises UsageError, in one line, for a file that is neither."""
+    import pandas as pd
 
-    return SUMMARY, INVARIANTS
+    try:
+        if path.suffix == ".parquet":
+            return pd.read_parquet(path)
+        with OPENERS.get(path.suffix, open)(path, "rt", encoding="utf-8-sig", newline="") as file:
+            lines = [line.strip() for line in islice(file, LOOKED_AT)]
+        # the header is the first line, or before a line of numbers the last comment, as numpy.savetxt writes it
+        filled = [i for i, line in enumerate(lines) if line]
+        data = [i for i in filled if not lines[i].startswith("#")]
+        above = [i for i in filled if i < min(data, default=len(lines))]
+        names_first = data and not re.match(r"[-+]?\.?\d", lines[data[0]])
+        header = data[0] if names_first else max(above, default=None)
+        if header is None:
+            raise ValueError("it has no line of names")
+        text = lines[header].lstrip("# ")
+        separator = next((mark for mark in ";\t," if mark in text), " ")
+        names = next(csv.reader([text], delimiter=separator, skipinitialspace=True))
+        comma = separator in ";\t" and any("," in lines[i] for i in data if i > header)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # rows that are longer than the header
+            return pd.read_csv(
+                path,
+                sep=r"\s+" if separator == " " else separator,
+                decimal="," if comma else ".",
+                names=[name.strip() for name in names],
+                skiprows=header + 1,
+                comment="#",
+                index_col=False,
+                skipinitialspace=True,
+                na_filter=False,
+                encoding="utf-8",
+            )
+    except Exception as error:  # of the file, its compression, its encoding or its form
+        kind = "Parquet" if path.suffix == ".parquet" else "CSV with a header"
+        reason = shortened(getattr(error, "strerror", None) or str(error).partition("\n")[0])
+        raise UsageError(f"{path}: cannot be read as {kind} ({reason})") from None
 
 
-def _captions(data: Data) -> list[str]:
-    swing = f"{data['swing']['component']} over time t"
-    return ["error of the state over time t", swing, "deviations of the invariants over time t"]
+def _column(path: Path, frame: pd.DataFrame, source: str) -> Array:
+    """Finite numbers of a column, or of a formula of columns. Raises UsageError."""
+    import pandas as pd
+
+    try:
+        cells = frame[source] if source in frame else frame.eval(source)
+        assert isinstance(cells, pd.Series)
+    except Exception as error:  # pandas' words on a formula
+        hint = nearest(source, list(map(str, frame.columns)))
+        reason = shortened(str(error))
+        raise UsageError(f"{path}: {quoted(source)}: no column and no formula of columns ({reason}); {hint}") from None
+    values = np.full(len(cells), np.nan)
+    if cells.dtype.kind in "iufO":  # no dates, whose numbers would be nanoseconds
+        values = np.asarray(pd.to_numeric(cells, errors="coerce"), dtype=float)
+    if not np.isfinite(values).all():
+        row = int(np.argmin(np.isfinite(values)))
+        cell = quoted(str(cells.iloc[row]))
+        raise UsageError(f"{path}: row {row + 1}: {source} is not a finite number: {cell}")
+    return values
 
 
-ANALYSE = Study(
-    "analyse",
-    measure,
-    head,
-    _tables,
-    notes=notes,
-    figure="topcli.figures.comparison:loaded_analysis",
-    draws="the errors, one component of the state, and the deviations of the invariants over time",
-    captions=_captions,
-    stem=lambda data: f"{data['config']['name']}_{Path(data['file']).stem}",
-    parts=lambda data: parts_of(data["config"], ()),
-)
+def _series(path: Path, top: Top, rename: Sequence[str]) -> tuple[Array, Array, Array | None]:
+    """Times (m,), states (m, d) and step numbers (m,), None if there are none. Raises UsageError for wrong values."""
+    frame, names = read_frame(path), ("n", "t", *top.components)
+    sources: dict[str, str] = {}
+    for pair in (part for text in rename for part in text.split(",") if part.strip()):
+        name, _, source = (part.strip() for part in pair.partition("="))
+        if not (name and source):
+            raise UsageError(f"--rename {quoted(pair)}: write NAME=COLUMN, such as {top.components[0]}=w_x")
+        if name not in names:
+            raise UsageError(f"--rename {quoted(pair)}: unknown name {quoted(name)}; {nearest(name, names)}")
+        sources[name] = source
+    missing = [name for name in names[1:] if name not in sources and name not in frame]
+    if missing:
+        hint = f"{nearest(missing[0], list(map(str, frame.columns)))}; --rename {missing[0]}=COLUMN names it"
+        raise UsageError(f"{path}: no column{'s' * (len(missing) > 1)} {', '.join(missing)}; {hint}")
+    t, *components = (_column(path, frame, sources.get(name, name)) for name in names[1:])
+    states = np.column_stack(components)
+
+    # times that lead one way, and unit vectors
+    if len(t) < 2:
+        raise UsageError(f"{path}: {counted(len(t), 'row')}; a series needs at least 2")
+    order = "increase" if t[-1] >= t[0] else "decrease"
+    wrong = ~((np.diff(t) if order == "increase" else -np.diff(t)) > 0.0)
+    if wrong.any():
+        row = int(np.argmax(wrong)) + 2
+        raise UsageError(f"{path}: row {row}: t = {t[row - 1]} after {t[row - 2]}; times must {order} from row to row")
+    for name in top.unit_vectors:
+        length = float(np.linalg.norm(states[0, slice(*top.vectors[name])]))
+        if not abs(length - 1.0) <= UNIT:
+            raise UsageError(
+                f"{path}: row 1: {name} has length {length:.6g}, and {top.kind} takes a unit vector (within {UNIT:g})"
+            )
+
+    # a column n may be another quantity
+    if "n" not in sources and "n" not in frame:
+        return t, states, None
+    n = _column(path, frame, sources.get("n", "n"))
+    counts = bool((np.diff(n) > 0.0).all() and (n == np.floor(n)).all() and np.abs(n).max() < 2.0**53)
+    if "n" in sources and not counts:
+        raise UsageError(f"{path}: column {quoted(sources['n'])} does not hold increasing step numbers")
+    return t, states, n if counts else None
+
+
+def _judged(
+    experiment: Experiment, t: Array, states: Array, n: Array | None, steps: int
+) -> tuple[list[InvariantRow], int | None, str]:
+    """Report on the invariants, the index of the first row that left the energy surface, and the kind of times.
+
+    Modified integrals belong to step numbers of a run with the config's own h.
+    """
+    top, invariants, spacing = experiment.top, experiment.top.invariants(), float(t[-1] - t[0]) / (len(t) - 1)
+    numbers, h, kind = np.arange(len(t)), spacing, "even"
+    if n is not None and np.ptp(np.diff(n)) == 0 and np.array_equal(n * experiment.h, t):
+        numbers, h, kind = (n - n[0]).astype(np.int64), experiment.h, "steps of the config's h"
+        invariants = (*invariants, *experiment.modified)
+    rounding = 4.0 * np.finfo(np.float64).eps * np.abs(t).max()
+    if np.abs(t - (t[0] + np.arange(len(t)) * spacing)).max() > EVEN * abs(spacing) + rounding:
+        return *uneven_report(top, invariants, t, states, steps), "uneven"
+    report, step = invariant_report(top, invariants, numbers, h, states, steps)
+    return report, None if step is None else int(np.searchsorted(numbers, step)), kind

@@ -2,51 +2,61 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-from topcli.errors import ExitCode, counted
+from topcli.config.files import is_config
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.errors import ExitCode, UsageError, counted, quoted
+from topcli.schemes.own_tops import forms, top_origin
+from topcli.schemes.plugins import load_plugin_file
+from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import Config, Data, Faults, Flag, Head, Result, Study, config_flag, top_flag
-from topcli.table import Column, Table, number, two_digits
+from topcli.studies.entries import code_failures
+from topcli.studies.report import Report, Table
+from topcli.table import two_digits
+from topcli.testing import Trait, check_scheme, check_top
 from topcli.tops import TOPS
 
 
-def measure(
-    file: Annotated[str | Path | None, Flag("", "FILE")] = None,
-    schemes: Annotated[Sequence[str], Flag("--scheme", "SCHEME", default="the schemes of the file or of the top")] = (),
-    top: Annotated[str | None, top_flag("the tops of the file or of the schemes")] = None,
-    config: Annotated[Config, config_flag("a generic state")] = None,
+def check(
+    file: str | Path | None = None,
+    *,
+    scheme: Sequence[str] = (),
+    top: str | None = None,
+    config: str | Path | Mapping[str, Any] | None = None,
+    overrides: Sequence[str] = (),
     watch: Watch = SILENT,
-) -> Result:
+) -> Report:
     """Check the declared properties of schemes and tops.
 
     For a scheme, the study checks order, self-adjointness, and exact and modified invariants. It also checks that
-    compiled code agrees with plain Python, that ensembles agree with single runs, and that the counters of critical
-    events, which some schemes have, are finite. For a top, it checks the equations and the integrals. Each check is
-    also applied to a control, a deliberately wrong scheme or top, which it must reject. The command exits with code 4
-    if a scheme or top is not as declared.
+    compiled code agrees with plain Python, and that ensembles agree with single runs. For a top, it checks the
+    equations and the integrals. The command exits with code 4 if a scheme or top is not as declared.
+    ``topcli.testing`` has the same checks for tests of your own.
 
     Parameters
     ----------
     file : path or str, optional
         Python file with the tops and schemes to check.
-    schemes : sequence of str, optional
-        Names of the schemes to check; by default, those of the file or of the top.
+    scheme : sequence of str, optional
+        Name of a scheme to check; by default, the schemes of the file are checked.
     top : str, optional
-        Name of the top to check, together with its schemes.
+        Name of the top to check, and for which the schemes are checked.
     config : path, str or mapping, optional
-        Config with the initial state of the checks; by default, a generic state.
+        Config with the parameters of the top and the initial state of the checks; by default, a generic state.
+    overrides : sequence of str, optional
+        Override a key of the config, e.g. top.c0=-1.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
-    StudyReport
-        Report on the checks. ``table`` has a row for each check, with the declared property, the measured and the
-        allowed value, the value of the control (a deliberately wrong variant, which must fail the check), and the
+    Report
+        ``table`` has a row for each declared trait, with the measured deviation, the largest allowed one, and the
         verdict.
 
     Raises
@@ -57,95 +67,68 @@ def measure(
     Examples
     --------
     >>> import topcli
-    >>> report = topcli.check(schemes=["hk"], top="euler")
+    >>> report = topcli.check(scheme=["hk"], top="euler")
     >>> set(report.table["verdict"])
-    {'holds', 'not tried'}
+    {'holds'}
     """
-    from topcli.studies.check_declarations import check_study, plan
-
-    chosen = plan(file, schemes, top, config)
-    watch.begin("check")
-    return Result(check_study(chosen, watch))
-
-
-def _subject(data: Data) -> str:
-    names = [*map(TOPS.called, data["tops"]), *(f"{name} ({TOPS.called(form)})" for form, name in data["schemes"])]
-    return ", ".join(names)
-
-
-CHECKS = Table(
-    "rows",
-    (
-        Column("of", "subject"),
-        Column("check", "check"),
-        Column("declared", "declared", detail=True),
-        Column("measured", "measured", two_digits),
-        Column("allowed", "allowed", two_digits),
-        Column("control, which must fail", "control", two_digits, detail=True),
-        Column("verdict", "verdict"),
-    ),
-    heading="Declarations",
-    title=_subject,
-    keys=2,
-    numbers=(3, 4, 5),
-)
+    experiment = None if config is None else load_experiment(config, overrides)
+    subjects = _subjects(file, scheme, top, experiment)
+    watch.begin("check", unit="parts")
+    rows: list[dict[str, Any]] = []
+    broken: list[str] = []
+    for done, (label, (form, name)) in enumerate(subjects.items(), start=1):
+        own = experiment if experiment and experiment.top.form == form else None
+        subject, y0 = (own.top, own.y0) if own else (form, None)
+        options = own.options if own and own.scheme.name == name else None
+        with code_failures(broken, label):
+            traits = check_scheme(name, subject, options, y0) if name else check_top(subject, y0)
+            rows += [_row(label, trait) for trait in traits]
+        watch(done, len(subjects))
+    said = {verdict: [row for row in rows if row["verdict"] == verdict] for verdict in ("holds", "false", "undecided")}
+    false = [f"{row['of']}: {row['trait']}: {row['why'] or two_digits(row['measured'])}" for row in said["false"]]
+    undecided = [f"{row['of']}: {row['trait']}: {row['why']}" for row in said["undecided"]]
+    code = ExitCode.VIOLATED if false else ExitCode.WRONG_USAGE if broken else ExitCode.SUCCESS
+    wrong = f"{counted(len(false), 'declaration')} false" if false else "no declaration is false"
+    answer = f"{wrong}; {len(said['holds'])} hold" + (f", {len(undecided)} undecided" if undecided else "")
+    tables = [Table("Declarations", rows, {"measured": two_digits, "allowed": two_digits}, detail=("why",))]
+    return Report("check", ", ".join(subjects), answer, tables, undecided, [*broken, *false], code)
 
 
-def head(data: Data) -> Head:
-    """Head of the chapter."""
-    false = len(faults(data).lines)
-    return Head("Declarations", _subject(data), f"{false} false" if false else "hold", not false)
+def _row(subject: str, trait: Trait) -> dict[str, Any]:
+    verdict = "undecided" if math.isnan(trait.measured) else "holds" if trait.holds else "false"
+    measured = None if math.isnan(trait.measured) else float(trait.measured)
+    figures = {"measured": measured, "allowed": trait.allowed, "verdict": verdict, "why": trait.why or None}
+    return {"of": subject, "trait": trait.trait, **figures}
 
 
-def answer(data: Data) -> str:
-    """Numbers of checks by verdict."""
-    counts = Counter(row["verdict"] for row in data["rows"])
-    false, holding = counts.pop("false", 0), counts.pop("holds", 0)
-    said = "".join(f", {count} {verdict}" for verdict, count in counts.items())
-    wrong = f"{counted(false, 'declaration')} false" if false else "no declaration is false"
-    return f"{wrong}; {holding} hold{said}"
+def _subjects(
+    file: str | Path | None, names: Sequence[str], top: str | None, experiment: Experiment | None
+) -> dict[str, tuple[str, str]]:
+    """Form of a top and name of a scheme, empty for the top itself, by label: those of a file, of a top, or named.
 
-
-def notes(data: Data) -> Iterator[str]:
-    """Reasons of what was not decided, and orders above the declared ones."""
-    for row in data["rows"]:
-        declared = row["verdict"] in ("not tried", "undecided") and row["declared"]
-        if not row["broken"] and row["why"] and (declared or row["verdict"] == "holds"):
-            yield f"{row['subject']}: {row['check']}: {row['why']}"
-
-
-def faults(data: Data) -> Faults:
-    """False declarations, and code that failed."""
-    broken = list(dict.fromkeys(f"{row['subject']}: {row['broken']}" for row in data["rows"] if row["broken"]))
-    false = [
-        f"{row['subject']}: {row['check']}: " + (row["why"] or f"{number(row['measured'])} > {number(row['allowed'])}")
-        for row in data["rows"]
-        if row["verdict"] == "false"
-    ]
-    blind = [
-        f"{row['subject']}: {row['check']}: undecided, because the control passes too"
-        for row in data["rows"]
-        if row["verdict"] == "undecided" and not row["why"]
-    ]
-    if false:
-        code = ExitCode.VIOLATED
-    elif broken:
-        code = ExitCode.WRONG_USAGE
-    else:
-        code = ExitCode.FAILED if blind else ExitCode.SUCCESS
-    return Faults(code, [*broken, *false, *blind])
-
-
-CHECK = Study(
-    "check",
-    measure,
-    head,
-    (CHECKS,),
-    answer=answer,
-    notes=notes,
-    faults=faults,
-    parts=lambda data: [(form, name) for form, name in data["schemes"]],
-    unit="parts",
-    stem=lambda data: "check",
-    known=lambda data: "rows" in data and "tops" in data,
-)
+    Raises UsageError if that is nothing, and for unknown names.
+    """
+    origin = None if file is None else str(Path(file))
+    if file is not None:
+        if Path(file).suffix != ".py" and is_config(str(file)):
+            hint = f"to check its top: topcli check --config {file}"
+            raise UsageError(f"{quoted(str(file))} is a config, not a Python file; {hint}")
+        load_plugin_file(Path(file))
+    tops = [form for form in TOPS if top_origin(TOPS[form]) == origin]
+    if top or experiment:
+        tops = [form.form for form in forms(top)] if top else [experiment.top.form] if experiment else []
+    schemes = [(each.top, each.name) for each in all_schemes() if each.origin == origin]
+    if top or experiment:
+        schemes = [(form, name) for form, name in schemes if form in tops]
+    if names:
+        bases = {name: name.lower().partition("+")[0] for name in names}
+        fits = {name: [each.top for each in all_schemes() if each.name == base] for name, base in bases.items()}
+        schemes = [
+            (form, find_scheme(name, form).name) for name in names for form in tops or fits[name] or ["kowalevski"]
+        ]
+        tops = tops if top or experiment or file else []
+    if not (tops or schemes):
+        what = f"plugin {file}: registers no top and no scheme" if file else "nothing to check"
+        raise UsageError(f"{what}; give a file, --scheme or --top")
+    subjects = {TOPS.called(form): (form, "") for form in tops}
+    return subjects | {f"{name} ({TOPS.called(form)})": (form, name) for form, name in schemes}

@@ -9,9 +9,7 @@ from typing import Any
 from topcli.errors import RunError, UsageError
 from topcli.store.files import DamagedError, check_study, read_json
 from topcli.store.results import MANIFEST, read_result
-from topcli.sweeps.journal import JOURNAL, damaged_lines
-from topcli.sweeps.run import is_sweep
-from topcli.sweeps.sweep_list import missing_result
+from topcli.sweeps.store import missing_result
 
 
 @dataclass(frozen=True)
@@ -50,19 +48,8 @@ def _folder(folder: Path) -> Checked | None:
     except RunError as error:
         return Checked(folder, True, (MANIFEST,), {MANIFEST: str(error).partition(": ")[2].removeprefix("damaged ")})
     if stored is None:
-        return _unfinished_sweep(folder) if is_sweep(folder) else None
+        return None
     return Checked(folder, stored.complete, (MANIFEST, *stored.manifest["files"]), stored.damage())
-
-
-def _unfinished_sweep(folder: Path) -> Checked:
-    """Check the journal, from which an unfinished sweep is continued; its table is written again."""
-    try:
-        damaged = damaged_lines(folder / JOURNAL)
-    except OSError as error:
-        return Checked(folder, False, (JOURNAL,), {JOURNAL: f"cannot be read ({error.strerror})"})
-    return Checked(
-        folder, False, (JOURNAL,), {JOURNAL: f"{damaged} damaged lines, whose rows run again"} if damaged else {}
-    )
 
 
 def _study(path: Path) -> Checked:

@@ -2,21 +2,63 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any, TypeVar
 
+import numpy as np
+
+from topcli.analysis.algebraic_growth import (
+    EXPONENTIAL,
+    LONGEST_HEIGHT,
+    MOST_POINTS,
+    POLYNOMIAL,
+    SURPLUS,
+    DegreeGrowth,
+    confirmed_growth,
+    degrees,
+    digit_growth,
+    heights,
+)
+from topcli.analysis.hk_basis import Density, HKBasis, density, hk_bases
+from topcli.engine.numbers import rationals
+from topcli.engine.residues import RationalMap, modular_map, rational_map
+from topcli.errors import RunError, counted
+from topcli.field.polynomial import Polynomial, decimal
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import Config, Data, Flag, Head, Overrides, Result, Study, config_flag
-from topcli.table import Column, Table
+from topcli.studies.entries import experiment_on
+from topcli.studies.report import Report, Table
 from topcli.tops import TOPS
 
+INTEGRABLE, NOT_INTEGRABLE, UNDECIDED = "integrable", "not integrable", "undecided"
+H = 0.3
+"""Step size if none is given; degrees do not depend on it, except in special position."""
+OTHER_H = Fraction(1, 7)
+"""Difference of the step size of the repetition."""
+BASES = (2, 3, 4)
+"""Degrees of HK bases, up to the one that has enough integrals."""
+MOST_MONOMIALS = 1000
+"""Monomials of a density, about 2 s of work: degree 6 for six components."""
+LARGEST_DENSITY = 6
+TESTS, SEEDS = 5, 3
+"""Number of tests, and of attempts with other random numbers after a division by zero modulo the prime."""
+CHEAP = 2000
+"""Degree up to which an iterate is repeated."""
+SHOWN_TERMS = 12
+"""Longest density that is shown as a formula."""
+T = TypeVar("T")
 
-def measure(
-    top: Annotated[str, Flag("", "TOP")],
-    scheme: Annotated[str, Flag("", "SCHEME")] = "hk",
-    config: Annotated[Config, config_flag("the default parameters of the top, h = 0.3")] = None,
-    overrides: Overrides = (),
+
+def integrability(
+    top: str,
+    scheme: str = "hk",
+    *,
+    config: str | Path | Mapping[str, Any] | None = None,
+    overrides: Sequence[str] = (),
     watch: Watch = SILENT,
-) -> Result:
+) -> Report:
     """Collect evidence on the integrability of a scheme's map.
 
     The study iterates the map from random states. In arithmetic modulo a prime, it measures the growth of the degrees
@@ -40,10 +82,9 @@ def measure(
 
     Returns
     -------
-    StudyReport
-        Report on the evidence. ``table`` has a row for each test, with the result, its meaning, and the time in
-        seconds. ``study["degrees"]`` contains the degrees of the iterates, ``study["growth"]`` the law of their growth,
-        and ``study["verdict"]`` the conclusion.
+    Report
+        ``table`` has a row for each test, with the result and its meaning. The second table has the degrees of the
+        iterates and the bits of the states, the third the verdict with the law of their growth.
 
     Raises
     ------
@@ -54,52 +95,141 @@ def measure(
     --------
     >>> import topcli
     >>> report = topcli.integrability("euler")
-    >>> report.study["degrees"][:4], report.study["verdict"]
+    >>> report.tables[1].frame()["degree"].tolist()[:4], report.tables[2].rows[0]["verdict"]
     ([3, 9, 19, 33], 'integrable')
     """
-    from topcli.studies.integrability_evidence import integrability_study, map_experiment
+    experiment = experiment_on(top, scheme, config, overrides, h=H, N=1)
+    body, h = experiment.top, decimal(experiment.h)
+    d, components = len(body.components), body.components
+    watch.begin("integrability", unit="tests")
 
-    experiment = map_experiment(top, scheme, config, list(overrides))
-    watch.begin("integrability")
-    return Result(integrability_study(experiment, watch))
+    # five tests
+    subject = experiment.scheme, body, experiment.options
+    modular, other = modular_map(*subject, h), modular_map(*subject, h + OTHER_H)
+    first = _tested(1, watch, lambda seed: degrees(modular, seed))
+    cheap = sum(degree < CHEAP for degree in first)
+    again = _tested(2, watch, lambda seed: degrees(other, SEEDS + seed, max(cheap, 1)))
+    bits = _tested(3, watch, lambda seed: heights(rational_map(*subject, h, rationals(LONGEST_HEIGHT))))
+    bases = _tested(4, watch, lambda seed: _bases(modular, seed))
+    most = _density_degree(d)
+    measure = _tested(5, watch, lambda seed: density(modular, most, seed))
+
+    # what follows from them
+    growth, fit = confirmed_growth(first, bits), digit_growth(np.arange(len(bits)), np.array(bits))
+    integrals = max(basis.integrals for basis in bases)
+    same = bool(first and again) and all(a == b for a, b in zip(first, again, strict=False))
+    verdict, why = verdict_of(growth, same, integrals, d)
+    fitted = "too few steps"
+    if fit and fit.power is not None:
+        fitted = f"about n^{fit.power:.2f}"
+    elif fit and fit.factor is not None:
+        fitted = f"about {fit.factor:.4g}^n"
+    listed = "; ".join(f"degree {basis.degree}: null space {basis.null} of {basis.monomials}" for basis in bases)
+    tests = {
+        "degrees": (_listed(first), growth_text(growth)),
+        "repeated": ("the same" if same else _listed(again), f"along another line, with h = {h + OTHER_H}"),
+        "heights": (f"{bits[-1]} bits after {counted(len(bits) - 1, 'step')}", fitted),
+        "HK bases": (f"independent integrals: {integrals}", listed),
+        "density": (f"degree {measure.degree}", _density_text(measure, components))
+        if measure
+        else ("none", f"no polynomial P up to degree {most}"),
+    }
+    evidence = [{"test": test, "found": shown, "meaning": meaning} for test, (shown, meaning) in tests.items()]
+    iterates = [
+        {"n": n, "degree": degree, "repeated": repeated, "bits": size}
+        for n, (degree, repeated, size) in enumerate(zip_longest(first, again, bits[1:]), start=1)
+    ]
+    law = growth.as_dict()
+    conclusion = {
+        "verdict": verdict,
+        **{key: law[key] for key in ("law", "power", "factor", "entropy")},
+        "integrals": integrals,
+        "needed": needed_integrals(d),
+        "density_degree": measure and measure.degree,
+        "density_dimension": measure and len(measure.basis),
+    }
+    tables = [
+        Table("Evidence", evidence),
+        Table("Iterates", iterates, detail=True),
+        Table("Verdict", [conclusion], detail=True),
+    ]
+    title = f"{experiment.scheme.name} on {TOPS.called(body.form)}, h = {experiment.h:g}"
+    answer = f"{verdict}: {why}; this is computed evidence for these parameters, not a proof"
+    return Report("integrability", title, answer, tables, config=experiment.resolved())
 
 
-def _subject(data: Data) -> str:
-    return f"{data['scheme']} on {TOPS.called(data['top'])}, h = {data['h']:g}"
+def _tested(number: int, watch: Watch, work: Callable[[int], T]) -> T:
+    """Result of the test ``work(seed)`` with this number, for the first seed without a division by zero."""
+    reason = ""
+    for seed in range(1, SEEDS + 1):
+        try:
+            result = work(seed)
+        except ZeroDivisionError as error:
+            reason = str(error)
+        else:
+            watch(number, TESTS)
+            return result
+    raise RunError(f"integrability: the step fails on random states: {reason}")
 
 
-EVIDENCE = Table(
-    "tests",
-    (
-        Column("test", "test"),
-        Column("found", "found"),
-        Column("meaning", "meaning"),
-        Column("", "seconds"),
-    ),
-    heading="Evidence",
-    title=_subject,
-    index="test",
-    numbers=False,
-)
+def needed_integrals(d: int) -> int:
+    """Independent integrals that an integrable map of ``d`` components has: its level sets are points or surfaces."""
+    return d - 1 if d <= 3 else d - 2
 
 
-def head(data: Data) -> Head:
-    """Head of the chapter."""
-    return Head("Integrability", _subject(data), data["verdict"])
+def verdict_of(growth: DegreeGrowth, repeated: bool, integrals: int, d: int) -> tuple[str, str]:
+    """Verdict on a map, and the reason."""
+    needed, independent = needed_integrals(d), counted(integrals, "independent integral")
+    if not growth.law:
+        return UNDECIDED, "no law for the growth of the degrees was found"
+    if not repeated:
+        return UNDECIDED, "the degrees along another line with another h are different"
+    if growth.law == EXPONENTIAL:
+        fitted = "" if growth.characteristic else "; the heights agree, although no recurrence was found"
+        return NOT_INTEGRABLE, f"the degrees grow exponentially, so the algebraic entropy is positive{fitted}"
+    if integrals >= needed:
+        return INTEGRABLE, f"the degrees grow polynomially, with {independent} ({needed} needed)"
+    return UNDECIDED, f"the degrees grow polynomially, but with only {independent} ({needed} needed)"
 
 
-def answer(data: Data) -> str:
-    """The verdict with its reason, and what it is worth."""
-    return f"{data['verdict']}: {data['why']}; this is computed evidence for these parameters, not a proof"
+def growth_text(growth: DegreeGrowth) -> str:
+    """Law of the degrees in a few words, with the polynomial of the recurrence."""
+    if not growth.law:
+        return "no recurrence found"
+    if not growth.characteristic:
+        return f"about {growth.factor:.3g}^n; no recurrence found"
+    by = f"{growth.surplus} terms" if growth.surplus >= SURPLUS else f"{growth.surplus} term and the heights"
+    n = len(growth.characteristic) - 1
+    terms = {(0,) * (n - i): Fraction(c) for i, c in enumerate(growth.characteristic)}
+    law = ("n" if growth.power == 1 else f"n^{growth.power}") if growth.law == POLYNOMIAL else f"{growth.factor:.4g}^n"
+    return f"{law}; recurrence {Polynomial(terms).text('x')}, confirmed by {by}"
 
 
-INTEGRABILITY = Study(
-    "integrability",
-    measure,
-    head,
-    (EVIDENCE,),
-    answer=answer,
-    stem=lambda data: f"{data['scheme']}_{data['top']}",
-    parts=lambda data: [(data["top"], data["scheme"])],
-    unit="tests",
-)
+def _bases(step: RationalMap, seed: int) -> list[HKBasis]:
+    """HK bases of increasing degree, up to the first with enough integrals."""
+    bases: list[HKBasis] = []
+    for basis in hk_bases(step, BASES[: 2 if step.d > 5 else 3], seed):
+        bases.append(basis)
+        if basis.integrals >= needed_integrals(step.d):
+            break
+    return bases
+
+
+def _density_degree(d: int) -> int:
+    """Largest degree of a density that is looked for."""
+    sizes = [1]
+    while len(sizes) <= LARGEST_DENSITY and sizes[-1] * (d + len(sizes)) // len(sizes) <= MOST_MONOMIALS:
+        sizes.append(sizes[-1] * (d + len(sizes)) // len(sizes))
+    return len(sizes) - 1
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers)) or f"above {MOST_POINTS // 2} at once"
+
+
+def _density_text(measure: Density, names: Sequence[str]) -> str:
+    polynomials, count = measure.polynomials(len(names)), len(measure.basis)
+    shown = f"{count} independent polynomials P" if count > 1 else "one polynomial P"
+    if count == 1 and polynomials and len(polynomials[0].terms) <= SHOWN_TERMS:
+        shown = f"P = {polynomials[0].text(names)}"
+    return f"measure dx/P with {shown}"

@@ -1,28 +1,30 @@
-"""``topcli lyapunov``: measure the Lyapunov exponents of an orbit, and decide whether it is regular or chaotic."""
+"""``topcli lyapunov``: Lyapunov exponents of an orbit, and the verdict whether it is regular or chaotic."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Any
 
+import numpy as np
+
+from topcli.analysis.lyapunov import DEEP, LEAST_STEPS, REGULAR, TRANSIENT, Growth, Verdict, growth_of, spectrum_of
+from topcli.config.load import load_experiment
 from topcli.errors import ExitCode, UsageError
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import Data, Faults, Flag, Head, Overrides, Result, Study, parts_of, top_title
-from topcli.table import Column, Table
-
-if TYPE_CHECKING:
-    from topcli.analysis.lyapunov import Growth
+from topcli.studies.report import Report, Table, plain
+from topcli.table import plus_minus
 
 
-def measure(
-    config: Annotated[str | Path, Flag("", "CONFIG")],
-    overrides: Overrides = (),
+def lyapunov(
+    config: str | Path | Mapping[str, Any],
+    overrides: Sequence[str] = (),
     *,
-    spectrum: Annotated[bool, Flag("--spectrum")] = False,
-    discard: Annotated[float | None, Flag("--discard", "T", default="a transient, if there is one")] = None,
+    spectrum: bool = False,
+    discard: float | None = None,
     watch: Watch = SILENT,
-) -> Result:
+) -> Report:
     """Measure Lyapunov exponents and detect chaos.
 
     The study follows a tangent vector along the orbit of a config with the tangent map (the derivative of a step) of
@@ -31,7 +33,7 @@ def measure(
 
     Parameters
     ----------
-    config : path or str
+    config : path, str or mapping
         Config file or name of a packaged scene.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
@@ -45,11 +47,11 @@ def measure(
 
     Returns
     -------
-    StudyReport
-        Report on the exponents. ``table`` has a row for each exponent. ``series`` contains the finite-time exponents as
-        functions of t. ``study["errors"]`` are half the widths of their confidence intervals of 95 %.
-        ``study["verdict"]`` is ``"regular"``, ``"chaotic"``, ``"undecided"``, ``"equilibrium"``, ``"unstable"`` (an
-        unstable periodic or quasi-periodic orbit), ``"escaping"`` or ``"broke off"``.
+    Report
+        ``table`` has a row for each exponent, with half the width of its confidence interval of 95 % as ``error``. The
+        second table has the verdict, ``"regular"``, ``"chaotic"``, ``"undecided"``, ``"equilibrium"``, ``"unstable"``
+        (an unstable periodic or quasi-periodic orbit), ``"escaping"`` or ``"broke off"``, with the numbers behind it.
+        ``columns`` contains the finite-time exponents as functions of t.
 
     Raises
     ------
@@ -60,177 +62,97 @@ def measure(
     Examples
     --------
     >>> import topcli
-    >>> topcli.lyapunov("kowalevski_generic_hk", overrides=["N=20000"]).study["verdict"]
+    >>> topcli.lyapunov("kowalevski_generic_hk", overrides=["N=20000"]).tables[1].rows[0]["verdict"]
     'regular'
     """
-    import numpy as np
-
-    from topcli.analysis.lyapunov import LEAST_STEPS, growth_of, spectrum_of
-    from topcli.config.load import load_experiment
-    from topcli.runs.report import finite
-
     experiment = load_experiment(config, overrides)
     top, scheme, method, h, N = experiment.top, experiment.scheme, experiment.method(), experiment.h, experiment.N
-    skip = None if discard is None else discarded_steps(discard, h, N)
+    if discard is not None and not 0.0 <= discard <= N * abs(h):
+        raise UsageError(f"--discard {discard:g}: must be a time from 0 to T = {N * abs(h):g}")
+    skip = None if discard is None else round(discard / abs(h))
     if N - (skip or 0) < LEAST_STEPS:
         left = f" after --discard {discard:g}" if skip else ""
         raise UsageError(f"N = {N}{left}: too few steps for an exponent; take at least {LEAST_STEPS}")
     watch.begin("lyapunov", experiment)
-    y0 = np.array(experiment.y0, dtype=float)
     if spectrum:
-        growth = spectrum_of(top, scheme, method, h, N, y0.tolist(), discard=skip, watch=watch)
+        growth = spectrum_of(top, scheme, method, h, N, experiment.y0, discard=skip, watch=watch)
     else:
-        growth = growth_of(top, scheme, method, h, N, y0[None], discard=skip)
-    return Result(
-        {"config": experiment.resolved(), **finite(_figures(growth, skip or 0))},
-        {"t": growth.t, **{f"exponent_{i + 1}": logs / growth.t for i, logs in enumerate(growth.logs.T)}},
-    )
-
-
-def discarded_steps(discard: float, h: float, N: int) -> int:
-    """Number of the steps within the time ``discard``. Raises UsageError for a time that is not within N steps."""
-    if not 0.0 <= discard <= N * abs(h):
-        raise UsageError(f"--discard {discard:g}: must be a time from 0 to T = {N * abs(h):g}")
-    return round(discard / abs(h))
-
-
-def _figures(growth: Growth, skip: int) -> Data:
-    """Exponents and verdict of an orbit of which the first ``skip`` steps are left out."""
-    import numpy as np
-
-    from topcli.analysis.lyapunov import TRANSIENT
-
-    t = growth.T
-    last = int(growth.n[np.isfinite(growth.logs).all(axis=1)][-1:].sum())
-    return {
-        "T": t,
-        "discarded": skip * abs(growth.h),
-        "transient": t * float(growth.skipped[0]) / TRANSIENT,
-        "exponents": growth.exponents.tolist(),
-        "errors": growth.errors.tolist(),
+        growth = growth_of(top, scheme, method, h, N, np.array([experiment.y0], dtype=float), discard=skip)
+    exponents, errors = plain(growth.exponents.tolist()), plain(growth.errors.tolist())
+    rows = [
+        {"number": i, "per unit of time": x if x is None else plus_minus(x, error), "exponent": x, "error": error}
+        for i, (x, error) in enumerate(zip(exponents, errors, strict=True), start=1)
+    ]
+    T, rate, verdict = growth.T, growth.rate[0], growth.verdicts[0]
+    reached = growth.n[np.isfinite(growth.logs).all(axis=1)][-1:].sum()
+    orbit = {
+        "verdict": str(verdict),
+        "T": T,
+        "discarded": (skip or 0) * abs(h),
+        "transient": T * float(growth.skipped[0]) / TRANSIENT,
         "growth": float(growth.logs[-1, 0]),
         "largest_fall": float(growth.largest_fall[0]),
-        "regular_exponent": float(np.log1p(growth.rate[0] * t) / t),
+        "regular_exponent": float(np.log1p(rate * T) / T),
         "detectable": float(growth.detectable[0]),
-        "verdict": str(growth.verdicts[0]),
-        "completed_steps": skip + last,
+        "completed_steps": (skip or 0) + int(reached),
     }
-
-
-def _rows(data: Data) -> list[Data]:
-    pairs = zip(data["exponents"], data["errors"], strict=True)
-    return [{"number": i + 1, "exponent": x, "error": error} for i, (x, error) in enumerate(pairs)]
-
-
-def _subject(data: Data) -> str:
-    config = data["config"]
-    return (
-        f"{config['scheme']['name']} on {config['name']}: {top_title(config)}, h = {config['h']:g}, N = {config['N']}"
-    )
-
-
-def with_error(row: Data) -> str:
-    """Exponent of a row with half the width of its interval, to two digits of that."""
-    x, error = row["exponent"], row["error"]
-    if x is None or error is None:
-        return "none"
-    digits = max(0, 1 - math.floor(math.log10(error)))
-    return f"{x:.{digits}f} ± {error:.{digits}f}"
-
-
-TABLE = Table(
-    _rows,
-    (
-        Column("exponent", "number", key="number"),
-        Column("per unit of time", with_error),
-        Column("", "exponent"),
-        Column("", "error"),
-    ),
-    heading="Lyapunov exponents",
-    title=_subject,
-    index="number",
-    numbers=(1,),
-)
-
-
-def answer(data: Data) -> str:
-    """The verdict, and what it rests on."""
-    from topcli.analysis.lyapunov import DEEP, REGULAR
-
-    verdict, T, growth = data["verdict"], data["T"], data["growth"]
-    if verdict == "broke off":
-        return ""
-    grew, largest = f"the tangent vector grew by a factor exp({growth:.1f}) over T = {T:g}", with_error(_rows(data)[0])
-    if verdict == "regular":
-        linear = growth < data["regular_exponent"] * T + REGULAR
-        how = (
-            "no faster than in proportion to t" if linear else "but not exponentially: it fell back, or came to an end"
+    notes, faults = [], []
+    if orbit["transient"]:
+        notes.append(
+            f"the exponents leave out the first {orbit['transient']:g} of T = {T:g}, in which the vector grew unlike "
+            "later; --discard 0 includes them"
         )
-        return f"regular: {grew}, {how}; the run would have detected an exponent above {data['detectable']:.2g}"
-    if verdict == "chaotic":
-        return (
-            f"chaotic: the largest exponent is {largest} (95 %) per unit of time, "
-            f"{data['exponents'][0] / data['regular_exponent']:.1f} times the value ln(t)/t = "
-            f"{data['regular_exponent']:.2g} of a regular orbit of the same length"
-        )
-    if verdict == "equilibrium":
-        stability = "unstable" if data["exponents"][0] > data["errors"][0] else "not unstable, as far as the run tells"
-        return f"equilibrium: the orbit is at rest, and {stability}: {grew}, at a rate of {largest}"
-    if verdict == "unstable":
-        return (
-            f"unstable: {grew}, at a rate of {largest}, but the orbit repeats itself: it is periodic or "
-            "quasi-periodic, or its chaos is confined to narrow bands"
-        )
-    if verdict == "escaping":
-        return (
-            f"escaping: {grew}, at a rate of {largest}, but the orbit is not chaotic so far: it has not come back; "
-            "it runs off, or leaves an unstable motion"
-        )
-    if data["largest_fall"] > DEEP:
-        return (
-            f"undecided: {grew}, with falls by factors down to exp(-{data['largest_fall']:.0f}), as next to a "
-            "separatrix; there, round-off may decide how the orbit goes on"
-        )
-    return f"undecided: {grew}, as on a regular or a weakly chaotic orbit; run longer, e.g. 10 times N"
+    if verdict is Verdict.BROKE_OFF:
+        step = orbit["completed_steps"]
+        faults.append(f"the orbit broke off at or soon after step {step}: it blew up, or a step did not converge")
+    curves = {f"exponent_{i + 1}": logs / growth.t for i, logs in enumerate(growth.logs.T)}
+    columns = {"t": growth.t, **curves, "regular": np.log1p(rate * growth.t) / growth.t}
 
+    def draw(axes: Any, looks: Callable[..., Any]) -> None:
+        for i, (name, values) in enumerate(curves.items()):
+            axes.semilogx(columns["t"], values, label=rf"$\lambda_{i + 1}$" if spectrum else name.partition("_")[0])
+        axes.semilogx(columns["t"], columns["regular"], color="0.5", label=r"regular orbit: $\ln(t)/t$")
+        if not spectrum and (curves["exponent_1"] > 0.0).all():
+            axes.set_yscale("log")
+        title = f"{scheme.name}, $h = {h:g}$: {verdict}"
+        axes.set(xlabel="time $t$", ylabel="exponent per unit of time", title=title)
 
-def notes(data: Data) -> list[str]:
-    """A transient that the exponents leave out."""
-    if not data["transient"]:
-        return []
-    return [
-        f"the exponents leave out the first {data['transient']:g} of T = {data['T']:g}, in which the vector grew "
-        "unlike later; --discard 0 includes them"
+    title = f"{scheme.name} on {experiment.name}: {top.title}, h = {h:g}, N = {N}"
+    tables = [
+        Table("Lyapunov exponents", rows, detail=("exponent", "error")),
+        Table("Orbit", [orbit], detail=True),
     ]
+    answer = "" if faults else _answer(growth, orbit, rows[0])
+    code = ExitCode.FAILED if faults else ExitCode.SUCCESS
+    drawn = None if faults else draw
+    return Report("lyapunov", title, answer, tables, notes, faults, code, experiment.resolved(), columns, drawn)
 
 
-def head(data: Data) -> Head:
-    """Head of the chapter."""
-    return Head("Lyapunov exponents", _subject(data), data["verdict"], data["verdict"] != "broke off")
-
-
-def faults(data: Data) -> Faults:
-    """An orbit that broke off."""
-    if data["verdict"] != "broke off":
-        return Faults()
-    steps = data["completed_steps"]
-    return Faults(
-        ExitCode.FAILED,
-        [f"the orbit broke off at or soon after step {steps}: it blew up, or a step did not converge"],
-    )
-
-
-LYAPUNOV = Study(
-    "lyapunov",
-    measure,
-    head,
-    (TABLE,),
-    answer=answer,
-    notes=notes,
-    faults=faults,
-    figure="topcli.figures.chaos:loaded_lyapunov",
-    draws="the finite-time exponents over t",
-    captions=("finite-time exponents, and the exponent of a regular orbit",),
-    stem=lambda data: f"{data['config']['scheme']['name']}_{data['config']['name']}",
-    parts=lambda data: parts_of(data["config"], [data["config"]["scheme"]["name"]]),
-)
+def _answer(growth: Growth, orbit: Mapping[str, Any], first: Mapping[str, Any]) -> str:
+    """The verdict, and what it rests on."""
+    T, G, regular = orbit["T"], orbit["growth"], orbit["regular_exponent"]
+    grew, largest = f"the tangent vector grew by a factor exp({G:.1f}) over T = {T:g}", first["per unit of time"]
+    falls = growth.largest_fall[0]
+    linear = "no faster than in proportion to t"
+    slow = linear if regular * T + REGULAR > G else "but not exponentially: it fell back, or came to an end"
+    times = first["exponent"] / regular if regular else math.inf  # at rest
+    stable = "unstable" if first["exponent"] > first["error"] else "not unstable, as far as the run tells"
+    undecided = f"{grew}, as on a regular or a weakly chaotic orbit; run longer, e.g. 10 times N"
+    if falls > DEEP:
+        undecided = (
+            f"{grew}, with falls by factors down to exp(-{falls:.0f}), as next to a separatrix; there, round-off may "
+            "decide how the orbit goes on"
+        )
+    verdict = growth.verdicts[0]
+    reasons = {
+        Verdict.REGULAR: f"{grew}, {slow}; the run would have detected an exponent above {orbit['detectable']:.2g}",
+        Verdict.CHAOTIC: f"the largest exponent is {largest} (95 %) per unit of time, "
+        f"{times:.1f} times the value ln(t)/t = {regular:.2g} of a regular orbit of the same "
+        "length",
+        Verdict.EQUILIBRIUM: f"the orbit is at rest, and {stable}: {grew}, at a rate of {largest}",
+        Verdict.UNSTABLE: f"{grew}, at a rate of {largest}, but the orbit repeats itself: it is periodic or "
+        "quasi-periodic, or its chaos is confined to narrow bands",
+        Verdict.ESCAPING: f"{grew}, at a rate of {largest}, but the orbit is not chaotic so far: it has not come back; "
+        "it runs off, or leaves an unstable motion",
+    }
+    return f"{verdict}: {reasons.get(verdict, undecided)}"

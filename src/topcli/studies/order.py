@@ -1,283 +1,255 @@
-"""``topcli order``: measure errors over several step sizes, observed orders of convergence, and round-off."""
+"""``topcli order``: errors over several step sizes, observed orders of convergence, and the plateau of round-off."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-from topcli.errors import ExitCode, UsageError, quoted, shortened
+import numpy as np
+
+from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order
+from topcli.analysis.reference import reference_states
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Outcome, Sampler
+from topcli.engine.collect import orbit
+from topcli.engine.machine import Machine
+from topcli.errors import ExitCode, SchemeCodeError, UsageError
+from topcli.schemes.registry import names_for
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import (
-    LADDER_STEPS,
-    Config,
-    Data,
-    Faults,
-    Flag,
-    Head,
-    Overrides,
-    Result,
-    Study,
-    cited_parts,
-    config_flag,
-    scheme_names,
-    top_flag,
-)
-from topcli.table import EVERY, Column, Table, two_digits
+from topcli.studies.entries import SCHEME, code_failures, entry, refuse_keys, scene_of
+from topcli.studies.report import Report, Table
+from topcli.table import two_digits
 
-AS_DECLARED = "as declared"
-FALSE = ("too low", "inconsistent")
+DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
+"""Schemes of the default study, on the generic motion of Kowalevski's top."""
+FALSE = (OrderVerdict.TOO_LOW, OrderVerdict.INCONSISTENT)
 """Verdicts on a scheme whose declared order is false."""
-FILE = Path("order") / "order.json"
+INTERVALS = 20
+"""Intervals between the evenly spaced times at which errors are measured."""
+SECONDS = 5.0
+"""CPU seconds that one run may take."""
+RUNGS = 60
+CEILING = 1e3
+"""Larger errors, of step sizes at which a scheme explodes, are not drawn."""
 
 
-def _sizes(texts: Sequence[str], option: str = "--h") -> list[float]:
-    """Numbers of an option, step sizes of ``--h``. Raises UsageError."""
-    try:
-        return [float(text) for text in texts]
-    except ValueError:
-        if option != "--h":
-            raise UsageError(f"{option}={shortened(texts[0])}: must be a number") from None
-        given = [part.strip() for text in texts for part in text.split(",")]
-        right = " ".join(f"--h {part}" for part in given)
-        known = all(re.fullmatch(r"[-+.\deE]+", part) for part in given)
-        raise UsageError(
-            f"--h {quoted(','.join(texts))}: must be one number; "
-            + (f"repeat the option for several: {shortened(right)}" if known else "for example --h 0.1 --h 0.05")
-        ) from None
-
-
-def _settings(
-    overrides: Sequence[str], sizes: Sequence[float], duration: float | None, config: Config
-) -> tuple[Sequence[str], Sequence[float], float | None]:
-    """Overrides without h, and without T if there is no config; step sizes and duration with these."""
-    rest = []
-    for text in overrides:
-        key, _, value = (part.strip() for part in text.partition("="))
-        if key == "h":
-            sizes = [*sizes, *_sizes([value])]
-        elif key == "T" and config is None and duration is None:
-            duration = _sizes([value], "--set T")[0]
-        else:
-            rest.append(text)
-    return rest, sizes, duration
-
-
-def measure(
-    *schemes: Annotated[str, scheme_names("six common schemes; with --top or --config, all that fit the top")],
-    top: Annotated[str | None, top_flag("the top of the schemes")] = None,
-    config: Annotated[Config, config_flag("a packaged scene")] = None,
-    overrides: Overrides = (),
-    sizes: Annotated[Sequence[float], Flag("--h", "H", read=_sizes, default="chosen for each scheme")] = (),
-    duration: Annotated[float | None, Flag("--duration", "T", default="10, or that of the config")] = None,
-    steps: Annotated[int, Flag("--max-steps", "N", least=1)] = LADDER_STEPS,
+def order(
+    *schemes: str,
+    config: str | Path | Mapping[str, Any] | None = None,
+    overrides: Sequence[str] = (),
+    sizes: Sequence[float] = (),
+    max_steps: int = 4_000_000,
     watch: Watch = SILENT,
-) -> Result:
+) -> Report:
     """Measure errors at several h, and orders of convergence.
 
     The error of a run is its largest distance from a reference solution in double-double arithmetic. The order is
     fitted at the smallest step sizes whose errors exceed round-off. The command exits with code 4 if the
-    measured order is below the order that the scheme declares, or if an invariant that the scheme declares as conserved
-    changes by more than round-off.
+    measured order is below the order that the scheme declares.
 
     Parameters
     ----------
     *schemes : str
-        Names of schemes. Without names, all schemes that fit ``top`` or ``config`` are measured, or six schemes of the
-        Kowalevski top if neither ``top`` nor ``config`` is given.
-    top : str, optional
-        Name of a top, whose packaged scene is run.
+        Names of schemes, with options if needed; by default, six common ones, or all that fit the config.
     config : path, str or mapping, optional
-        Config or scene that gives the top, the initial state and the duration N*h.
+        Config or scene that gives the top, the initial state and the duration. By default, a scene of a top that the
+        schemes fit, over T = 10.
     overrides : sequence of str, optional
-        Override a key of the config, e.g. top.c0=-1 or scheme.branch=sign. The keys h and T set ``sizes`` and
-        ``duration``.
+        Override a key of the config, e.g. top.c0=-1 or T=20.
     sizes : sequence of float, optional
-        Run each scheme with these step sizes. By default, each scheme is run with its own decreasing step sizes,
-        until round-off dominates or a run would need more than ``steps`` steps.
-    duration : float, optional
-        Run from time 0 to this time.
-    steps : int, optional
+        Run each scheme with this step size. By default, each scheme is run with its own decreasing step sizes, until
+        round-off dominates or a run would need more than ``max_steps`` steps.
+    max_steps : int, optional
         Take at most this many steps in each run.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
-    StudyReport
-        Report with the orders and the errors. The error of a run is the largest Euclidean distance between its states
-        and the reference solution, a Taylor series, at evenly spaced times. ``table`` has a row for each scheme.
-        ``errors`` has a row for each step size and a column for each scheme.
+    Report
+        The first table has a row for each scheme with its observed order, the second a row for each step size with the
+        errors of all schemes. The error of a run is the largest Euclidean distance between its states and the reference
+        solution, a Taylor series, at evenly spaced times.
 
     Raises
     ------
     UsageError
-        If a scheme or top is unknown, if a scheme does not fit the top, or if a step size is too small or too large.
+        If a scheme is unknown or does not fit the top, or if a step size is too small or too large.
     RunError
         If the reference solution of the motion cannot be computed.
 
     Examples
     --------
     >>> import topcli
-    >>> report = topcli.order("hk", "rk4", config="euler_hk", duration=2, sizes=[0.1, 0.05, 0.025])
+    >>> report = topcli.order("hk", "rk4", config="euler_hk", overrides=["T=2"], sizes=[0.1, 0.05, 0.025])
     >>> report.table["order"].round(1).to_dict()
     {'hk': 2.0, 'rk4': 4.0}
-    >>> report.errors.shape
+    >>> report.tables[1].frame().shape
     (3, 2)
     """
-    from topcli.studies.order_ladders import ladders, order_study
-
-    overrides, sizes, duration = _settings(overrides, sizes, duration, config)
-    plan = ladders(schemes, top=top, config=config, sets=overrides, sizes=sizes, duration=duration, steps=steps)
-    file = FILE if plan == ladders(()) else None
-    watch.begin("order", plan.problem.experiment, file=file)
-    used, interval = [rung.value for rung in plan.rungs], plan.problem.interval
-    for size in plan.sizes:
-        taken = min(used, key=lambda value: abs(value - size))
-        if abs(taken - size) > 1e-9 * size:
-            multiple = f"so that the time between comparisons, {interval:g}, is a multiple of h"
-            watch.message(f"h = {size:g} becomes {taken:.6g}, {multiple}")
-    return Result(order_study(plan, watch), file=file)
-
-
-def _best(key: str) -> Callable[[Data], float | None]:
-    """Figure of the point with the smallest error of a scheme."""
-
-    def value(row: Data) -> float | None:
-        known = [point for point in row["points"] if point["error"] is not None]
-        return min(known, key=lambda point: point["error"])[key] if known else None
-
-    return value
-
-
-def _errors_at(data: Data) -> list[Data]:
-    """Errors by scheme at each step size: nan if one is not finite, nothing if the scheme was not run."""
-    errors: dict[float, Data] = {}
-    for row in data["schemes"]:
-        for point in row["points"]:
-            error = math.nan if point["error"] is None else point["error"]
-            errors.setdefault(point["h"], {"h": point["h"]})[row["scheme"]] = error
-    return [errors[h] for h in sorted(errors, reverse=True)]
-
-
-def _error_columns(data: Data) -> list[Column]:
-    names = [row["scheme"] for row in data["schemes"]]
-    return [
-        Column("h", "h", "{:.4g}".format),
-        *(Column(name, lambda row, name=name: row.get(name), two_digits, name) for name in names),
-    ]
-
-
-def _subject(data: Data) -> str:
-    return f"{data['name']}: {data['top']}, t from 0 to {data['duration']:g}"
-
-
-def _span(sizes: Sequence[float]) -> str:
-    return f"{two_digits(sizes[0])} to {two_digits(sizes[-1])}"
-
-
-def _step_size(h: float) -> str:
-    """A step size with two digits, or with three if these are all."""
-    text = f"{h:.3g}"
-    return text if float(text) == h else two_digits(h)
-
-
-ORDERS = Table(
-    "schemes",
-    (
-        Column("scheme", "scheme"),
-        Column("declared order", "declared_order"),
-        Column("observed", "order", "{:.2f}".format),
-        Column("verdict", "verdict"),
-        Column("h of the fit", lambda row: row["fitted"] or None, _span, detail=True),
-        Column("round-off", "plateau", two_digits, detail=True),
-        Column("from h", "onset", two_digits, detail=True),
-        Column("", "ended"),
-        Column("", "broken"),
-        Column("smallest error", _best("error"), two_digits, "smallest_error"),
-        Column("at h", _best("h"), _step_size, "at_h"),
-    ),
-    heading="Observed orders",
-    title=_subject,
-    index="scheme",
-    numbers=(1, 2, 4, 5, 6, 7, 8),
-)
-ERRORS = Table(
-    _errors_at,
-    _error_columns,
-    name="errors",
-    heading="Largest error at each h",
-    title="largest error at each h",
-    index="h",
-    detail=True,
-    numbers=EVERY,
-)
-
-
-def head(data: Data) -> Head:
-    """Head of the chapter."""
-    broken = sum(bool(row["broken"]) for row in data["schemes"])
-    return Head("Orders of convergence", _subject(data), f"{broken} failed" if broken else "measured", not broken)
-
-
-def answer(data: Data) -> str:
-    """Schemes by verdict, with their observed orders."""
-    named: dict[str, list[str]] = {}
-    for row in data["schemes"]:
-        verdict = "failed" if row["broken"] else row["verdict"] or "no declared order"
-        order = "" if row["order"] is None else f" {row['order']:.2f}"
-        named.setdefault(verdict, []).append(row["scheme"] + order)
-    good = named.pop(AS_DECLARED, [])
-    parts = [f"order as declared: {', '.join(good)}"] if good else []
-    return "; ".join([*parts, *(f"{verdict}: {', '.join(names)}" for verdict, names in named.items())])
-
-
-def notes(data: Data) -> Iterator[str]:
-    """Schemes left out, step sizes without a result, and undecided orders."""
-    for left in data["left_out"]:
-        yield f"{left['scheme']} is left out: {left['reason']}"
+    refuse_keys(overrides, {**SCHEME, "h": "the step sizes of this study are given by --h, or chosen for each scheme"})
+    scene, length = (scene_of(schemes or DEFAULT), ["T=10"]) if config is None else (config, [])
+    base = load_experiment(scene, [*length, *overrides])
+    interval = base.duration / INTERVALS
+    if interval <= 0.0:
+        raise UsageError(f"the duration {base.duration:g} must be positive; give another with --set T=...")
+    counts = sorted({_count(size, interval) for size in sizes})
+    names = schemes or (DEFAULT if config is None else names_for(base.top.form))
+    chosen, left_out = _with_orders(base, names, bool(schemes))
+    watch.begin("order", base, unit="schemes")
+    times = np.arange(INTERVALS + 1) * interval
+    reference = reference_states(base.top, base.y0, times)
+    extent = float(np.linalg.norm(reference - reference[0], axis=1).max())
+    rows: list[dict[str, Any]] = []
+    by_size: dict[float, dict[str, Any]] = {}
+    columns: dict[str, Array] = {}
+    notes, broken, false = [f"{name} is left out: {reason}" for name, reason in left_out], [], []
     undecided: dict[str, list[str]] = {}
-    for row in data["schemes"]:
-        if row["failed"] and not row["broken"]:
-            first = row["failed"][0]
-            failed = f"{len(row['failed'])} of its step sizes gave no result"
-            yield f"{row['scheme']}: {failed}; h = {first['h']:.2g} {first['reason']}"
-        if row["points"] and not row["broken"] and row["verdict"] not in FALSE and row["why"]:
-            undecided.setdefault(row["why"], []).append(row["scheme"])
-    for why, names in undecided.items():
-        yield f"{', '.join(names)}: order undecided: {why}"
-
-
-def faults(data: Data) -> Faults:
-    """Code that failed, schemes without a result, and orders that are not as declared."""
-    rows = data["schemes"]
-    broken = [f"{row['scheme']}: {row['broken']}" for row in rows if row["broken"]]
-    false = [f"{row['scheme']}: {row['why']}" for row in rows if not row["broken"] and row["verdict"] in FALSE]
-    false += [f"{row['scheme']}: {row['false_claim']}" for row in rows if row.get("false_claim")]
+    for i, (name, experiment) in enumerate(chosen.items()):
+        points: list[tuple[float, float]] = []
+        failed: list[str] = []
+        with code_failures(broken, name):
+            points, failed = _ladder(experiment, interval, reference, counts, max_steps)
+        watch(i + 1, len(chosen))
+        if broken and broken[-1].startswith(f"{name}: "):
+            rows.append({"scheme": name, "verdict": "failed"})
+            continue
+        if failed:
+            notes.append(f"{name}: {len(failed)} of its step sizes gave no result; {failed[0]}")
+        h, errors = [point[0] for point in points], [point[1] for point in points]
+        observed = convergence(h, errors)
+        declared = experiment.scheme.order_for(experiment.options) or 0
+        verdict, why = judge_order(declared, observed, extent, partial(_consistent, experiment))
+        if verdict in FALSE:
+            false.append(f"{name}: {why}")
+        elif why and points:
+            undecided.setdefault(why, []).append(name)
+        best = min(points, key=lambda point: point[1] if math.isfinite(point[1]) else math.inf, default=(None, None))
+        fitted = f"{two_digits(observed.fitted[0])} to {two_digits(observed.fitted[-1])}" if observed.fitted else None
+        rows.append({
+            "scheme": name, "declared_order": declared, "order": observed.order, "verdict": str(verdict),
+            "h of the fit": fitted, "round-off": observed.plateau, "from h": observed.onset,
+            "smallest_error": best[1], "at_h": best[0],
+        })  # fmt: skip
+        for size, error in points:
+            by_size.setdefault(size, {"h": size})[name] = error
+        columns |= {f"{name}:h": np.array(h), f"{name}:error": np.array(errors)}
+    notes += [f"{', '.join(names)}: order undecided: {why}" for why, names in undecided.items()]
+    code = ExitCode.VIOLATED if false else ExitCode.SUCCESS
     if broken:
         code = ExitCode.PARTLY_FAILED if len(broken) < len(rows) else ExitCode.WRONG_USAGE
-    elif not all(row["points"] for row in rows):
+    elif not all(f"{name}:h" in columns and len(columns[f"{name}:h"]) for name in chosen):
         code = ExitCode.FAILED
-    else:
-        code = ExitCode.VIOLATED if false else ExitCode.SUCCESS
-    return Faults(code, [*broken, *false])
+
+    def draw(axes: Any, looks: Callable[..., Any]) -> None:
+        styles = looks([row["scheme"] for row in rows], markers=True)
+        for row in rows:
+            if f"{row['scheme']}:h" in columns:
+                h, error = columns[f"{row['scheme']}:h"], columns[f"{row['scheme']}:error"]
+                label = row["scheme"] if row["order"] is None else f"{row['scheme']}: {row['order']:.2f}"
+                error = np.where((error > 0.0) & (error < CEILING), error, np.nan)
+                axes.loglog(h, error, label=label, markersize=4, **styles[row["scheme"]])
+        axes.set(xlabel="step size $h$", ylabel="largest error", title=base.name.replace("$", r"\$"))
+
+    small = dict.fromkeys(("round-off", "from h", "smallest_error"), two_digits)
+    shown = {"order": ".2f", **small, "at_h": lambda h: f"{h:.3g}" if float(f"{h:.3g}") == h else two_digits(h)}
+    errors_at = [by_size[size] for size in sorted(by_size, reverse=True)]
+    tables = [
+        Table("Observed orders", rows, shown, detail=("h of the fit", "round-off", "from h")),
+        Table("Largest error at each h", errors_at, {"h": ".4g", **dict.fromkeys(chosen, two_digits)}, detail=True),
+    ]
+    title = f"{base.name}: {base.top.title}, t from 0 to {base.duration:g}"
+    return Report("order", title, _answer(rows), tables, notes, [*broken, *false], code, base.resolved(), columns, draw)
 
 
-ORDER = Study(
-    "order",
-    measure,
-    head,
-    (ORDERS, ERRORS),
-    answer=answer,
-    notes=notes,
-    faults=faults,
-    figure="topcli.figures.errors:loaded_order",
-    draws="the errors against h",
-    captions=("largest error against the step size h, with the observed orders",),
-    parts=cited_parts,
-    unit="schemes",
-    file=FILE,
-    known=lambda data: "duration" in data and "schemes" in data,
-)
+def _count(size: float, interval: float) -> int:
+    """Steps of a ``size`` in the ``interval`` between comparisons. Raises UsageError unless they are whole."""
+    count = max(1, round(interval / size)) if size > 0.0 else 1
+    if abs(interval / count - size) > 1e-9 * size:
+        near = f"give for example {interval / count:g}"
+        raise UsageError(f"--h {size:g}: must divide {interval:g}, the time between comparisons; {near}")
+    return count
+
+
+def _consistent(experiment: Experiment) -> bool:
+    """True if single steps of an experiment are consistent with the equations of motion."""
+    return is_consistent(experiment.top, experiment.method(), np.array(experiment.y0))
+
+
+def _with_orders(
+    base: Experiment, names: Sequence[str], named: bool
+) -> tuple[dict[str, Experiment], list[tuple[str, str]]]:
+    """Experiments of the schemes whose order can be observed, and those left out with the reasons if they are named."""
+    chosen: dict[str, Experiment] = {}
+    left_out: list[tuple[str, str]] = []
+    for text in names:
+        name = text.lower()
+        if name in chosen:
+            raise UsageError(f"scheme {name!r} is named twice")
+        try:
+            experiment = entry(base, name)
+        except UsageError:
+            if named:
+                raise
+            continue
+        try:
+            closed = isinstance(experiment.method(), Sampler)
+        except SchemeCodeError:  # reported with the other failures
+            closed = False
+        if experiment.scheme.adaptive:
+            left_out.append((name, "it chooses its steps by a tolerance, not by h"))
+        elif closed or not experiment.scheme.order_for(experiment.options):
+            left_out.append((name, "has no error that depends on h"))
+        else:
+            chosen[name] = experiment
+    if not chosen:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out)
+        raise UsageError(f"no scheme has an order that can be observed: {reasons}")
+    return chosen, left_out if named else []
+
+
+def _ladder(
+    experiment: Experiment, interval: float, reference: Array, counts: Sequence[int], most: int
+) -> tuple[list[tuple[float, float]], list[str]]:
+    """Step sizes with errors, coarse to fine, until steps or seconds run out or round-off is reached; and failures.
+
+    The steps divide the ``interval``; those that are not given by ``counts`` fall by a factor 2 up to order 2 and
+    otherwise sqrt(2), from an angle of about four radians a step.
+    """
+    machine = Machine(experiment.top, experiment.method())
+    ratio = 2.0 if (experiment.scheme.order_for(experiment.options) or 0) <= 2 else math.sqrt(2.0)
+    first = max(1.0, math.ceil(0.25 * interval * max(map(abs, experiment.y0))))
+    own = [steps for k in range(RUNGS) if (steps := round(first * ratio**k)) * INTERVALS <= most]
+    points: list[tuple[float, float]] = []
+    failed: list[str] = []
+    seconds_per_step = 0.0
+    for steps in counts or dict.fromkeys(own):
+        if seconds_per_step * steps * INTERVALS > SECONDS:
+            break
+        h, started = interval / steps, time.process_time()
+        run = orbit(experiment.top, machine, experiment.y0, h, steps * INTERVALS, steps)
+        seconds_per_step = (time.process_time() - started) / (steps * INTERVALS)
+        if run.ending.outcome is not Outcome.COMPLETED:
+            failed.append(f"h = {h:.2g} {run.ending.message}")
+            continue
+        with np.errstate(over="ignore", invalid="ignore"):
+            points.append((h, float(np.linalg.norm(run.states - reference, axis=1).max())))
+        best = min((error for _, error in points[:-2]), default=1.0)
+        if best < 1e-6 and min(error for _, error in points[-2:]) > 0.5 * best:
+            break  # round-off: finer steps gain nothing
+    return points, failed
+
+
+def _answer(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Schemes by verdict, with their observed orders."""
+    named: dict[str, list[str]] = {}
+    for row in sorted(rows, key=lambda row: row["verdict"] != "as declared"):
+        observed = "" if row.get("order") is None else f" {row['order']:.2f}"
+        named.setdefault(row["verdict"], []).append(row["scheme"] + observed)
+    words = {"as declared": "order as declared"}
+    return "; ".join(f"{words.get(verdict, verdict)}: {', '.join(names)}" for verdict, names in named.items())

@@ -1,193 +1,192 @@
-"""``topcli roundoff``: measure how round-off grows with plain and compensated sums, and what compensation costs."""
+"""``topcli roundoff``: growth of round-off in conserved quantities with plain and compensated sums, and its cost."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-from topcli.errors import ExitCode, UsageError, counted, shortened
+import numpy as np
+
+from topcli.analysis.frequencies import weights
+from topcli.analysis.roundoff import MIN_BLOCKS, growth
+from topcli.config.load import load_experiment
+from topcli.config.models import Experiment
+from topcli.contracts import Array, Outcome, Sampler
+from topcli.engine.machine import nanoseconds_per_step
+from topcli.errors import ExitCode, UsageError, counted
+from topcli.runs.simulate import simulate
 from topcli.studies import SILENT, Watch
-from topcli.studies.study import Data, Faults, Flag, Head, Overrides, Result, Study, config_flag, parts_of, steps_flag
-from topcli.table import Column, Table, two_digits
+from topcli.studies.entries import SCHEME, entry, refuse_keys, scene_of
+from topcli.studies.report import Report, Table
+from topcli.table import two_digits
+
+BLOCKS, ROWS = 1024, 16
+"""Largest number of blocks of a run, and rows that are recorded in each."""
+SHIFT = 1e-14
+"""Relative differences between the initial states of the copies."""
 
 
-def measure(
-    scheme: Annotated[str, Flag("", "SCHEME")],
-    config: Annotated[str | Path | None, config_flag("a packaged scene at h = 0.01")] = None,
-    overrides: Overrides = (),
+def roundoff(
+    scheme: str,
     *,
-    steps: Annotated[float, steps_flag("1e7")] = 1e7,
-    copies: Annotated[int, Flag("--copies", "K")] = 8,
-    max_exponent: Annotated[float | None, Flag("--max-exponent", "X")] = None,
-    max_drift: Annotated[float | None, Flag("--max-drift", "X")] = None,
+    config: str | Path | Mapping[str, Any] | None = None,
+    overrides: Sequence[str] = (),
+    steps: int = 10_000_000,
+    copies: int = 8,
     watch: Watch = SILENT,
-) -> Result:
+) -> Report:
     """Measure growth of round-off, and cost of compensated sums.
 
-    Round-off may grow as a random walk, linearly because of a bias, or not at all. If the scheme has a form with
-    compensated summation, both forms are measured. Limits on exponents and drifts then apply to the compensated form.
+    Round-off in the invariants that the scheme conserves exactly may grow as a random walk, linearly because of a bias,
+    or not at all. If the scheme has a form with compensated summation, both forms are measured.
 
     Parameters
     ----------
     scheme : str
-        Name of a scheme.
-    config : path or str, optional
+        Name of a scheme, with options if needed.
+    config : path, str or mapping, optional
         Config of the experiment; by default, a packaged scene at h = 0.01.
     overrides : sequence of str, optional
-        Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
-    steps : float, optional
-        Number of steps of each run, e.g. 1e8.
+        Override a key of the config, e.g. h=0.01 or top.c0=-1.
+    steps : int, optional
+        Set the number of steps of each run, e.g. 1e8.
     copies : int, optional
-        Run the experiment this many times, from initial states that differ by up to 1e-14 of their values.
-    max_exponent : float, optional
-        Report a violation (exit code 4) if the confidence interval (95 %) of a growth exponent is above this value.
-        Round-off grows as the number of steps to the power of the growth exponent: 1/2 for a random walk, 1 for a bias.
-    max_drift : float, optional
-        Report a violation (exit code 4) if round-off changes an invariant by more than this value in any of the runs.
+        Make this many runs, from initial states that differ by up to 1e-14 of their values.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
-    StudyReport
-        Report on round-off. ``table`` has a row for each invariant with plain sums, and another with compensated sums.
-        ``study["violations"]`` lists the invariants that exceed ``max_exponent`` or ``max_drift``.
+    Report
+        The table has a row for each invariant with plain sums, and another with compensated sums. Round-off grows as
+        the number of steps to the power of the exponent: 1/2 for a random walk, 1 for a bias. Errors are half the
+        widths of confidence intervals of 95 %.
 
     Raises
     ------
     UsageError
-        If the scheme is unknown or does not fit the config, or if the number of steps is too small.
+        If the scheme is unknown, does not fit the config, conserves nothing exactly or takes no steps, or if the number
+        of steps is too small.
 
     Examples
     --------
     >>> import topcli
-    >>> report = topcli.roundoff("hk", "euler_hk", steps=20_000, copies=2)
+    >>> report = topcli.roundoff("hk", config="euler_hk", steps=20_000, copies=2)
     >>> sorted(set(report.table["sums"]))
     ['compensated', 'plain']
     """
-    from topcli.studies.roundoff_copies import roundoff_experiment, roundoff_study
+    if steps < (least := MIN_BLOCKS * ROWS):
+        raise UsageError(f"--steps {steps}: too few for a fit of the growth; give at least {least}")
+    if copies < 2:
+        raise UsageError(f"--copies {copies}: must be at least 2")
+    refuse_keys(overrides, {**SCHEME, **dict.fromkeys("NT", "the number of steps is set by --steps")})
+    scene, first = (scene_of([scheme]), ["h=0.01"]) if config is None else (config, [])
+    base = load_experiment(scene, [*first, *overrides])
+    blocks = min(BLOCKS, steps // ROWS)
+    every = steps // (blocks * ROWS)
+    forms = {name: _lasting(form, every, blocks * ROWS) for name, form in _forms(base, scheme).items()}
+    invariants = _conserved(forms["plain"], scheme)
+    watch.begin("roundoff", base, unit="runs")
+    # before the runs, which heat the processor; thread time does not depend on other threads
+    timed = [(form.top, form.method(), form.y0, form.h) for form in forms.values()]
+    nanoseconds = nanoseconds_per_step(timed, clock=time.thread_time_ns)
+    random, y0 = np.random.default_rng(1), np.array(base.y0)
+    states = np.array([y0, *(y0 * (1.0 + SHIFT * random.uniform(-1.0, 1.0, len(y0))) for _ in range(copies - 1))])
+    rows: list[dict[str, Any]] = []
+    columns: dict[str, Array] = {}
+    errors: list[str] = []
+    for i, (name, form) in enumerate(forms.items()):
+        run = simulate(form.resolved(), states=states)
+        failed = np.flatnonzero(~run.endings.is_(Outcome.COMPLETED))
+        if len(failed):
+            errors.append(f"{scheme} with {name} sums: {run.endings[int(failed[0])].message}")
+        for invariant in () if len(failed) else invariants:
+            values = np.array([invariant.value(copy) for copy in run.states])
+            deviations = (values[:, 1:] - values[:, :1]).reshape(copies, blocks, ROWS)
+            means = deviations @ weights(ROWS)
+            scale = max(float(invariant.scale(copy).max()) for copy in run.states)
+            fit = growth(means, ROWS * every, scale)
+            rows.append({
+                "invariant": invariant.symbol, "sums": name,
+                "rms_drift": float(np.sqrt(np.mean(means[:, -1] ** 2))), "largest_drift": float(np.abs(means).max()),
+                "exponent": fit.exponent, "exponent_error": fit.exponent_error, "growth": fit.verdict,
+                "bias_per_step": fit.bias, "bias_error": fit.bias_error,
+                "ns_per_step": nanoseconds[i], "cost": nanoseconds[i] / nanoseconds[0],
+            })  # fmt: skip
+            columns |= {"steps": np.array(fit.steps), f"{invariant.symbol} {name}": np.array(fit.rms)}
+        watch(i + 1, len(forms))
 
-    if not 1.0 <= steps <= 1e12 or steps != int(steps):
-        raise UsageError(f"--steps {steps:g}: must be a whole number from 1 to 1e12")
-    for text in overrides:
-        if text.partition("=")[0].strip() in ("N", "T"):
-            raise UsageError(f"--set {shortened(text)}: the number of steps is set by --steps")
-    experiment = roundoff_experiment(scheme, config, overrides)
-    watch.begin("roundoff", experiment)
-    data = roundoff_study(experiment, int(steps), copies)
-    return Result({**data, "violations": list(violations_of(data["forms"][-1], max_exponent, max_drift))})
+    def draw(axes: Any, looks: Callable[..., Any]) -> None:
+        styles = looks([each.symbol for each in invariants], markers=True)
+        for label, drifts in columns.items():
+            symbol, _, sums = label.rpartition(" ")
+            if sums in forms and drifts.max() > 0.0:
+                line = {**styles[symbol], "linestyle": "-" if sums == "plain" else "--"}
+                axes.loglog(columns["steps"], drifts, label=label, markersize=4, **line)
+        guide = 2.0**-52 * np.sqrt(columns["steps"])
+        axes.loglog(columns["steps"], guide, color="0.6", linestyle="-", linewidth=0.9, label=r"$\epsilon\sqrt{N}$")
+        axes.set(xlabel="number of steps", ylabel="drift (rms)", title=base.name.replace("$", r"\$"))
 
-
-def violations_of(form: Data, max_exponent: float | None, max_drift: float | None) -> Iterator[str]:
-    """Violations of the stated tolerances by one form, a line each."""
-    for row in form["invariants"]:
-        where = f"{row['name']} of {form['scheme']} with {form['form']} sums"
-        exponent, error = row["exponent"], row["exponent_error"]
-        if max_exponent is not None and exponent is not None and exponent - error > max_exponent:
-            yield f"{where}: exponent {exponent:.2f} ± {error:.2f} exceeds {max_exponent:g}"
-        if max_drift is not None and row["max_drift"] > max_drift:
-            yield f"{where}: drift {row['max_drift']:.1e} exceeds {max_drift:g}"
-
-
-def _table_rows(data: Data) -> list[Data]:
-    """Invariants of all forms of the sums, those of the same invariant together."""
-    symbols = [row["symbol"] for row in data["forms"][0]["invariants"]]
-    rows = [{**form, **row} for form in data["forms"] for row in form["invariants"]]
-    return sorted(rows, key=lambda row: symbols.index(row["symbol"]))
-
-
-def _subject(data: Data) -> str:
-    scene = f"{data['forms'][0]['scheme']} on {data['config']['name']}: {data['top']}"
-    return f"{scene}, h = {data['h']:g}, {counted(data['steps'], 'step')}, {counted(data['copies'], 'copy')}"
-
-
-def _with_error(key: str, show: Callable[[float], str]) -> Callable[[Data], str | None]:
-    """Text of a figure with half the width of its confidence interval."""
-
-    def text(row: Data) -> str | None:
-        return None if row[key] is None else f"{show(row[key])} ± {show(row[f'{key}_error'])}"
-
-    return text
-
-
-TABLE = Table(
-    _table_rows,
-    (
-        Column("invariant", "symbol", key="invariant"),
-        Column("sums", "form", key="sums"),
-        Column("drift (rms)", "drift", two_digits),
-        Column("largest", "max_drift", two_digits, detail=True),
-        Column("exponent", _with_error("exponent", "{:.2f}".format)),
-        *(Column("", key) for key in ("exponent", "exponent_error")),
-        Column("growth", "verdict"),
-        Column("bias per step", _with_error("bias", two_digits), detail=True),
-        *(Column("", key) for key in ("bias", "bias_error")),
-        Column("ns/step", "nanoseconds_per_step", "{:.1f}".format),
-        Column("cost", "cost", "{:.2f}".format),
-    ),
-    heading="Growth of round-off",
-    title=_subject,
-    index="invariant",
-    keys=2,
-    numbers=(2, 3, 4, 6, 7, 8),
-)
+    rows.sort(key=lambda row: [each.symbol for each in invariants].index(row["invariant"]))
+    small = dict.fromkeys(("rms_drift", "largest_drift", "bias_per_step", "bias_error"), two_digits)
+    shown = {**small, "exponent": ".2f", "exponent_error": ".2f", "ns_per_step": ".1f", "cost": ".2f"}
+    table = Table("Growth of round-off", rows, shown, ("largest_drift", "bias_per_step", "bias_error"))
+    size = f"{counted(every * blocks * ROWS, 'step')}, {counted(copies, 'copy')}"
+    title = f"{scheme} on {base.name}: {base.top.title}, h = {base.h:g}, {size}"
+    code = ExitCode.FAILED if errors else ExitCode.SUCCESS
+    resolved, picture = forms["plain"].resolved(), draw if columns else None
+    return Report("roundoff", title, _answer(rows), [table], (), errors, code, resolved, columns, picture)
 
 
-def head(data: Data) -> Head:
-    """Head of the chapter."""
-    code, lines = faults(data)
-    state = {0: "measured", 1: "failed", 4: "tolerance exceeded"}[code]
-    return Head("Growth of round-off", _subject(data), state, not lines)
+def _forms(base: Experiment, scheme: str) -> dict[str, Experiment]:
+    """Experiment with plain and, if the scheme and its options allow it, with compensated sums."""
+    plain = entry(base, scheme)
+    if isinstance(plain.method(), Sampler):
+        raise UsageError(f"scheme {scheme!r} is a closed form, which has no steps with errors that add up")
+    if "compensated" not in type(plain.options).model_fields:
+        return {"plain": plain}
+    sums = scheme + (",compensated=" if ":" in scheme else ":compensated=")
+    try:
+        return {"plain": entry(base, f"{sums}false"), "compensated": entry(base, f"{sums}true")}
+    except UsageError:  # an option that cannot be combined with it
+        return {"plain": plain}
 
 
-def answer(data: Data) -> str:
-    """Growth of round-off with each form of the sums; gain and cost of the compensated form."""
+def _lasting(experiment: Experiment, every: int, rows: int) -> Experiment:
+    """``experiment`` with this many rows after the first, one every ``every`` steps."""
+    output = experiment.output.model_copy(update={"every": every})
+    return experiment.model_copy(update={"N": rows * every, "output": output})
+
+
+def _conserved(experiment: Experiment, scheme: str) -> list[Any]:
+    """Invariants of the top and of the scheme that stay but for round-off. Raises UsageError if there are none."""
+    own = [each for each in experiment.top.invariants() if each.name in experiment.scheme.conserves]
+    if invariants := [*own, *experiment.modified]:
+        return invariants
+    raise UsageError(
+        f"scheme {scheme!r} conserves nothing exactly on {experiment.name}, so that round-off cannot be told from its "
+        "own drift; see the drifts of topcli run"
+    )
+
+
+def _answer(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Growth with each form of the sums; gain and cost of the compensated form."""
     parts = []
-    for form in data["forms"]:
+    for sums in dict.fromkeys(row["sums"] for row in rows):
         named: dict[str, list[str]] = {}
-        for row in form["invariants"]:
-            named.setdefault(row["verdict"] or "unknown", []).append(row["symbol"])
-        growth = ", ".join(f"{verdict} ({', '.join(names)})" for verdict, names in named.items())
-        parts.append(f"{form['form']} sums: {growth}")
-    plain, *others = data["forms"]
-    for form in others:
-        pairs = zip(plain["invariants"], form["invariants"], strict=True)
-        gains = sorted(a["drift"] / b["drift"] for a, b in pairs if a["drift"] and b["drift"])
-        if gains and form["cost"] is not None:
-            parts[-1] += f", drifts {two_digits(gains[0])} to {two_digits(gains[-1])} times smaller"
-            parts[-1] += f" at {form['cost']:.2f} times the cost"
+        for row in rows:
+            if row["sums"] == sums:
+                named.setdefault(row["growth"], []).append(row["invariant"])
+        parts.append(f"{sums} sums: " + ", ".join(f"{kind} ({', '.join(names)})" for kind, names in named.items()))
+    plain, better = ([row for row in rows if row["sums"] == sums] for sums in ("plain", "compensated"))
+    gains = sorted(
+        a["rms_drift"] / b["rms_drift"]
+        for a, b in zip(plain, better, strict=False)
+        if a["rms_drift"] and b["rms_drift"]
+    )
+    if gains:
+        parts[-1] += f", drifts {two_digits(gains[0])} to {two_digits(gains[-1])} times smaller"
+        parts[-1] += f" at {better[0]['cost']:.2f} times the cost"
     return "; ".join(parts)
-
-
-def notes(data: Data) -> Iterator[str]:
-    """Meaning of the drifts of a scheme without an exact invariant."""
-    if not data["claimed"]:
-        yield (
-            f"{data['forms'][0]['scheme']} declares no exact invariant; the drifts are of means over long windows, "
-            "relative to the change that all copies have in common"
-        )
-
-
-def faults(data: Data) -> Faults:
-    """Forms that did not complete, and tolerances exceeded."""
-    failed = [form for form in data["forms"] if form["outcome"] != "completed"]
-    lines = [f"{form['scheme']} with {form['form']} sums: {form['message']}" for form in failed]
-    code = ExitCode.FAILED if failed else ExitCode.VIOLATED if data["violations"] else ExitCode.SUCCESS
-    return Faults(code, [*lines, *data["violations"]])
-
-
-ROUNDOFF = Study(
-    "roundoff",
-    measure,
-    head,
-    (TABLE,),
-    answer=answer,
-    notes=notes,
-    faults=faults,
-    figure="topcli.figures.growth:loaded_roundoff",
-    draws="the largest change of each invariant by round-off against the number of steps",
-    captions=("drift of the invariants over the number of steps",),
-    stem=lambda data: f"{data['forms'][0]['scheme']}_{data['config']['name']}",
-    parts=lambda data: parts_of(data["config"], [data["forms"][0]["scheme"]]),
-)

@@ -1,1 +1,1 @@
-"""Sweeps: a plan of rows, which run in batches, and a journal from which an unfinished sweep continues."""
+"""Sweeps: rows that run in batches, a store of finished rows, from which an unfinished sweep continues, and tables."""

@@ -7,49 +7,51 @@ every counter of the scheme.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel
 
+import topcli
 from topcli.analysis.frequencies import agreement_digits, strongest_line
 from topcli.analysis.lyapunov import LEAST_STEPS, shares_of_chaos
 from topcli.analysis.swings import first_swing_spacing as first_spacing_of
 from topcli.analysis.swings import minima_times
+from topcli.analysis.tally import OF_INVARIANT
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.engine.tangent import obstacle as tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.runs.references import obstacle
-from topcli.schemes.plugins import origin_of, plugin_failures, without_users_errors
+from topcli.runs.references import obstacle as error_obstacle
+from topcli.schemes.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
 from topcli.schemes.registry import schemes_of
 from topcli.tops import TOPS
 
+if TYPE_CHECKING:
+    from topcli.sweeps.batch import Batch
+
 STATES, SWING, PROBES = "states", "swing", "probes"
 ERROR, FINAL_ERROR = "error", "final_error"
-DEVIATION, DRIFT, COLUMN = "deviation", "drift", "column"
+COLUMN, FIGURE = "column", "figure"
 RECORDED = (STATES, SWING, PROBES, ERROR, FINAL_ERROR)
-"""Words that ``needs`` may hold beside the names of columns; a family may also need ``DEVIATION``, ``DRIFT`` or
-``COLUMN``, the column of its name."""
-TAKEN = frozenset(
-    "row outcome message digest cpu current top initial scheme h N T output sample seed drawn".split()  # noqa: SIM905
-)
+"""Words that ``needs`` may hold beside the names of columns. A family may also need ``COLUMN``, the column of its name,
+or ``FIGURE``, the figure of an invariant that the measure is."""
+TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output"}
+TAKEN |= {"sample", "seed"}
 """Names of other columns of a table of rows; those of keys may be followed by a dot."""
 FAMILY = ".NAME"
 """End of the name of a family."""
+COUNTER = "counter"
+"""Family with members that a scheme need not have: their values are nan then."""
 H_OF_NAMES = 2.0**-10
 """Step at which the integrals of a scheme are built when only their names are asked for."""
-
-Batch = Any
-"""Batch of finished runs: ``sweeps.batch.Batch``, whose module imports this one."""
-Evaluation = Callable[..., Any]
+NUMBER, TIME, OF_NAME, OF_STATE = "number", "time", "unit of NAME", "unit of the state"
+"""Units in words; the numbers themselves are dimensionless."""
 Names = Callable[[Top, Scheme, BaseModel], Iterable[str]]
 Obstacle = Callable[[Top, Scheme], str]
-
-
-def _no_evaluation(batch: Any) -> Any:
-    raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -60,66 +62,53 @@ class Measure:
     """
 
     name: str
-    """Name in sweep files. The name of a family of measures ends in ``.NAME``."""
+    function: Callable[..., Any]
     summary: str
-    """Description on one line."""
-    unit: str = "1"
-    """Unit of the number, in words."""
-    evaluate: Evaluation = _no_evaluation
-    """``evaluate(batch)`` returns an array, shape (runs,). The function of a family also takes a name."""
-    needs: tuple[str, ...] = ()
-    """Data that a run must record for the measure: names of columns, or words of ``RECORDED``."""
-    names: Names | None = None
-    """For a family: ``names(top, scheme, options)`` returns the names of its members."""
-    noun: str = "name"
-    """For a family: word for its members in messages, such as "invariant"."""
-    obstacle: Obstacle | None = None
-    """``obstacle(top, scheme)`` returns the reason why the measure cannot be computed; empty if it can."""
-    of_failed: bool = False
-    """True if the number has a meaning for failed runs; other measures are nan for them."""
-    reproducible: bool = True
-    """True if a repeated run gives the same bits; False for computing times."""
-    origin: str = "topcli"
+    unit: str
+    needs: tuple[str, ...]
+    names: Names | None
+    obstacle: Obstacle | None
+    of_failed: bool
+    reproducible: bool
+    origin: str
     """Distribution or file that registered the measure."""
+    argument: str = ""
+    """For a member of a family: its own name."""
 
-    @property
-    def family(self) -> str:
-        """Name of a family without its end, such as ``drift``; empty for a single measure."""
-        return self.name.removesuffix(FAMILY) if self.name.endswith(FAMILY) else ""
+    def evaluate(self, batch: Batch) -> Any:
+        """Numbers of the runs of a batch, shape (runs,), unless the function of a user returns something else."""
+        return self.function(batch, self.argument) if self.argument else self.function(batch)
 
     def member(self, name: str) -> Measure:
         """Measure of this family for ``name``."""
-        evaluate = self.evaluate
-        return replace(
-            self,
-            name=f"{self.family}.{name}",
-            summary=self.summary.replace("NAME", name),
-            unit=self.unit.replace("NAME", name),
-            evaluate=lambda batch: evaluate(batch, name),
-            needs=tuple(_need(need, name) for need in self.needs),
-            names=None,
-        )
+        texts = {key: getattr(self, key).replace("NAME", name) for key in ("name", "summary", "unit")}
+        special = {COLUMN: name, FIGURE: texts["name"]}
+        needs = tuple(special.get(need, need) for need in self.needs)
+        return replace(self, needs=needs, names=None, argument=name, **texts)
+
+    def misfit(self, columns: Collection[str], top: Top, scheme: Scheme) -> str:
+        """Reason why the measure does not fit runs with these ``columns``; empty if it does."""
+        for need in self.needs:
+            if need not in (*RECORDED, *columns) and need.partition(".")[0] not in OF_INVARIANT:
+                return f"it needs {quoted(need)}, which top {top.kind!r} under scheme {scheme.name!r} does not have"
+        return self.obstacle(top, scheme) if self.obstacle else ""
 
 
-def _need(need: str, name: str) -> str:
-    """Needs of a member of a family, from those of the family."""
-    return name if need == COLUMN else f"{need}.{name}" if need in (DEVIATION, DRIFT) else need
-
-
-class MeasureMisfitError(UsageError):
-    """The measure exists but does not fit the top or the scheme (exit code 2)."""
-
-
-class NoCounterError(MeasureMisfitError):
-    """The scheme does not have the counter of a measure (exit code 2)."""
-
-
-COUNTER = "counter"
 MEASURES: dict[str, Measure] = {}
 """Measures and families by name; ``all_measures`` includes those of plugins."""
 
 
-def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation], Evaluation]:
+def measure(
+    name: str,
+    summary: str,
+    unit: str = "1",
+    *,
+    needs: Iterable[str] = (),
+    names: Names | None = None,
+    obstacle: Obstacle | None = None,
+    of_failed: bool = False,
+    reproducible: bool = True,
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register the decorated function ``evaluate(batch)`` as a measure of ``topcli sweep``.
 
     The function takes a ``Batch``, which contains finished runs that differ only in their initial states, and returns
@@ -142,8 +131,6 @@ def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation
         for a few states along the run.
     names : callable, optional
         For a family of measures: ``names(top, scheme, options)`` returns the names of its members.
-    noun : str, optional
-        For a family: word for its members in messages, such as "invariant".
     obstacle : callable, optional
         ``obstacle(top, scheme)`` returns the reason why the measure cannot be computed for a top and a scheme. It
         returns an empty text if the measure can be computed.
@@ -169,32 +156,25 @@ def measure(name: str, *, summary: str, **declared: Any) -> Callable[[Evaluation
     ... def lowest(batch):
     ...     return batch.columns["gamma3"].min(axis=1)
     """
-    if not name.isprintable() or not name.strip() or any(letter.isspace() for letter in name):
-        raise ValueError(f"measure {name!r}: a name has no spaces or control characters")
-    if name.partition(".")[0] in TAKEN:
-        raise ValueError(f"measure {name!r}: a column of the results has this name already; choose another")
-    if name in MEASURES:
-        raise ValueError(f"measure {name!r} is already registered by {MEASURES[name].origin}")
-    if name.endswith(FAMILY) != (declared.get("names") is not None):
-        raise ValueError(
-            f"measure {name!r}: a family, and no other measure, has names=... and a name ending in {FAMILY}"
+    fault = ""
+    if not name.isprintable() or len(name.split()) != 1:
+        fault = "a name has no spaces or control characters"
+    elif name.partition(".")[0] in TAKEN:
+        fault = "a column of the results has this name already; choose another"
+    elif name in MEASURES:
+        fault = f"already registered by {MEASURES[name].origin}"
+    elif name.endswith(FAMILY) != (names is not None):
+        fault = f"a family, and no other measure, has names=... and a name ending in {FAMILY}"
+    if fault:
+        raise ValueError(f"measure {name!r}: {fault}")
+
+    def register(function: Callable[..., Any]) -> Callable[..., Any]:
+        MEASURES[name] = Measure(
+            name, function, summary, unit, tuple(needs), names, obstacle, of_failed, reproducible, origin_of(function)
         )
-
-    made = Measure(name, summary, **{**declared, "needs": tuple(declared.get("needs", ()))})
-
-    def register(evaluate: Evaluation) -> Evaluation:
-        # the functions of topcli may be imported because a plugin registers its own
-        MEASURES[name] = replace(made, evaluate=evaluate, origin=origin_of(evaluate))
-        return evaluate
+        return function
 
     return register
-
-
-def of_name(name: str) -> Measure | None:
-    """Measure or member of a family such as ``drift.energy``; None for any other name."""
-    base, _, member = name.partition(".")
-    family = MEASURES.get(base + FAMILY)
-    return MEASURES.get(name) or (family and family.member(member))
 
 
 def in_words(name: str) -> str:
@@ -217,133 +197,6 @@ def integrals_of(
     return (*top.invariants(), *modified)
 
 
-def names_of(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list[str]:
-    """Names of all measures that fit ``top`` and ``scheme``, those of families included."""
-    return [measure.name for measure in _fitting(top, scheme, options)]
-
-
-def _fitting(top: Top, scheme: Scheme, options: BaseModel | None = None) -> list[Measure]:
-    single = [
-        made
-        for listed in all_measures()
-        for made in (
-            map(listed.member, listed.names(top, scheme, options or scheme.options())) if listed.names else [listed]
-        )
-    ]
-    return [made for made in single if not _misfit(made, top, scheme, options)]
-
-
-def measures_of_form(form: str) -> list[Measure]:
-    """Measures that fit the top of this form under any of its schemes, those of families included, sorted by name."""
-    top = TOPS[form].new()
-    named: dict[str, Measure] = {}
-    for scheme in schemes_of(form):
-        with without_users_errors():
-            named |= {each.name: each for each in _fitting(top, scheme)}
-    return [named[name] for name in sorted(named)]
-
-
-def resolve_measures(
-    names: Sequence[str],
-    top: Top,
-    scheme: Scheme,
-    options: BaseModel | None = None,
-    *,
-    any_counter: bool = False,
-    quantities: Collection[str] = (),
-) -> tuple[Measure, ...]:
-    """Return the measures called ``names`` for runs of ``top`` under ``scheme``.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names such as ``"median_swing_spacing"`` or ``"drift.energy"``.
-    top : Top
-        Top of the runs; its parameters do not matter.
-    scheme : Scheme
-        Scheme of the runs.
-    options : BaseModel, optional
-        Options of the scheme, by default its defaults.
-    any_counter : bool, optional
-        True to accept counters that the scheme does not have; their values are nan.
-    quantities : collection of str, optional
-        Names of ``output.quantities`` of the runs, which are columns too.
-
-    Returns
-    -------
-    tuple of Measure
-        In the order of ``names``.
-
-    Raises
-    ------
-    UnknownNameError
-        For a name that is not a measure of this top and scheme; the message suggests the nearest ones.
-    MeasureMisfitError
-        For a measure that does not fit the top or the scheme, with the reason.
-    NoCounterError
-        For a counter that the scheme does not have.
-    UsageError
-        For a name that is given twice.
-    """
-    resolved = []
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise UsageError(f"measure {quoted(name)} is named twice")
-        try:
-            measure = _find(name, top, scheme, options, quantities)
-        except NoCounterError:
-            if not any_counter:
-                raise
-            measure = MEASURES[COUNTER + FAMILY].member(name.partition(".")[2])
-        if reason := _misfit(measure, top, scheme, options, quantities):
-            raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {reason}")
-        resolved.append(replace(measure, needs=tuple(top.swing if need == SWING else need for need in measure.needs)))
-    return tuple(resolved)
-
-
-def _find(name: str, top: Top, scheme: Scheme, options: BaseModel | None, quantities: Collection[str]) -> Measure:
-    if name not in MEASURES or name.endswith(FAMILY):
-        plugin_failures()
-    if name in MEASURES and not name.endswith(FAMILY):
-        return MEASURES[name]
-    base, _, member = name.partition(".")
-    family = MEASURES.get(base + FAMILY)
-    if family is None or family.names is None:
-        raise UnknownNameError(f"unknown measure {quoted(name)}; {nearest(name, names_of(top, scheme, options))}")
-    known = list(family.names(top, scheme, options or scheme.options()))
-    known += quantities if COLUMN in family.needs else []
-    if member in known:
-        return family.member(member)
-    whose = f"top {top.kind!r} under scheme {scheme.name!r}"
-    if base == COUNTER and member not in ("", "NAME"):
-        hint = f"; {nearest(member, known)}" if known else ""
-        raise NoCounterError(f"measure {quoted(name)}: {whose} has no {family.noun} {quoted(member)}{hint}")
-    if not known:
-        raise MeasureMisfitError(f"measure {quoted(name)} does not fit: {whose} has no {family.noun}")
-    if member in ("", "NAME"):
-        raise UnknownNameError(
-            f"measure {quoted(name)}: give one of {', '.join(f'{base}.{member}' for member in known)}"
-        )
-    raise UnknownNameError(
-        f"measure {quoted(name)}: {whose} has no {family.noun} {quoted(member)}; {nearest(member, known)}"
-    )
-
-
-def _misfit(
-    measure: Measure, top: Top, scheme: Scheme, options: BaseModel | None, quantities: Collection[str] = ()
-) -> str:
-    """Reason why a measure does not fit; empty if it does."""
-    columns = [
-        need for need in measure.needs if need not in RECORDED and need.partition(".")[0] not in (DEVIATION, DRIFT)
-    ]
-    if columns:
-        known = [*column_names(top, scheme, options or scheme.options()), *quantities]
-        for column in columns:
-            if column not in known:
-                return f"it needs {quoted(column)}, which top {top.kind!r} under scheme {scheme.name!r} does not have"
-    return measure.obstacle(top, scheme) if measure.obstacle else ""
-
-
 def integral_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     """Names of the invariants of the top and of the integrals of the scheme."""
     return [integral.name for integral in integrals_of(top, scheme, options=options)]
@@ -360,9 +213,120 @@ def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     return [] if isinstance(method, Sampler) else list(method.counters)
 
 
-INTEGRAL = "invariant"
-NUMBER, TIME, OF_NAME, OF_STATE = "number", "time", "unit of NAME", "unit of the state"
-"""Units in words; the numbers themselves are dimensionless."""
+def fitting_measures(top: Top, scheme: Scheme, options: BaseModel, quantities: Sequence[str] = ()) -> Iterator[Measure]:
+    """Yield all measures that fit ``top`` and ``scheme``, with the members of families."""
+    columns = [*column_names(top, scheme, options), *quantities]
+    for each in all_measures():
+        members = map(each.member, _member_names(each, top, scheme, options, quantities)) if each.names else [each]
+        yield from (member for member in members if not member.misfit(columns, top, scheme))
+
+
+def _member_names(family: Measure, *of: Any) -> list[str]:
+    """Names of the members of a family; quantities are columns too."""
+    *experiment, quantities = of
+    assert family.names is not None
+    return [*family.names(*experiment), *(quantities if COLUMN in family.needs else ())]
+
+
+def measures_of_form(form: str) -> list[Measure]:
+    """Measures that fit the top of this form under any of its schemes, those of families included, sorted by name."""
+    top = TOPS[form].new()
+    named: dict[str, Measure] = {}
+    for scheme in schemes_of(form):
+        with without_users_errors():
+            named |= {each.name: each for each in fitting_measures(top, scheme, scheme.options())}
+    return [named[name] for name in sorted(named)]
+
+
+def resolve_measures(
+    names: Sequence[str], top: Top, scheme: Scheme, options: BaseModel | None = None, quantities: Sequence[str] = ()
+) -> tuple[Measure, ...]:
+    """Return the measures called ``names`` for runs of ``top`` under ``scheme``, in this order.
+
+    ``quantities`` are names of ``output.quantities``, which are columns too. A counter that only other schemes of the
+    top have is nan. Raises UnknownNameError for a name that is no measure of this top and scheme, with the nearest
+    ones, and UsageError for a measure that cannot be computed, with the reason.
+    """
+    options = options or scheme.options()
+    columns = [*column_names(top, scheme, options), *quantities]
+    resolved: list[Measure] = []
+    for name in names:
+        measure = _measure_called(name, top, scheme, options, quantities)
+        if reason := measure.misfit(columns, top, scheme):
+            raise UsageError(f"measure {quoted(name)} does not fit: {reason}")
+        resolved.append(replace(measure, needs=tuple(top.swing if need == SWING else need for need in measure.needs)))
+    return tuple(resolved)
+
+
+def _measure_called(name: str, top: Top, scheme: Scheme, options: BaseModel, quantities: Sequence[str]) -> Measure:
+    """Measure, or member of a family, that is called ``name``. Raises UnknownNameError."""
+    base, _, member = name.partition(".")
+    if name not in MEASURES:
+        plugin_failures()
+    if name in MEASURES and not name.endswith(FAMILY):
+        return MEASURES[name]
+    family = MEASURES.get(base + FAMILY)
+    if family and member in _member_names(family, top, scheme, options, quantities):
+        return family.member(member)
+    if family and base == COUNTER and member in _counted(top):
+        return family.member(member)
+    fitting = [each.name for each in fitting_measures(top, scheme, options, quantities)]
+    near = nearest(name, fitting, "topcli list measures")
+    raise UnknownNameError(f"unknown measure {quoted(name)} of top {top.kind!r} under scheme {scheme.name!r}; {near}")
+
+
+def _counted(top: Top) -> set[str]:
+    """Names of the events that any scheme of the top counts."""
+    counted: set[str] = set()
+    for scheme in schemes_of(top.form):
+        with without_users_errors():
+            counted.update(counter_names(top, scheme, scheme.options()))
+    return counted
+
+
+def definition_texts(names: Iterable[str]) -> list[str]:
+    """Texts of the code that defines measures: of topcli's own, and the files of users' functions.
+
+    Raises SchemeCodeError for a function without a file.
+    """
+    keys = (name if name in MEASURES else name.partition(".")[0] + FAMILY for name in names)
+    functions = (MEASURES[key].function for key in keys if key in MEASURES)
+    return [*_own_texts(), *sources_of(function for function in functions if not is_built_in(function)).values()]
+
+
+@cache
+def _own_texts() -> tuple[str, ...]:
+    """Texts of the files of topcli that make numbers of finished runs."""
+    root = Path(topcli.__file__).parent
+    named = (root / "sweeps" / "measures.py", root / "sweeps" / "batch.py", root / "runs" / "references.py")
+    files = [*sorted(root.glob("analysis/**/*.py")), *named]
+    return tuple(file.read_text(encoding="utf-8") for file in files)
+
+
+def _register_figure(figure: str, summary: str, unit: str) -> None:
+    """Register a figure of invariants as a family."""
+
+    @measure(figure + FAMILY, summary, unit, needs=[FIGURE], names=integral_names)
+    def of_invariant(batch: Batch, name: str) -> Array:
+        return batch.figures[f"{figure}.{name}"]
+
+
+for _figure, (_summary, _unit) in OF_INVARIANT.items():
+    _register_figure(_figure, _summary, _unit)
+
+
+def _register_extreme(name: str, word: str, function: Callable[..., Array]) -> None:
+    """Register a function of the recorded rows of a column as a family."""
+    summary = f"{word} value of NAME over the recorded rows"
+
+    @measure(name + FAMILY, summary, OF_NAME, needs=[COLUMN], names=column_names)
+    def of_column(batch: Batch, column: str) -> Array:
+        return function(batch.columns[column], axis=1)
+
+
+_register_extreme("min", "smallest", np.min)
+_register_extreme("max", "largest", np.max)
+_register_extreme("mean", "mean", np.mean)
 
 
 def _of_swings(batch: Batch, figure: Callable[[Array], float]) -> Array:
@@ -371,34 +335,19 @@ def _of_swings(batch: Batch, figure: Callable[[Array], float]) -> Array:
     return np.array([figure(minima_times(batch.t, of_one)) for of_one in values])
 
 
-@measure(
-    "swings",
-    summary="number of swings, which are deep minima of one component of the state",
-    unit=NUMBER,
-    needs=[SWING],
-)
+@measure("swings", "number of swings, which are deep minima of one component of the state", NUMBER, needs=[SWING])
 def swings(batch: Batch) -> Array:
     """Number of deep minima within the recorded rows."""
     return _of_swings(batch, len)
 
 
-@measure(
-    "median_swing_spacing",
-    summary="median time from one swing to the next",
-    unit=TIME,
-    needs=[SWING],
-)
+@measure("median_swing_spacing", "median time from one swing to the next", TIME, needs=[SWING])
 def median_swing_spacing(batch: Batch) -> Array:
     """Median distance of neighbouring deep minima; nan for fewer than two."""
     return _of_swings(batch, lambda times: float(np.median(np.abs(np.diff(times)))) if len(times) > 1 else np.nan)
 
 
-@measure(
-    "first_swing_spacing",
-    summary="time from the first swing to the second",
-    unit=TIME,
-    needs=[SWING],
-)
+@measure("first_swing_spacing", "time from the first swing to the second", TIME, needs=[SWING])
 def first_spacing(batch: Batch) -> Array:
     """Distance of the first two deep minima; nan for fewer than two."""
     values = batch.columns[batch.experiment.top.swing]
@@ -407,58 +356,11 @@ def first_spacing(batch: Batch) -> Array:
 
 
 @measure(
-    "drift.NAME",
-    summary="slope of a line fitted to NAME, per unit time",
-    unit="unit of NAME per time",
-    needs=[DRIFT],
-    names=integral_names,
-    noun=INTEGRAL,
-)
-def drift(batch: Batch, name: str) -> Array:
-    """Slope of the line that ``analysis.tally`` fits; nan for fewer than eight recorded rows."""
-    return batch.drifts[name]
-
-
-@measure(
-    "max_deviation.NAME",
-    summary="largest deviation of NAME from its first value",
-    unit=OF_NAME,
-    needs=[DEVIATION],
-    names=integral_names,
-    noun=INTEGRAL,
-)
-def deviation(batch: Batch, name: str) -> Array:
-    """Largest magnitude of the deviation over the recorded rows."""
-    return batch.deviations[name]
-
-
-def _figure_of_column(name: str, word: str, figure: Callable[[Array], Array]) -> None:
-    """Register a family: a figure of the recorded rows of one column."""
-
-    @measure(
-        name + FAMILY,
-        summary=f"{word} value of NAME over the recorded rows",
-        unit=OF_NAME,
-        needs=[COLUMN],
-        names=column_names,
-        noun="column",
-    )
-    def evaluate(batch: Batch, column: str) -> Array:
-        return figure(batch.columns[column])
-
-
-_figure_of_column("min", "smallest", lambda rows: rows.min(axis=1))
-_figure_of_column("max", "largest", lambda rows: rows.max(axis=1))
-_figure_of_column("mean", "mean", lambda rows: rows.mean(axis=1))
-
-
-@measure(
     "frequency.NAME",
-    summary="frequency of the strongest spectral line of NAME in the recorded rows",
-    unit="cycles per unit time",
+    "frequency of the strongest spectral line of NAME in the recorded rows",
+    "cycles per unit time",
     needs=[COLUMN],
     names=column_names,
-    noun="column",
 )
 def frequency(batch: Batch, column: str) -> Array:
     """Frequency, below half a cycle per row; 0 for a constant column, nan below 2.5 cycles over the run."""
@@ -468,46 +370,33 @@ def frequency(batch: Batch, column: str) -> Array:
 
 @measure(
     "digits.NAME",
-    summary="number of decimal digits in which the weighted averages of NAME over the two halves of the run agree",
-    unit=NUMBER,
+    "number of decimal digits in which the weighted averages of NAME over the two halves of the run agree",
+    NUMBER,
     needs=[COLUMN],
     names=column_names,
-    noun="column",
 )
 def digits(batch: Batch, column: str) -> Array:
     """Weighted Birkhoff digits: few on a chaotic orbit, up to 16 on a regular one."""
     return agreement_digits(batch.columns[column])
 
 
-@measure(
-    "max_error",
-    summary="largest distance of a recorded state from the reference solution",
-    unit=OF_STATE,
-    needs=[ERROR],
-    obstacle=obstacle,
-)
-def max_error(batch: Batch) -> Array:
-    """Largest Euclidean norm of the error over the recorded rows."""
-    return batch.max_error
+def _register_error(name: str, need: str, summary: str) -> None:
+    """Register a distance from the reference solution, a Euclidean norm."""
+
+    @measure(name, summary, OF_STATE, needs=[need], obstacle=error_obstacle)
+    def error_of(batch: Batch) -> Array:
+        return getattr(batch, name)
 
 
-@measure(
-    "final_error",
-    summary="distance of the last state from the reference solution",
-    unit=OF_STATE,
-    needs=[FINAL_ERROR],
-    obstacle=obstacle,
-)
-def final_error(batch: Batch) -> Array:
-    """Euclidean norm of the error at step N."""
-    return batch.final_error
+_register_error("max_error", ERROR, "largest distance of a recorded state from the reference solution")
+_register_error("final_error", FINAL_ERROR, "distance of the last state from the reference solution")
 
 
 @measure(
     "reversal_defect",
-    summary="difference between a state and the result of one step of |h| forward and one step back; the largest over "
+    "difference between a state and the result of one step of |h| forward and one step back; the largest over "
     "16 states of the run",
-    unit=OF_STATE,
+    OF_STATE,
     needs=[PROBES],
 )
 def reversal(batch: Batch) -> Array:
@@ -521,13 +410,7 @@ def reversal(batch: Batch) -> Array:
     return np.where(np.isnan(defect), np.inf, defect)
 
 
-@measure(
-    "counter.NAME",
-    summary="number of events called NAME that the scheme counted",
-    unit=NUMBER,
-    names=counter_names,
-    noun=COUNTER,
-)
+@measure("counter.NAME", "number of events called NAME that the scheme counted", NUMBER, names=counter_names)
 def counter(batch: Batch, name: str) -> Array:
     """Count at the end of the run; nan for a scheme that does not count it."""
     if name not in batch.endings.counters:
@@ -540,12 +423,7 @@ def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
     return reason and f"scheme {scheme.name!r} {reason}"
 
 
-@measure(
-    "lyapunov",
-    summary="largest Lyapunov exponent, after a transient",
-    unit="inverse time",
-    obstacle=_tangent_obstacle,
-)
+@measure("lyapunov", "largest Lyapunov exponent, after a transient", "inverse time", obstacle=_tangent_obstacle)
 def lyapunov(batch: Batch) -> Array:
     """Growth of a tangent vector after a transient, divided by the time; nan for too few steps."""
     if batch.experiment.N < LEAST_STEPS:
@@ -555,8 +433,8 @@ def lyapunov(batch: Batch) -> Array:
 
 @measure(
     "chaotic",
-    summary="1 for a chaotic orbit, 0 for a regular one or a point; otherwise missing",
-    unit=NUMBER,
+    "1 for a chaotic orbit, 0 for a regular one or a point; otherwise missing",
+    NUMBER,
     obstacle=_tangent_obstacle,
 )
 def chaotic(batch: Batch) -> Array:
@@ -564,12 +442,7 @@ def chaotic(batch: Batch) -> Array:
     return shares_of_chaos(batch.growth.verdicts)
 
 
-@measure(
-    "steps",
-    summary="number of steps taken; for a failed run, the number of the step that failed",
-    unit=NUMBER,
-    of_failed=True,
-)
+@measure("steps", "number of steps taken; for a failed run, the number of the step that failed", NUMBER, of_failed=True)
 def steps(batch: Batch) -> Array:
     """Step number at which the run ended."""
     return batch.endings.step.astype(np.float64)
@@ -577,8 +450,8 @@ def steps(batch: Batch) -> Array:
 
 @measure(
     "seconds",
-    summary="wall time of the steps; runs computed together in a batch share its time equally; not reproducible",
-    unit="seconds",
+    "wall time of the steps; runs computed together in a batch share its time equally; not reproducible",
+    "seconds",
     reproducible=False,
 )
 def seconds(batch: Batch) -> Array:

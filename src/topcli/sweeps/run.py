@@ -1,77 +1,81 @@
-"""Run the unfinished rows of a sweep, batch by batch, and store them in the folder ``<out>/<name>``.
+"""Run the rows of a sweep that are not finished, and store them in the folder ``<out>/<name>``.
 
-The folder holds ``sweep.yaml`` (the resolved sweep file), the journal of finished rows, ``rows.parquet`` (the tidy
-table of finished rows) and ``manifest.json`` (written last).
+The digest of a row covers what it computes and the code that computes it, so that a plan is the difference of two sets:
+the digests of the sweep and those in the store.
 """
 
 from __future__ import annotations
 
 import errno
-import itertools
-import os
-import re
+import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from topcli.config.rows import Row, RowReader
-from topcli.config.sweep import Sweep, load_sweep
+import numpy as np
+from numpy.typing import NDArray
+
+from topcli.config.models import canonical
+from topcli.config.states import unit_warnings
+from topcli.config.sweep import Group, Sweep
+from topcli.contracts import Top
 from topcli.engine.drive import default_threads
-from topcli.errors import TopcliError, UsageError
-from topcli.store.files import io_failure, require_writable, sync, write_text, write_whole
+from topcli.errors import RunError, TopcliError, UsageError
+from topcli.runs.identity import code_digest
+from topcli.store.files import io_failure, require_writable, write_text
 from topcli.store.provenance import now
-from topcli.store.result_folder import locked, release
-from topcli.store.results import MANIFEST
-from topcli.sweeps.journal import COMPLETED, JOURNAL, FinishedRows, Journal
-from topcli.sweeps.plan import REASONS, Plan, Survey, changes, plan_sweep, survey
-from topcli.sweeps.row_results import Results, Work, batches, unfinished
-from topcli.sweeps.rows import ROWS_FILE
-from topcli.sweeps.rows_file import sweep_manifest, write_rows
+from topcli.store.result_folder import locked, release, set_aside
+from topcli.store.results import StoredResult, read_result
+from topcli.store.sources import digest_of_texts
+from topcli.sweeps.compute import INTERRUPTED, Piece, code_of_process, executor, results
+from topcli.sweeps.measures import definition_texts, resolve_measures
+from topcli.sweeps.store import (
+    COMPLETED,
+    DATABASE,
+    FAILED,
+    SWEEP_FILE,
+    RowStore,
+    StoredRow,
+    is_sweep,
+    write_manifest,
+    write_table,
+)
+from topcli.tops.bodies import moment_warnings
 
-SWEEP_FILE = "sweep.yaml"
-SHOWN_WARNINGS = 3
-IN_FLIGHT = 2
-"""Batches in flight for each worker."""
-TABLE_SECONDS = 60.0
-"""Shortest time between two tables written during a sweep."""
-
-_TEMPORARY = re.compile(r"\.(sweep|rows|manifest)\.\d+\.(yaml|parquet|json)")
-"""Names of files that are being written."""
-
-Backend = Callable[[Iterable[list[Row]], Work, Callable[[], bool]], Iterator[tuple[list[Row], Results]]]
-"""``backend(batches, work, stop)`` yields each batch and the results of ``work(batch)``, in any order, with a bounded
-number in flight; the ``unfinished`` rows of a batch are another one. ``stop()`` turns true when no further batch is to
-begin; rows that are not done are left out."""
+BATCH_ROWS, BATCH_STEPS, PER_WORKER = 1 << 10, 1 << 24, 4
+"""Most rows and steps of a batch, and batches into which a small sweep is divided for each worker."""
+SHOWN_WARNINGS, WARNED_GROUPS, WARNED_STATES = 3, 64, 1000
 
 
 @dataclass(frozen=True)
 class SweepOptions:
     """Options and callbacks of a sweep, which do not change what it computes."""
 
-    retry_failed: bool = False
+    force: bool = False
+    """Begin anew; the earlier folder is renamed."""
     threads: int | None = None
-    """Batches that are evaluated at the same time."""
-    batch_scale: int = 1
-    """Size of a batch in units of about a second of work."""
+    """Batches that are computed at the same time."""
+    dask: str | None = None
+    """Address of a Dask scheduler, or ``local:N`` for N workers on this machine."""
     stop: Callable[[], bool] = lambda: False
     on_progress: Callable[[int, int, str], None] = lambda done, total, note: None
     """Called with the rows done, their number, and a note on those that failed."""
-    on_failure: Callable[[Row, str, str], None] = lambda row, outcome, message: None
+    on_failure: Callable[[int, str], None] = lambda row, message: None
+    """Called with the number and the message of a row that did not complete."""
     on_message: Callable[[str], None] = lambda line: None
 
 
 @dataclass(frozen=True)
 class SweepResult:
-    """A sweep after a call: rows of the plan, those that ran and those that failed, and the seconds of the call."""
+    """A sweep after a call: its rows, those that ran, outcomes of the finished ones, and the seconds of the call."""
 
     folder: Path
-    plan: Plan
-    outcomes: dict[str, int]
+    rows: int
     ran: int
+    outcomes: dict[str, int]
     interrupted: bool
     seconds: float
 
@@ -86,234 +90,184 @@ class SweepResult:
         return self.finished - self.outcomes.get(COMPLETED, 0)
 
 
-@dataclass
-class _Tally:
-    """Counts of a sweep that runs."""
+@dataclass(frozen=True)
+class Plan:
+    """All rows of a sweep in ``groups``, the digest of each row, and warnings about the first ones."""
 
-    done: int = 0
-    failed: int = 0
-    ran: int = 0
+    groups: list[Group]
+    digests: list[bytes]
+    warnings: list[str] = field(default_factory=list)
+
+    def waiting(self, finished: dict[bytes, StoredRow]) -> NDArray[np.bool_]:
+        """True for each row that has to run: rows that are equal run once, and rows that an error ended run again."""
+        seen = {digest for digest, row in finished.items() if row[0] != FAILED}
+        waiting = np.zeros(len(self.digests), dtype=bool)
+        for number, digest in enumerate(self.digests):
+            if digest not in seen:
+                seen.add(digest)
+                waiting[number] = True
+        return waiting
+
+
+def plan_of(sweep: Sweep) -> Plan:
+    """Validate every row of a sweep.
+
+    Raises ConfigError or UnknownNameError with the file, the line and the key of the fault, also for a measure that
+    does not exist or does not fit a row, and SchemeCodeError for code without a file.
+    """
+    groups = list(sweep.groups())
+    digests = [b""] * sum(len(group.numbers) for group in groups)
+    codes: dict[tuple[type[Top], str, str], str] = {}
+    warnings = list[str]()
+    for index, (experiment, states, numbers, _) in enumerate(groups):
+        # code of the steps and the measures, once for all groups that share it
+        top, scheme, output = experiment.top, experiment.scheme, experiment.output
+        config, quantities = {**experiment.resolved(), "name": "", "initial": "", "output": ""}, output.quantities or {}
+        kind = type(top), scheme.name, canonical([config["scheme"], quantities])
+        if kind not in codes:
+            try:
+                resolve_measures(sweep.measures, top, scheme, experiment.options, tuple(quantities))
+            except TopcliError as error:
+                sweep.document.fault(("measure",), str(error))
+                sweep.document.check()
+            texts = [code_digest(type(top), scheme), experiment.own_code, *definition_texts(sweep.measures)]
+            codes[kind] = digest_of_texts([*texts, *sweep.measures])
+
+        # digests of the rows: what they share, and their states
+        shared = hashlib.sha256(canonical([config, top.form, output.every, quantities, codes[kind]]).encode())
+        for number, state in zip(numbers.tolist(), np.ascontiguousarray(states), strict=True):
+            digest = shared.copy()
+            digest.update(state.tobytes())
+            digests[number] = digest.digest()
+        if index < WARNED_GROUPS:
+            warnings += [*moment_warnings(top), *unit_warnings(type(top), states[:WARNED_STATES])]
+    return Plan(groups, digests, list(dict.fromkeys(warnings)))
+
+
+def planned(sweep: Sweep, out: Path) -> tuple[Plan, NDArray[np.bool_]]:
+    """Plan of a sweep, and True for each of its rows that has to run; no row is run."""
+    plan, folder = plan_of(sweep), out / sweep.name
+    require_sweep_folder(folder)
+    if not (folder / DATABASE).exists():
+        return plan, plan.waiting({})
+    with RowStore(folder) as store:
+        return plan, plan.waiting(store.read())
 
 
 def require_sweep_folder(folder: Path) -> None:
-    """Raise UsageError if ``folder`` holds anything but a sweep."""
+    """Raise UsageError if ``folder`` holds anything but a sweep and temporary files of a killed process."""
     try:
-        if folder.exists() and not (folder.is_dir() and (is_sweep(folder) or not _others(folder))):
-            raise UsageError(
-                f"{folder}: exists and is not a sweep; nothing was written",
-                "move it away, or choose another folder with --out, or another name with --set name=...",
-            )
+        others = folder.exists() and not is_sweep(folder)
+        if others and (not folder.is_dir() or any(path.name[0] != "." for path in folder.iterdir())):
+            advice = "move it away, or choose another folder with --out, or another name with --set name=..."
+            raise UsageError(f"{folder}: exists and is not a sweep; nothing was written", advice)
     except OSError as error:
         raise UsageError(f"{folder}: {(error.strerror or str(error)).lower()}; choose another with --out") from None
 
 
-def _others(folder: Path) -> list[Path]:
-    """Paths in ``folder`` that no sweep that was killed at its start can have left."""
-    return [path for path in folder.iterdir() if not _TEMPORARY.fullmatch(path.name)]
-
-
-def _remove_temporary(folder: Path) -> None:
-    """Remove what a killed process has left half-written."""
-    for path in folder.iterdir():
-        if _TEMPORARY.fullmatch(path.name):
-            path.unlink(missing_ok=True)
-
-
-def is_sweep(folder: Path) -> bool:
-    """True if ``folder`` is that of a sweep."""
-    return any(os.path.exists(folder / name) for name in (JOURNAL, SWEEP_FILE))  # False for a name that is too long
-
-
-def earlier_file(folder: Path) -> dict[str, Any] | None:
-    """Sweep file of the previous call in ``folder``, as plain data; None if there is none that can be read."""
-    try:
-        return load_sweep(folder / SWEEP_FILE).resolved()
-    except TopcliError:
-        return None
-
-
-def planned(sweep: Sweep, out: Path, options: SweepOptions) -> tuple[Plan, list[str]]:
-    """Plan of a sweep, and the changes of its file since the previous call; nothing is written."""
-    surveyed = survey(sweep)
-    folder = out / sweep.name
-    require_sweep_folder(folder)
-    with Journal(folder) as journal:
-        plan = plan_sweep(surveyed, journal.index(), options.retry_failed)
-    return plan, changes(earlier_file(folder), sweep.resolved())
-
-
-def rows_to_run(plan: Plan) -> Iterator[tuple[Row, int]]:
-    """Yield the rows that have to run, each with the reason."""
-    for row in RowReader(plan.survey.sweep).rows():
-        if (reason := int(plan.status[row.number])) in REASONS:
-            yield row, reason
-
-
-def in_threads(threads: int) -> Backend:
-    """Back end that evaluates batches in threads of this process."""
-
-    def results(made: Iterable[list[Row]], work: Work, stop: Callable[[], bool]) -> Iterator[tuple[list[Row], Results]]:
-        source = iter(made)
-        flying: dict[Future[Results], list[Row]] = {}
-        with ThreadPoolExecutor(threads) as pool:
-            while True:
-                free = 0 if stop() else IN_FLIGHT * threads - len(flying)
-                for batch in itertools.islice(source, max(0, free)):
-                    flying[pool.submit(work, batch, stop)] = batch
-                if not flying:
-                    return
-                for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                    batch, results = flying.pop(future), future.result()
-                    if (rest := unfinished(batch, results)) and not stop():
-                        flying[pool.submit(work, rest, stop)] = rest
-                    yield batch, results
-
-    return results
-
-
-def run_sweep(
-    sweep: Sweep,
-    out: Path,
-    options: SweepOptions = SweepOptions(),
-    backend: Backend | None = None,
-) -> SweepResult:
-    """Run the unfinished rows of ``sweep`` and store them in ``out/<name>``.
+def run_sweep(sweep: Sweep, out: Path, options: SweepOptions = SweepOptions()) -> SweepResult:
+    """Run the rows of ``sweep`` that are not finished, and store all in ``out/<name>``.
 
     Raises ConfigError for a wrong sweep file and UsageError for a folder that is in use or holds something else, both
     before anything runs, and RunError if writing fails; finished rows are kept.
     """
-    began = time.perf_counter()
-    surveyed = survey(sweep)
-    for line in surveyed.warnings[:SHOWN_WARNINGS]:
-        options.on_message(f"warning: {sweep.name}: {line}")
-    folder = out / sweep.name
+    began, started, folder = time.perf_counter(), now(), out / sweep.name
     require_sweep_folder(folder)
+    code = code_of_process()
+    if not options.force and (stored := _up_to_date(folder, sweep, code)):
+        rows, outcomes = stored.manifest["rows"], stored.manifest["outcomes"]
+        return SweepResult(folder, rows, 0, outcomes, False, time.perf_counter() - began)
+    plan = plan_of(sweep)
+    for line in plan.warnings[:SHOWN_WARNINGS]:
+        options.on_message(f"warning: {sweep.name}: {line}")
     require_writable(out)
-    with ExitStack() as stack:
-        try:
-            folder.mkdir(exist_ok=True)
-            sync(out)
-            lock = locked(folder)
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-                raise io_failure(error, folder, "finished rows are kept") from None
-            raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another with --out") from None
-        if lock is None:
-            raise UsageError(
-                f"{folder}: another sweep is running in this folder; wait for its end, or choose another with --out"
-            )
-        stack.callback(release, folder, lock)
-        _remove_temporary(folder)
-        journal = stack.enter_context(Journal(folder, write=True))
-        if journal.damaged:
-            options.on_message(f"warning: {journal.path}: {journal.damaged} damaged lines; their rows run again")
-        runner = _Runner(surveyed, folder, journal, options)
-        return runner.run(backend, began)
+    try:
+        with executor(options.threads or default_threads(), options.dask) as pool, _claimed(folder, sweep, options):
+            write_text(folder / SWEEP_FILE, sweep.to_yaml())
+            write_manifest(folder, sweep, started=started)
+            with RowStore(folder) as store:
+                ran = _run_rows(sweep, plan, store, pool, options)
+                outcomes = write_table(folder, sweep, plan.groups, plan.digests, store.read())
+            rows, finished, seconds = len(plan.digests), sum(outcomes.values()), time.perf_counter() - began
+            outcome = COMPLETED if finished == rows else INTERRUPTED
+            entries = {"rows": rows, "step": finished, "outcomes": outcomes, "code": code, "seconds": seconds}
+            write_manifest(folder, sweep, True, **entries, outcome=outcome, started=started)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+            raise io_failure(error, folder, "finished rows are kept") from None
+        raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another with --out") from None
+    return SweepResult(folder, rows, ran, outcomes, options.stop() and finished < rows, seconds)
 
 
-class _Runner:
-    """A sweep that runs in its locked folder."""
-
-    def __init__(self, surveyed: Survey, folder: Path, journal: Journal, options: SweepOptions) -> None:
-        self.survey, self.sweep, self.folder = surveyed, surveyed.sweep, folder
-        self.journal, self.options = journal, options
-        self.plan = plan_sweep(surveyed, journal.index(), options.retry_failed)
-        self.tally = _Tally(done=self.plan.done, failed=self.plan.failed)
-        self.started = now()
-        self._written, self._table_seconds = time.monotonic(), 0.0
-
-    def run(self, backend: Backend | None, began: float) -> SweepResult:
-        """Run the rows of the plan, and write the table and the manifest."""
-        threads = self.options.threads or default_threads()
-        (self.folder / MANIFEST).unlink(missing_ok=True)  # it vouches for the files that now change
-        self._write(SWEEP_FILE, self.sweep.to_yaml())
-        if self.plan.to_run:
-            rows = (row for row, _ in rows_to_run(self.plan))
-            made = batches(rows, threads, self.options.batch_scale)
-            work = Work(self.sweep.measures)
-            for batch, results in (backend or in_threads(threads))(made, work, self.options.stop):
-                self._keep(batch, results)
-        outcomes = self._table()
-        complete = sum(outcomes.values()) == self.survey.count
-        interrupted = self.options.stop() and not complete
-        seconds = time.perf_counter() - began
-        if complete:
-            text = sweep_manifest(self.folder, self.sweep, outcomes, self.started, seconds)
-            self._write(MANIFEST, text)
-        return SweepResult(self.folder, self.plan, outcomes, self.tally.ran, interrupted, seconds)
-
-    def _keep(self, batch: Sequence[Row], results: Results) -> None:
-        """Store the results of a batch in the journal, report failures and progress."""
-        which = [i for i, done in enumerate(results.done) if done]
-        if not which:
-            return
-        names = self.survey.code_names
-        self.journal.append(
-            FinishedRows(
-                digest=[batch[i].digest for i in which],
-                outcome=[results.outcome[i] for i in which],
-                message=[results.message[i] for i in which],
-                code=[names[self.survey.codes[batch[i].number]] for i in which],
-                keys={key: [batch[i].keys[at] for i in which] for at, key in enumerate(self.sweep.keys)},
-                values={name: [values[i] for i in which] for name, values in results.values.items()},
-                cpu=results.cpu,
-            )
-        )
-        for i in which:
-            if results.outcome[i] != COMPLETED:
-                self.tally.failed += 1
-                self.options.on_failure(batch[i], results.outcome[i], results.message[i])
-        self.tally.done += len(which)
-        self.tally.ran += len(which)
-        note = f"{self.tally.failed} failed" if self.tally.failed else ""
-        self.options.on_progress(self.tally.done, self.survey.count - self.plan.repeated, note)
-        if time.monotonic() - self._written > max(TABLE_SECONDS, 20.0 * self._table_seconds):
-            self._table()
-
-    def _table(self) -> dict[str, int]:
-        """Write ``rows.parquet``; the numbers of its current rows by outcome."""
-        began = time.monotonic()
-        current = plan_sweep(self.survey, self.journal.index())
-        path = self.folder / ROWS_FILE
-        outcomes: dict[str, int] = {}
-
-        def write(temporary: Path) -> None:
-            outcomes.clear()
-            outcomes.update(write_rows(temporary, current, self.journal))
-
-        try:
-            write_whole(path, write)
-        except OSError as error:
-            raise io_failure(error, path, "the finished rows are kept in the journal") from None
-        self._written = time.monotonic()
-        self._table_seconds = self._written - began
-        return outcomes
-
-    def _write(self, name: str, text: str) -> None:
-        path = self.folder / name
-        try:
-            write_text(path, text)
-        except OSError as error:
-            raise io_failure(error, path, "finished rows are kept") from None
+def _up_to_date(folder: Path, sweep: Sweep, code: str) -> StoredResult | None:
+    """Stored sweep, if all its rows are finished and neither the sweep nor any code has changed; otherwise None."""
+    try:
+        stored = read_result(folder)
+    except RunError:  # the manifest is written again
+        return None
+    if stored is None or not stored.complete or FAILED in stored.manifest["outcomes"]:
+        return None
+    same = (stored.manifest["digest"], stored.manifest["code"]) == (sweep.digest, code)
+    return stored if same and not stored.damage() else None
 
 
-def stored_sweep_file(folder: Path, overrides: Sequence[str] = ()) -> Sweep:
-    """Return the sweep in ``folder``. Raises UsageError for a folder without one."""
-    if not is_sweep(folder):
-        raise UsageError(
-            f"{folder}: is not the folder of a sweep; give the folder that topcli sweep wrote, such as results/NAME"
-        )
-    return load_sweep(folder / SWEEP_FILE, overrides)
+@contextmanager
+def _claimed(folder: Path, sweep: Sweep, options: SweepOptions) -> Iterator[None]:
+    """Hold the lock of the folder of a sweep, which exists then. Raises UsageError if another process has it."""
+    lock = locked(folder)
+    if lock is None:
+        advice = "wait for its end, or choose another with --out"
+        raise UsageError(f"{folder}: another sweep is running in this folder; {advice}")
+    try:
+        if options.force and is_sweep(folder):
+            earlier = set_aside(StoredResult(folder, {"key": sweep.digest[:8]}))
+            options.on_message(f"renamed the earlier sweep to {earlier}")
+        folder.mkdir(exist_ok=True)
+        for name in ("manifest", "sweep", "rows"):
+            for torn in folder.glob(f".{name}.*"):  # of a process that was killed while it wrote a file
+                torn.unlink()
+        yield
+    finally:
+        release(folder, lock)
 
 
-def find_row(folder: Path, number: int) -> tuple[Sweep, Row]:
-    """Return the sweep in ``folder`` and row ``number`` of its plan.
+def _run_rows(sweep: Sweep, plan: Plan, store: RowStore, pool: tuple[Executor, int], options: SweepOptions) -> int:
+    """Run the rows of a plan that have to run, and store them; return their number."""
+    finished = store.read()
+    if store.damaged:
+        options.on_message(f"warning: {store.path}: {store.damaged} damaged rows, which run again")
+    waiting = plan.waiting(finished)
+    total, to_run, ran = len(plan.digests), int(waiting.sum()), 0
+    failed = sum(digest in finished and finished[digest][0] not in (COMPLETED, FAILED) for digest in plan.digests)
+    batches = batches_of(plan.groups, waiting, pool[1])
+    for batch, computed in results(batches, sweep.measures, *pool, options.dask, options.stop):
+        numbers = [number for piece in batch for number in piece.rows]
+        rows = {number: row for number, row in zip(numbers, computed, strict=True) if row[0] != INTERRUPTED}
+        store.add([plan.digests[number] for number in rows], list(rows.values()))
+        for number, (outcome, message, _) in rows.items():
+            if outcome != COMPLETED:
+                failed += 1
+                options.on_failure(number, message)
+        ran += len(rows)
+        options.on_progress(total - to_run + ran, total, f"{failed} failed" if failed else "")
+    return ran
 
-    Raises UsageError for a folder without a sweep and for a number that no row has.
-    """
-    sweep = stored_sweep_file(folder)
-    row = RowReader(sweep).row(number) if number >= 0 else None
-    if row is None:
-        count = sum(1 for _ in sweep.assignments())
-        raise UsageError(f"{folder}: has no row {number}; its rows are 0 to {count - 1}")
-    return sweep, row
+
+def batches_of(groups: Sequence[Group], waiting: NDArray[np.bool_], workers: int) -> Iterator[list[Piece]]:
+    """Yield the rows that are ``waiting`` in batches for the ``workers``; each has a row at least."""
+    total = sum(int(waiting[group.numbers].sum()) * group.experiment.N for group in groups)
+    most = min(BATCH_STEPS, total // (PER_WORKER * workers) + 1)
+    batch, steps, count = list[Piece](), 0, 0
+    for experiment, states, numbers, _ in groups:
+        places = np.flatnonzero(waiting[numbers])
+        while len(places):
+            room = min(BATCH_ROWS - count, (most - steps) // experiment.N)
+            if room < 1 and batch:
+                yield batch
+                batch, steps, count = [], 0, 0
+                continue
+            chosen, places = np.split(places, [max(1, room)])
+            batch.append(Piece(experiment, states[chosen], numbers[chosen].tolist()))
+            steps, count = steps + len(chosen) * experiment.N, count + len(chosen)
+    if batch:
+        yield batch

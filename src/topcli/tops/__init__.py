@@ -7,7 +7,6 @@ contains the state that several tops share.
 
 from __future__ import annotations
 
-import re
 from collections import UserDict
 from collections.abc import Mapping
 from importlib import import_module
@@ -87,7 +86,7 @@ class Tops(UserDict[str, Any]):
     def kind(self, form: str) -> str:
         """Kind of a form, without importing its class."""
         top = self.declared.get(form) or self.data[form]
-        return re.split(r"[+/]", form)[0] if isinstance(top, str) else top.kind
+        return form.replace("/", "+").partition("+")[0] if isinstance(top, str) else top.kind
 
 
 TOPS = Tops(BUILT_IN)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from topcli.contracts import EulerPoisson, Floats, Invariant, invariant_of
 from topcli.tops import BodyTop, gamma_sq
@@ -51,13 +51,6 @@ class Kowalevski(BodyTop):
         description="mg x0, the weight times the first coordinate of the centre of gravity; may be negative",
     )
     A: float = Field(default=2.0, gt=0.0, description="first and second moment of inertia; the third is A/2")
-
-    @field_validator("c0", "A")
-    @classmethod
-    def _usable(cls, value: float) -> float:
-        if not math.isfinite(value):
-            raise ValueError("must be a finite number")
-        return value
 
     @model_validator(mode="after")
     def _in_range(self) -> Kowalevski:

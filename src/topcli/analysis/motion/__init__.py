@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, nearest, quoted
-from topcli.table import Column, Table, ten_digits
+from topcli.table import Table, ten_digits
 
 
 class Quantity(NamedTuple):
@@ -34,7 +34,7 @@ class Motion:
         of gravity of, for example, the Kowalevski top is treated as a Kowalevski top.
     kind : str
         Class of the motion, such as ``torus II``, ``separatrix`` or ``polhode about A`` (about the axis of the moment
-        A); the page "Periods and frequencies" explains the classes.
+        A); the pages on tops explain the classes.
     title : str
         Class of the motion in words.
     state : tuple of float
@@ -90,6 +90,12 @@ class Motion:
         }
 
 
+def motion_table(motion: Motion) -> Table:
+    """Table of the quantities of a motion."""
+    rows = [quantity._asdict() for quantity in motion.quantities]
+    return Table("Quantities", rows, {"value": _text}, names={"name": "quantity"})
+
+
 def integrals_of(top: Top, y: Floats) -> tuple[Quantity, ...]:
     """Integrals of ``top`` at the state ``y``."""
     import numpy as np
@@ -102,12 +108,3 @@ def integrals_of(top: Top, y: Floats) -> tuple[Quantity, ...]:
 
 def _text(value: float) -> str:
     return "∞" if value == math.inf else ten_digits(value)
-
-
-QUANTITIES = Table(
-    lambda motion: [quantity._asdict() for quantity in motion.quantities],
-    (Column("quantity", "name"), Column("value", "value", _text), Column("meaning", "meaning")),
-    heading="Quantities",
-    index="name",
-    numbers=(1,),
-)

@@ -24,7 +24,7 @@ from functools import partial
 
 from topcli.arithmetic.fused import fma, follow_precision, unlikely
 from topcli.arithmetic.vectors import VECTOR_VARIANTS, Matrix, Vector, cayley_increment, solve3
-from topcli.contracts import Floats, Integrability, NoOptions, Stepper, Top
+from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.any_top.splitting import KEPT, entering, kick, leaving, state_length
 from topcli.schemes.limits import all_invariants
 from topcli.schemes.registry import scheme
@@ -176,13 +176,6 @@ def heavy_change(s: Floats, h: float, p: Floats) -> Floats:
     return ((u1 + v1) + a1, (u2 + v2) + a2, (u3 + v3) + a3, b1, b2, b3, status, more)
 
 
-FREE_MAP = Integrability(
-    "by matrix factorization (Moser, Veselov 1991)",
-    "Lie-Poisson bracket of so(3), or of e(3) if gamma is computed",
-    "lie-poisson",
-)
-
-
 @scheme(
     "dmv",
     top=None,
@@ -204,7 +197,6 @@ m' = m^+ + \tfrac h2\,\gamma'\times r
     equations="kick h/2 by gamma x g, rotation of m and gamma by the quaternion (e0, e) with "
     "h m_i = 2 (I_i e0 e_i + (I_k - I_j) e_j e_k), kick h/2",
     limits=lambda top: dict.fromkeys(LONG_STEPS.get(top.form, ("long steps",)), NO_LONG_STEP),
-    integrable=lambda top: FREE_MAP if top.form in ("euler", "euler+gamma") else None,
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """A kick (gravity alone for h/2), a discrete Moser-Veselov step of the free body for h, and another kick for h/2.

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
 
-from topcli.contracts import UNKNOWN, Floats, Integrability, Invariant, NoOptions, StepFunction, Stepper, Top
+from topcli.contracts import Floats, Invariant, NoOptions, StepFunction, Stepper, Top
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import required_field
 from topcli.field.straight_line import function_of
@@ -34,12 +34,6 @@ DIGITS_LOST = (
     "change cancel. The modified integrals then deviate by up to ten times more than round-off of the state explains."
 )
 LONG_EULER = {"euler": DIGITS_LOST, "euler+gamma": GAMMA_GROWS}
-INTEGRABLE = {
-    "euler": Integrability(UNKNOWN, "a family of brackets of this map (Petrera, Suris 2010)"),
-    "euler+gamma": Integrability(UNKNOWN, UNKNOWN),
-    "lagrange": Integrability(UNKNOWN, UNKNOWN),
-}
-"""Integrable maps."""
 
 
 def _tangent(top: Top) -> Stepper:
@@ -103,7 +97,6 @@ def limits(top: Top) -> Mapping[str, str]:
     self_adjoint=True,
     conserves=linear_invariants,
     modified=modified,
-    integrable=lambda top: INTEGRABLE.get(top.form),
     citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Petrera, Pfadler, Suris 2011 (integrability); "
     "Celledoni, McLachlan, Owren, Quispel, J. Phys. A 46 (2013) 025201; "
     "Sogo, Discrete Spinning Tops, sections 1.2, 2.1 and 3.2.1",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -78,14 +78,13 @@ def rk4_step(field: VectorField, axpy: Axpy, add: Add) -> StepFunction:
     return step
 
 
-@scheme(
+runge_kutta = partial(scheme, top=None, explicit=True, self_adjoint=False, conserves=linear_invariants)
+
+
+@runge_kutta(
     "rk2",
-    top=None,
     title="Explicit midpoint rule",
     order=2,
-    explicit=True,
-    self_adjoint=False,
-    conserves=linear_invariants,
     citation="Runge 1895",
     formula=r"y' = y + h\,f\bigl(y + \tfrac h2 f(y)\bigr)",
     equations="y' = y + h f(y + h/2 f(y))",
@@ -96,14 +95,10 @@ def build_rk2(top: Top, options: NoOptions) -> Stepper:
     return Stepper(rk2_step(top.field, vector_operations(len(top.components))[0]), len(top.components))
 
 
-@scheme(
+@runge_kutta(
     "rk4",
-    top=None,
     title="Classical Runge-Kutta method",
     order=4,
-    explicit=True,
-    self_adjoint=False,
-    conserves=linear_invariants,
     citation="Kutta 1901",
     formula=r"""
 y' = y + \tfrac h6\,(k_1 + 2k_2 + 2k_3 + k_4), \qquad
@@ -136,15 +131,11 @@ class Tolerances(BaseModel):
     atol: float = Field(default=1e-14, ge=0.0, description="absolute tolerance per inner step")
 
 
-@scheme(
+@runge_kutta(
     "dop853",
-    top=None,
     title="Dormand-Prince method of order 8 (SciPy)",
     order=8,
-    explicit=True,
-    self_adjoint=False,
     adaptive=True,
-    conserves=linear_invariants,
     citation="Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993; scipy.integrate.DOP853",
     formula=r"""
 y_{j+1} = y_j + h_j\sum_{i=1}^{12} b_i k_i, \qquad

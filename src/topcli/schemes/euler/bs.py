@@ -9,6 +9,7 @@ rounding errors are proportional to it.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from topcli.arithmetic.fused import follow_precision
 from topcli.arithmetic.vectors import Vector, cayley_increment, solve3
@@ -17,8 +18,6 @@ from topcli.schemes.limits import NO_SOLUTION
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import stepper
 
-FORMS = ("euler", "euler+gamma")
-CITATION = "Sogo, Discrete Spinning Tops, section 1.2, after Bobenko, Suris 1999"
 NEWTON_LIMIT = 40
 SETTLED = 2.0**-53
 """Square of the last correction relative to the square of the change; by quadratic convergence the remaining error is
@@ -129,15 +128,20 @@ def rotation_invariants(top: Top) -> tuple[str, ...]:
     return ("m_sq",) if len(top.components) == 3 else ("m_sq", "gamma_sq", "m_gamma")
 
 
-@scheme(
-    "bs",
-    top=FORMS,
-    title="Bobenko-Suris (BS) scheme with the old omega",
+bobenko_suris = partial(
+    scheme,
+    top=("euler", "euler+gamma"),
     order=1,
-    explicit=True,
     self_adjoint=False,
     conserves=rotation_invariants,
-    citation=CITATION,
+    citation="Sogo, Discrete Spinning Tops, section 1.2, after Bobenko, Suris 1999",
+)
+
+
+@bobenko_suris(
+    "bs",
+    title="Bobenko-Suris (BS) scheme with the old omega",
+    explicit=True,
     formula=r"m' - m = h\,\bar m\times\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega",
     equations="(EulerBS) and, for gamma, (A) of the paper",
 )
@@ -151,15 +155,10 @@ def build_bs(top: Top, options: NoOptions) -> Stepper:
     return stepper(explicit_change(d), d)
 
 
-@scheme(
+@bobenko_suris(
     "bs-implicit",
-    top=FORMS,
     title="Bobenko-Suris (BS) scheme with the new omega",
-    order=1,
     explicit=False,
-    self_adjoint=False,
-    conserves=rotation_invariants,
-    citation=CITATION,
     formula=r"m' - m = h\,\bar m\times\omega', \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega'",
     equations="(EulerBS) and, for gamma, (A) of the paper, both with omega^{n+1} in place of omega^n",
     limits={"singular-step": NO_SOLUTION},

@@ -37,7 +37,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.arithmetic.fused import fma
-from topcli.contracts import Array, Floats, Integrability, Stepper, Top
+from topcli.contracts import Array, Floats, Stepper, Top
 from topcli.schemes.registry import scheme
 
 LONGEST = 3.6
@@ -347,7 +347,6 @@ DOMAIN = "The h of this case is so long that round-off would spoil the integrals
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
     citation="after Kuznetsov, Vanhaecke 2000 (Bäcklund transformations); Bobenko, Reyman, Semenov-Tian-Shansky 1989 "
     "(Lax pair)",
-    integrable=Integrability("5x5, L' U = U L", "Lie-Poisson bracket of e(3)", "lie-poisson"),
     formula=r"""
 L'(\lambda)\,U(\lambda) = U(\lambda)\,L(\lambda), \qquad
 (a, b, n) = -\tfrac h2\,(\omega_1, \omega_2, \tfrac12\omega_3), \quad d = \tfrac18 c h^2\,\gamma, \quad t = 2 - \tau

@@ -9,6 +9,7 @@ Performance:
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -27,8 +28,6 @@ from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
 
-CITATION = "Sogo, Discrete Spinning Tops, section 3.2.2"
-CONSERVES = ("gamma_sq", "k_sq")
 XI = r"\xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)"
 FORMULA = rf"""
 \omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
@@ -128,19 +127,24 @@ def direct(s: Floats, h: float, p: Floats) -> Complex:
     return (s[0] + d * (s[2] * s[1]), s[1] - d * (s[2] * s[0] - p[0] * s[5]))
 
 
-@scheme(
-    "bohlin-a",
+bohlin = partial(
+    scheme,
     top="kowalevski",
-    title="Bohlin's method with gamma advanced by the Bobenko-Suris scheme",
     order=1,
     explicit=True,
     self_adjoint=False,
-    conserves=CONSERVES,
-    citation=CITATION,
+    conserves=("gamma_sq", "k_sq"),
+    citation="Sogo, Discrete Spinning Tops, section 3.2.2",
+    options=BranchOptions,
+)
+
+
+@bohlin(
+    "bohlin-a",
+    title="Bohlin's method with gamma advanced by the Bobenko-Suris scheme",
     formula=r"\gamma' - \gamma = h\,\bar\gamma\times\omega" + "\n" + FORMULA,
     equations="(A), (Kxi) and (direct) of the paper",
     limits=LIMITS,
-    options=BranchOptions,
 )
 def build_a(top: Top, options: BranchOptions) -> Stepper:
     """The scheme rotates gamma by a Cayley transform of the old omega, and computes the new omega by a rotation of xi.
@@ -157,15 +161,9 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
     return Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6)
 
 
-@scheme(
+@bohlin(
     "bohlin-b",
-    top="kowalevski",
     title="Bohlin's method with gamma advanced in a stereographic coordinate",
-    order=1,
-    explicit=True,
-    self_adjoint=False,
-    conserves=CONSERVES,
-    citation=CITATION,
     formula=r"""
 z' - z = \tfrac{ih}{2}\,\bigl((\omega_1 + i\omega_2) - 2\omega_3 z - (\omega_1 - i\omega_2)\,z^2\bigr), \qquad
 z = \frac{\gamma_1 + i\gamma_2}{1 + \gamma_3}
@@ -177,7 +175,6 @@ z = \frac{\gamma_1 + i\gamma_2}{1 + \gamma_3}
         **dict.fromkeys(("pole", "there-and-back", "drift"), POLE),
         **dict.fromkeys(("resonance", "singular-step"), FAR),
     },
-    options=BranchOptions,
 )
 def build_b(top: Top, options: BranchOptions) -> Stepper:
     """The scheme advances a stereographic coordinate z of gamma by Euler's rule, and computes omega as in `bohlin-a`.
@@ -188,15 +185,9 @@ def build_b(top: Top, options: BranchOptions) -> Stepper:
     return Stepper(bohlin_step(method_b, ROOTS[options.branch]), 6)
 
 
-@scheme(
+@bohlin(
     "bohlin-c",
-    top="kowalevski",
     title="Bohlin's method with gamma advanced by an instantaneous rotation",
-    order=1,
-    explicit=True,
-    self_adjoint=False,
-    conserves=CONSERVES,
-    citation=CITATION,
     formula=r"\gamma' = e^{-h\hat\omega}\,\gamma, \qquad \hat\omega v = \omega\times v" + "\n" + FORMULA,
     equations="(C), (Kxi) and (direct) of the paper",
     limits={
@@ -204,7 +195,6 @@ def build_b(top: Top, options: BranchOptions) -> Stepper:
         "drift": "The scheme does not conserve the energy. In this case, with h = 0.1, the energy rises from 2.1 "
         "to more than 200 within t = 6500, and the run ends as `left_motion`; gamma² and k² stay constant.",
     },
-    options=BranchOptions,
 )
 def build_c(top: Top, options: BranchOptions) -> Stepper:
     """The scheme rotates gamma about the old omega by the angle h |omega|, and computes omega as in `bohlin-a`.

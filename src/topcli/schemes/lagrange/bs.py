@@ -6,7 +6,7 @@ from typing import Any
 
 from topcli.arithmetic.fused import fma
 from topcli.arithmetic.vectors import cayley_rotated
-from topcli.contracts import Floats, Integrability, Invariant, NoOptions, Stepper, Top, invariant_of
+from topcli.contracts import Floats, Invariant, NoOptions, Stepper, Top, invariant_of
 from topcli.schemes.registry import scheme
 
 
@@ -44,7 +44,6 @@ def bs_integrals(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...
     citation="Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3",
     formula=r"m' - m = h\,p\times a, \qquad a' - a = h\,m'\times\bar a",
     equations="(L1) and (L2) of the paper",
-    integrable=Integrability("yes (Bobenko, Suris 1999)", "Lie-Poisson bracket of e(3)", "lie-poisson"),
 )
 def build(top: Top, options: NoOptions) -> Stepper:
     """The new m is m + h p x a. A Cayley transform then rotates the axis a of the top about the new m.

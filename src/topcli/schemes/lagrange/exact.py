@@ -19,7 +19,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -281,16 +281,21 @@ WEAK_GRAVITY = (
 )
 
 
-@scheme(
+closed_form = partial(
+    scheme,
     "exact",
-    top="lagrange",
     title="Closed form by elliptic functions",
     order=None,
     explicit=True,
     self_adjoint=True,
-    conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
     citation="Lagrange 1788; Whittaker, Analytical Dynamics, section 71",
     formula=LAGRANGE_AXIS,
+)
+
+
+@closed_form(
+    top="lagrange",
+    conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
     equations="(Euler) and (Poisson) of the paper with A = B, x0 = y0 = 0",
     limits={
         "huge": WEAK_GRAVITY,
@@ -309,16 +314,9 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     return Sampler(body_states)
 
 
-@scheme(
-    "exact",
+@closed_form(
     top="lagrange/inertial",
-    title="Closed form by elliptic functions",
-    order=None,
-    explicit=True,
-    self_adjoint=True,
     conserves=("a_sq", "m_p", "m_a", "energy"),
-    citation="Lagrange 1788; Whittaker, Analytical Dynamics, section 71",
-    formula=LAGRANGE_AXIS,
     equations="m' = p x a, a' = m x a",
     limits={"huge": WEAK_GRAVITY},
 )

@@ -1,1 +1,0 @@
-"""``topcli bench``: computing time against error for schemes and other integrators."""

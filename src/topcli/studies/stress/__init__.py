@@ -1,1 +1,0 @@
-"""Hard cases of the tops, and trials of schemes in them."""

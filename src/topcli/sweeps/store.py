@@ -1,0 +1,198 @@
+"""Folder of a sweep: finished rows in a SQLite file, to which batches are added, and the table made of them at the end.
+
+The folder holds ``manifest.json``, ``sweep.yaml`` (the resolved sweep file), ``rows.db`` (finished rows, those of
+earlier sweep files and of earlier code included) and, once the sweep has ended, ``rows.parquet``. A row is found by the
+digest of what it computes, so that rows of different definitions never mix. SQLite's rollback journal is used on all
+disks: a batch takes about a second, so that a write-ahead log would gain nothing, and it needs a local disk.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sqlite3
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from topcli.config.files import scene_files, sweep_files
+from topcli.config.sweep import Group, Sweep, load_sweep
+from topcli.contracts import Outcome
+from topcli.errors import RunError, UsageError, nearest, quoted
+from topcli.store.files import sha256_of, write_text, write_whole
+from topcli.store.provenance import environment, git_commit, now
+from topcli.store.results import (
+    MANIFEST,
+    MANIFEST_VERSION,
+    SWEEP,
+    StoredResult,
+    manifest_text,
+    read_result,
+    stored_results,
+)
+
+SWEEP_FILE, DATABASE, ROWS_FILE = "sweep.yaml", "rows.db", "rows.parquet"
+COMPLETED, FAILED = Outcome.COMPLETED.value, "failed"
+"""Outcomes of a row; ``failed``, if an error or the end of its worker ended it, is no result: it runs again."""
+DRAWN = "drawn."
+"""Beginning of the columns of drawn values."""
+_CREATE = """CREATE TABLE IF NOT EXISTS rows
+(digest BLOB PRIMARY KEY, outcome TEXT, message TEXT, numbers BLOB, checksum INTEGER) WITHOUT ROWID"""
+
+StoredRow = tuple[str, str, bytes]
+"""Outcome, message and measures (float64) of a finished row."""
+
+
+class RowStore:
+    """Finished rows by digest, open in one process at a time. ``damaged`` counts rows that have changed on the disk."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path, self.damaged = folder / DATABASE, 0
+        with self._failures():
+            self._file = sqlite3.connect(self.path)
+            self._file.text_factory = lambda text: text.decode(errors="replace")  # a damaged one fails its checksum
+            self._file.execute("PRAGMA synchronous = FULL")
+            self._file.execute(_CREATE)
+
+    def __enter__(self) -> RowStore:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
+    @contextmanager
+    def _failures(self) -> Iterator[None]:
+        """Report what SQLite cannot do. Raises RunError."""
+        try:
+            yield
+        except sqlite3.OperationalError as error:
+            raise RunError(f"{self.path}: {error}; the rows finished before are kept") from None
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter of a damaged text in an error
+            raise RunError(f"{self.path}: damaged ({error}); run again with --force to begin anew") from None
+
+    def add(self, digests: Sequence[bytes], rows: Sequence[StoredRow]) -> None:
+        """Add finished rows, all or none; they are on the disk afterwards. Raises RunError."""
+        entries = [(digest, *row, _checksum(digest, row)) for digest, row in zip(digests, rows, strict=True)]
+        with self._failures(), self._file:
+            self._file.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?, ?, ?)", entries)
+
+    def read(self) -> dict[bytes, StoredRow]:
+        """All rows that are as they were written. Raises RunError."""
+        rows: dict[bytes, StoredRow] = {}
+        self.damaged = 0
+        with self._failures():
+            for digest, outcome, message, numbers, checksum in self._file.execute("SELECT * FROM rows"):
+                row = outcome, message, numbers
+                try:
+                    whole = checksum == _checksum(digest, row)
+                except (AttributeError, TypeError):
+                    whole = False
+                if whole:
+                    rows[digest] = row
+                else:
+                    self.damaged += 1
+        return rows
+
+
+def _checksum(digest: bytes, row: StoredRow) -> int:
+    outcome, message, numbers = row
+    return zlib.crc32(b"\0".join([digest, outcome.encode(), message.encode(errors="surrogatepass"), numbers]))
+
+
+def write_manifest(folder: Path, sweep: Sweep, ended: bool = False, **entries: Any) -> None:
+    """Write the manifest of a sweep, with the checksums of its files if it has ``ended``. Raises OSError."""
+    content = {"manifest_version": MANIFEST_VERSION, "kind": SWEEP, "name": sweep.name, "digest": sweep.digest}
+    content |= {"key": sweep.digest[:8], "measures": list(sweep.measures), "outcome": None}
+    content |= {"ended": now()} if ended else {}
+    content |= {"environment": environment(), **git_commit(), **entries}
+    paths = [folder / name for name in (ROWS_FILE, SWEEP_FILE, DATABASE) if ended]
+    content["files"] = {path.name: {"size": path.stat().st_size, "sha256": sha256_of(path)} for path in paths}
+    write_text(folder / MANIFEST, manifest_text(content))
+
+
+def write_table(
+    folder: Path, sweep: Sweep, groups: Sequence[Group], digests: Sequence[bytes], rows: Mapping[bytes, StoredRow]
+) -> dict[str, int]:
+    """Write ``rows.parquet``, a line for each finished row of the sweep; return the numbers of rows by outcome.
+
+    Raises OSError.
+    """
+    import pandas as pd
+
+    # values of the keys, and drawn values, of all rows
+    numbers = np.concatenate([group.numbers for group in groups])
+    columns: dict[str, list[Any]] = {key: [] for key in (*sweep.keys, *(DRAWN + name for name in sweep.drawn))}
+    for group in groups:
+        for key in sweep.keys:
+            columns[key] += group.values[key]
+        for name in sweep.drawn:
+            columns[DRAWN + name] += _drawn(group, name)
+    table = pd.DataFrame(columns, index=pd.Index(numbers, name="row")).sort_index()
+    for key in sweep.keys:
+        if table[key].dtype == object:  # numbers and texts
+            table[key] = table[key].astype("str")
+
+    # results of the rows that are finished
+    finished = np.array([digest in rows for digest in digests], dtype=bool)
+    values = [rows[digest] for digest in digests if digest in rows]
+    table = table[finished].reset_index()
+    table["outcome"], table["message"] = [row[0] for row in values], [row[1] for row in values]
+    measured = np.frombuffer(b"".join(row[2] for row in values)).reshape(len(values), len(sweep.measures))
+    table[list(sweep.measures)] = measured
+    table["digest"] = [digest.hex() for digest in digests if digest in rows]
+    table.attrs = {"name": sweep.name, "keys": list(sweep.keys), "measures": list(sweep.measures), "log": sweep.log}
+    write_whole(folder / ROWS_FILE, lambda path: table.to_parquet(path, index=False, write_page_checksum=True))
+    return dict(Counter(row[0] for row in values))
+
+
+def _drawn(group: Group, name: str) -> list[float]:
+    """Drawn values of the rows of a group: a parameter of the top or a component of the state; nan for another top."""
+    top, (section, _, item) = group.experiment.top, name.partition(".")
+    if section == "initial" and item in top.components:
+        return group.states[:, top.components.index(item)].tolist()
+    return [getattr(top, item, math.nan) if section == "top" else math.nan] * len(group.states)
+
+
+def is_sweep(folder: Path) -> bool:
+    """True if ``folder`` is that of a sweep."""
+    return (folder / SWEEP_FILE).is_file()
+
+
+def stored_sweep_file(folder: Path, overrides: Sequence[str] = ()) -> Sweep:
+    """Return the sweep in ``folder``. Raises UsageError for a folder without one."""
+    if not is_sweep(folder):
+        raise UsageError(
+            f"{folder}: is not the folder of a sweep; give the folder that topcli sweep wrote, such as results/NAME"
+        )
+    return load_sweep(folder / SWEEP_FILE, overrides)
+
+
+def intact_sweep(folder: Path) -> StoredResult:
+    """Finished sweep in ``folder``, with all its checksums compared.
+
+    Raises UsageError if it is not finished, and RunError if it is damaged.
+    """
+    stored = read_result(folder)
+    if stored is None or not stored.complete:
+        raise UsageError(f"{folder}: the sweep is not finished; topcli sweep continues it")
+    for name, fault in stored.damage().items():
+        raise RunError(f"{folder / name}: damaged: {fault}; topcli sweep writes it again")
+    return stored
+
+
+def missing_result(place: str, results: Path) -> UsageError:
+    """Error for a ``place`` where nothing is stored, with the command that computes it or the nearest stored names."""
+    folder = Path(place)
+    name = folder.name if folder.parent in (Path(), results) else ""
+    command = "run" if name in scene_files() else "sweep" if name in sweep_files() else ""
+    names = list(stored_results(results))
+    near = f"; {nearest(folder.name, names, 'topcli list runs')}" if names else ""
+    if os.path.lexists(usual := Path("results") / place):
+        near = f"; did you mean {usual}?"
+    hint = f"; run it first: topcli {command} {name}" if command else near
+    return UsageError(f"{quoted(place)}: no such file or folder, and no run of this name in {results}{hint}")
