@@ -46,7 +46,7 @@ MEMBERS = {
     "studies.report.Report": "table, plot, save, as_dict",
     "table.Table": "frame, text",
     "show.results.RunReport": "folder, outcome, status, is_ensemble, series, plot, save, as_dict",
-    "show.results.SweepReport": "folder, outcomes, rows, plot, save, as_dict",
+    "show.results.SweepReport": "folder, outcomes, plot, save, as_dict",
     "contracts.Scheme": "",
 }
 """Members of classes that the page shows."""

@@ -1,12 +1,10 @@
-"""Constants of the package, results of runs, and analyses of made-up series, compared with recorded ones."""
+"""Results of runs, and analyses of made-up series, compared with recorded ones."""
 
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 import math
-import pkgutil
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,6 @@ import numpy as np
 import pytest
 
 import golden
-import topcli
 from made_up import report_on
 from test_golden_tables import measured
 from topcli.analysis.order import convergence
@@ -38,22 +35,6 @@ UNREPEATABLE = (
     "code",
 )
 PLAIN = int | float | tuple
-
-
-def test_constants() -> None:
-    constants: dict[str, Any] = {}
-    for module in pkgutil.walk_packages(topcli.__path__, "topcli."):
-        if "__main__" not in module.name and "plugin" not in module.name:
-            names = vars(importlib.import_module(module.name)).items()
-            plain = {
-                k: repr(v) for k, v in names if k.strip("_").isupper() and isinstance(v, PLAIN) and len(repr(v)) < 200
-            }
-            constants |= {
-                f"{module.name}.{k}": v
-                for k, v in plain.items()
-                if " at 0x" not in v and str(Path.home()) not in v and "site-packages" not in v
-            }
-    golden.check("constants", constants)
 
 
 def repeatable(data: Any) -> Any:
