@@ -15,7 +15,7 @@ from topcli import __version__
 from topcli.__main__ import main
 from topcli.cli import options
 from topcli.config.files import scene_files
-from topcli.config.load import load, load_experiment
+from topcli.config.load import load_experiment
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
 HYBRID = str(ROOT / "configs" / "kowalevski_hybrid.yaml")
@@ -135,27 +135,6 @@ def test_runs_with_numbers_of_any_size_end_or_are_refused(cli, scene: str, size:
 
 
 @pytest.mark.slow
-def test_run_and_show_name_a_changed_run_by_its_digest(cli) -> None:
-    name = load("kowalevski_hk", ["h=0.01", "N=20"], rename=True).name
-    sets = ("--set", "h=0.01", "--set", "N=20")
-    said = cli("run", "kowalevski_hk", *sets)
-    assert f"{name}: completed 20 steps (t = 0.2) -> results/{name} (ran)" in said.err
-    csv = ("--set", "output.format=csv")
-    assert f"-> results/{name} (ran)" in cli("run", "kowalevski_hk", *sets, *csv).err
-    assert cli("show", "kowalevski_hk", *sets, "--json").json()["config"]["name"] == name
-    shown = cli("show", "kowalevski_hk", *sets).out
-    Path("shown.yaml").write_text(shown)
-    assert cli("show", "shown.yaml").out == shown
-    assert f"{name}: will run; the earlier result is renamed" in cli("run", "shown.yaml", "--dry-run").out
-    earlier, latest = sorted(Path("results").iterdir(), reverse=True)
-    assert latest.name == name
-    assert earlier.name.startswith(f"{name}-")
-    stored = cli("show", f"results/{name}/config.yaml")
-    assert (stored.code, cli("show", f"results/{name}").out) == (0, stored.out)
-    assert "N: 20\n" in stored.out
-
-
-@pytest.mark.slow
 def test_init_writes_a_config_that_runs(cli, in_tmp: Path) -> None:
     assert cli("init", "first.yaml").code == 0
     text = (in_tmp / "first.yaml").read_text()
@@ -185,15 +164,6 @@ def test_python_m_topcli_and_streams(tmp_path: Path) -> None:
     assert done.stderr == ""
     done = topcli_process("run", HK, "--set", "name=kowalevski_hk", "--set", "N=100", cwd=tmp_path)
     assert not {"\x1b", "━"} & set(done.stdout + done.stderr), "neither colours nor boxes in a pipe"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("words", "expected"), [("compare hy", "hybrid"), ("list schemes --top ko", "kowalevski")])
-def test_shell_completion(tmp_path: Path, words: str, expected: str) -> None:
-    asked = {"_TOPCLI_COMPLETE": "complete_bash", "COMP_WORDS": f"topcli {words}"}
-    asked["COMP_CWORD"] = str(len(words.split()))
-    done = python_process("from topcli.__main__ import main; main()", cwd=tmp_path, **asked)
-    assert expected in done.stdout.split()
 
 
 COMPLETED = """

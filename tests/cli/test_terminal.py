@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
@@ -66,26 +65,17 @@ def test_an_error_is_printable_and_bounded_and_keeps_its_lines() -> None:
 
 ATTACKS = """
 EVIL
-run NAME
-run NAME.yaml
-    500
 run kowalevski_hk --set scheme=EVIL
-run kowalevski_hk --set EVIL=1
 run kowalevski_hk --set output.columns=['NAME']
 run kowalevski_hk --out file/NAME
     500
 run --EVIL
 compare EVIL hk
-bench --against EVIL
 plot EVIL
-plot fig1 --format EVIL
 table NAME
     500
 table swept --rows EVIL --value max_error
-table swept --rows h --value max_error --where EVIL
-stress hk --set scheme.EVIL=1
 claims EVIL
-list cases --top EVIL
 """
 """Commands, and below some of them how much of a name they repeat, which are paths."""
 
@@ -104,30 +94,6 @@ def test_no_argument_reaches_the_terminal_raw_or_at_length(cli, in_tmp: Path, co
         assert len(said.err) < 1000
         limit = int(most[0]) if most else 240 if "(see topcli" in said.err else 60
         assert max(map(len, re.findall("x+", said.err)), default=0) <= limit
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="such names are not possible")
-@pytest.mark.parametrize("terminal", [False, True])
-def test_foreign_runs_are_listed_as_data(cli, in_tmp: Path, monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:
-    from topcli.cli import output
-
-    cli("run", HK, "--set", "name=kowalevski_hk", "--set", "N=20", "--quiet")
-    folder = in_tmp / "results" / "kowalevski_hk"
-    manifest = json.loads((folder / "manifest.json").read_text())
-    hostile = manifest | {"outcome": EVIL + LONG, "ended": EVIL, "config": manifest["config"] | {"h": EVIL}}
-    (folder / "manifest.json").write_text(json.dumps(hostile))
-    folder.rename(folder.with_name(NAME))
-    monkeypatch.setattr(output, "_terminal", lambda stream: terminal)
-    said = cli("list", "runs")
-    assert said.code == 0
-    assert_safe(said.out, said.err)
-    assert len(said.out) < 2000
-    if not terminal:
-        assert printable(NAME) in said.out  # the markup too is data
-    document = cli("list", "runs", "--json")
-    assert_safe(document.out)
-    assert document.json()["runs"][0]["name"] == NAME
 
 
 def test_nothing_given_prints_the_help(cli) -> None:

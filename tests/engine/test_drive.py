@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,7 +13,6 @@ from conftest import random_states
 from declared import SCHEMES
 from steppers import RK2, built
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
-from topcli.engine import drive as driver
 from topcli.engine import integration
 from topcli.engine.collect import orbit
 from topcli.engine.consumer import Consumer
@@ -213,11 +211,3 @@ def test_a_step_that_cannot_be_compiled_is_reported() -> None:
 
     with pytest.raises(SchemeCodeError, match=r"test_drive\.py:"):
         drive(planned(Kowalevski(), Stepper(step, 6), random_states(SIDE_BY_SIDE, 1), 0.1, 1))
-
-
-def test_a_limit_of_threads_is_an_upper_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driver, "_most_threads", None)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(6)), raising=False)
-    for limit, threads in ((2, 2), (8, 6)):
-        driver.limit_threads(limit)
-        assert driver.default_threads() == threads

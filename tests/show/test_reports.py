@@ -133,24 +133,6 @@ def test_a_run_is_in_its_folder_and_its_table_is_that_of_the_report(run: RunRepo
 
 
 @pytest.mark.slow
-def test_a_failed_run_is_repeated_only_by_force(tmp_path: Path) -> None:
-    fails = {**CONFIG, "name": "fails", "scheme": "rk4", "initial": {"omega": [300, 200, 100], "gamma": [1, 0, 0]}}
-    assert topcli.run({**fails, "h": 0.05}, tmp_path).outcome.value == "blew_up"
-    again = [topcli.run({**fails, "h": 0.05}, tmp_path, force=force).status for force in (False, True)]
-    assert again == ["up to date", "ran"]
-
-
-def test_the_interval_of_checkpoints_reaches_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: set[float] = set()
-    monkeypatch.setattr(
-        "topcli.runs.run.Checkpoints.__call__", lambda self, *of: seen.add(self._options.checkpoint_every)
-    )
-    topcli.run(CONFIG, tmp_path)
-    topcli.run(CONFIG, tmp_path, checkpoint_every=0.25, force=True)
-    assert seen == {10.0, 0.25}
-
-
-@pytest.mark.slow
 @pytest.mark.usefixtures("no_figure_is_left")
 def test_without_axes_a_figure_of_pyplot_is_made(run: RunReport) -> None:
     """pyplot's figures are those that a notebook shows."""

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from custom_tops import Volterra
 from topcli.arithmetic.sized import Sized
 from topcli.contracts import Top
 from topcli.field.integrals import broken_integral, measured_change
@@ -18,31 +19,9 @@ from topcli.tops import TOPS
 STATES = np.random.default_rng(3).uniform(-1.0, 1.0, (50, 6))
 
 
-class Volterra(Top):
-    """Free body with a rotor."""
-
-    kind = "volterra-declared"
-    components = ("w1", "w2", "w3")
-    A: float = 3.0
-    B: float = 2.0
-    C: float = 1.0
-    k: float = 0.4
-
-    @staticmethod
-    def field(y, p):
-        A, B, C, k = p
-        w1, w2, w3 = y
-        return (((B - C) * w2 * w3 - k * w2) / A, ((C - A) * w3 * w1 + k * w1) / B, (A - B) * w1 * w2 / C)
-
-    integrals: ClassVar = {
-        "energy": lambda y, p: (p[0] * y[0] ** 2 + p[1] * y[1] ** 2 + p[2] * y[2] ** 2) / 2,
-        "momentum": lambda y, p: (p[0] * y[0]) ** 2 + (p[1] * y[1]) ** 2 + (p[2] * y[2] + p[3]) ** 2,
-    }
-
-
 def test_what_a_top_does_not_declare() -> None:
     top = Volterra(k=0.7)
-    assert (top.form, top.title, top.swing) == ("volterra-declared", "Free body with a rotor", "w1")
+    assert (top.form, top.title, top.swing) == ("volterra-in-python", "The same top declared in Python", "w1")
     assert top.vectors == {"w1": (0, 1), "w2": (1, 2), "w3": (2, 3)}
     assert (top.constants(), top.step_constants) == ((3.0, 2.0, 1.0, 0.7), ("A", "B", "C", "k"))
     assert next((i.name, i.symbol, i.meaning) for i in top.invariants()) == ("energy", "energy", "energy")

@@ -24,8 +24,6 @@ from topcli.errors import shortened
 _NUMBER = re.compile(r"[-+]?(\d+/0*[1-9]\d*|(\.\d+|\d+(\.\d*)?)([eE][-+]?\d{1,3})?)")
 GUARD = 5
 """Decimal digits beyond the precision with which a completed component is written."""
-SECTIONS = ("h", "top", "initial")
-"""Keys whose numbers may be written as text."""
 
 
 @dataclass(frozen=True)

@@ -20,19 +20,10 @@ from topcli.engine.watch import Watch
 # glibc keeps freed memory up to twice the largest block freed before, which saves the page faults of temporaries
 np.empty(1 << 21)
 
-_most_threads: int | None = None
-
-
-def limit_threads(count: int) -> None:
-    """Let ``default_threads`` be at most ``count`` in this process."""
-    global _most_threads
-    _most_threads = count
-
 
 def default_threads() -> int:
-    """Number of CPUs that this process may use, or the limit if there is a lower one."""
-    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(cpus, _most_threads or cpus)
+    """Number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Chunk:

@@ -41,11 +41,12 @@ def energy_limits(top: Top, states: Array) -> Array:
         for start, stop in vectors:
             lengths[:, start:stop] = np.linalg.norm(states[:, start:stop], axis=1)[:, None]
             rest[:, start:stop] = 0.0
-        limits = LEAVING_FACTOR * energy.scale(states)
-        for axes in itertools.product(*(range(start, stop) for start, stop in vectors)):
-            turned = rest.copy()
-            turned[:, axes] = lengths[:, axes]
-            limits = np.maximum(limits, energy.scale(turned))
+        ways = list(itertools.product(*(range(start, stop) for start, stop in vectors)))
+        turned = np.tile(rest, (len(ways), 1, 1))
+        for states_of_way, axes in zip(turned, ways, strict=True):
+            states_of_way[:, axes] = lengths[:, axes]
+        sizes = energy.scale(turned.reshape(-1, states.shape[1])).reshape(len(ways), -1)
+        limits = np.maximum(LEAVING_FACTOR * energy.scale(states), sizes.max(axis=0))
         judged = np.isfinite(limits) & (limits > 0.0) & np.isfinite(energy.value(states))
     return np.where(judged, limits, np.inf)
 

@@ -193,15 +193,6 @@ def broken_hk_integral(top: Top) -> str:
     return ""
 
 
-def conserves_exactly(top: Top) -> bool:
-    """True if the field and all integrals of ``top`` are polynomials, and the field conserves each on its level."""
-    try:
-        field, invariants = field_of(top), top.invariants()
-        return not any(exact_rate(field, invariants, invariant) for invariant in invariants)
-    except Exception:  # a user's code may raise anything
-        return False
-
-
 MOST_MONOMIALS = 500
 """Monomials among which integrals are looked for."""
 

@@ -24,7 +24,7 @@ from topcli.engine.collect import Memory
 from topcli.engine.consumer import Consumer
 from topcli.engine.drive import drive
 from topcli.engine.endings import Endings
-from topcli.engine.machine import machine_of
+from topcli.engine.machine import Machine, machine_of
 from topcli.engine.plan import Plan
 from topcli.errors import TopcliError, UsageError, quoted
 from topcli.runs.references import Errors, reference_of
@@ -124,10 +124,16 @@ class Measuring:
     """Runs of ``experiment``, whose initial state is ignored, with the records that ``measures`` need.
 
     ``threads`` is their number, by default one for each CPU. Errors are distances from the reference that
-    ``reference_of`` chooses.
+    ``reference_of`` chooses. ``machine`` is the code for the same top, scheme and options, if it is there already.
     """
 
-    def __init__(self, experiment: Experiment, measures: Sequence[Measure], threads: int | None = None) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        measures: Sequence[Measure],
+        threads: int | None = None,
+        machine: Machine | None = None,
+    ) -> None:
         self.experiment, self.measures, self._threads = experiment, tuple(measures), threads
         self._needs = needs = {need for measure in measures for need in measure.needs}
         figures = {need: need.partition(".") for need in needs if need.partition(".")[0] in OF_INVARIANT}
@@ -141,11 +147,11 @@ class Measuring:
             experiment.N,
             experiment.output.every,
         )
-        machine = machine_of(top, scheme, experiment.options)
+        self.machine = machine or machine_of(top, scheme, experiment.options)
         integrals = integrals_of(top, scheme, h, experiment.options)
         d, rows = len(top.components), N // every + 1
         none = np.empty((0, d))
-        self._plan = Plan(top, machine, none, h, N, every, invariants=integrals, quantities=experiment.quantities)
+        self._plan = Plan(top, self.machine, none, h, N, every, invariants=integrals, quantities=experiment.quantities)
         self._reference = reference_of(top, judged=scheme)
         numbers = 1 + len(self._columns) + d * bool({STATES, PROBES} & needs) + (d + 1) * (ERROR in needs)
         per_run = 8 * (rows * numbers + d * PROBE_STATES + 4 * BLOCKS * len(self._invariants))

@@ -14,6 +14,7 @@ import numpy as np
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, StopAsked, stopping_when
+from topcli.engine.machine import Machine
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.schemes.plugins import FILES, SOURCES, load_plugin_file, plugin_failures, reason_of, users_error
 from topcli.store.sources import digest_of_texts, package_digest
@@ -27,6 +28,7 @@ POLL_SECONDS = 0.5
 IN_FLIGHT = 2
 """Batches in flight for each worker."""
 Stop = Callable[[], bool]
+Machines = dict[Any, Machine]
 
 
 class Piece(NamedTuple):
@@ -38,7 +40,11 @@ class Piece(NamedTuple):
 
 
 def compute(
-    experiment: Experiment | dict[str, Any], states: Array, names: Sequence[str], stop: Stop = lambda: False
+    experiment: Experiment | dict[str, Any],
+    states: Array,
+    names: Sequence[str],
+    stop: Stop = lambda: False,
+    machines: Machines | None = None,
 ) -> list[StoredRow]:
     """Run an experiment, or a resolved config, from several initial states.
 
@@ -52,6 +58,8 @@ def compute(
         Names of the measures.
     stop : callable, optional
         Asked all the time; once it returns True, the rows that are not finished have the outcome ``interrupted``.
+    machines : dict, optional
+        Machine code of earlier experiments, to be used again for the same top, scheme and options.
 
     Returns
     -------
@@ -64,7 +72,9 @@ def compute(
             experiment = load_experiment(experiment)
         top, scheme, options = experiment.top, experiment.scheme, experiment.options
         measures = resolve_measures(names, top, scheme, options, tuple(experiment.output.quantities or ()))
-        run = Measuring(experiment, measures, threads=1)
+        machines, key = {} if machines is None else machines, (top, scheme.build, options.model_dump_json())
+        run = Measuring(experiment, measures, threads=1, machine=machines.get(key))
+        machines[key] = run.machine
     except Exception as error:
         return _failed(error, len(states), names)
     pieces = [states[start : start + run.size] for start in range(0, len(states), run.size)]
@@ -123,7 +133,8 @@ def compute_batch(
         load_plugin_file(Path(path))
     if code and code_of_process() != code:
         raise UsageError("a worker has another version of topcli or of a plugin; install the same on all")
-    return [row for experiment, states in pieces for row in compute(experiment, states, names, stop)]
+    machines: Machines = {}
+    return [row for experiment, states in pieces for row in compute(experiment, states, names, stop, machines)]
 
 
 def _never() -> bool:
