@@ -105,14 +105,23 @@ class Sweep:
         """Names of the measures."""
         return tuple(dict.fromkeys(self.file.measure))
 
-    @property
+    @cached_property
+    def vectors(self) -> dict[str, Any]:
+        """Distributions of the vectors that are drawn, as the file gives them."""
+        return {
+            key: rule
+            for key, rule in self.file.random.items()
+            if key not in Random.model_fields and not key.startswith("top.")
+        }
+
+    @cached_property
     def drawn(self) -> tuple[str, ...]:
         """Drawn components of the initial state and parameters of the top, as ``initial.NAME`` and ``top.NAME``."""
         components = {
             f"initial.{component}": None
-            for cls in TOPS.values()
+            for cls in (TOPS.values() if self.vectors else ())  # it imports them
             for vector, (start, stop) in cls.vectors.items()
-            if vector in self.file.random
+            if vector in self.vectors
             for component in cls.components[start:stop]
         }
         return (*components, *self.intervals)
@@ -194,16 +203,17 @@ class Sweep:
         # the states, which may need the top
         components = {key.removeprefix("initial."): column for key, column in columns.items() if key != "sample"}
         document.places |= {("initial", key): places.get(("grid", f"initial.{key}"), "") for key in components}
-        vectors = {key: rule for key, rule in random.items() if not key.startswith("top.")}
         samples, states = columns.get("sample", np.full(len(numbers), sample)), np.empty((0, 0))
 
         def start(top: Top, initial: object) -> Array | None:
             nonlocal states
-            rows = many_states(top, initial, document, columns=components, random=vectors, samples=samples, seed=seed)
+            rows = many_states(
+                top, initial, document, columns=components, random=self.vectors, samples=samples, seed=seed
+            )
             states = states if rows is None else rows
             return rows
 
-        experiment = read_experiment(document, self.name, start, [*components, *vectors])
+        experiment = read_experiment(document, self.name, start, [*components, *self.vectors])
         table = {
             key: columns[key].tolist() if key in columns else [_shown(key, values[key], experiment)] * len(numbers)
             for key in self.keys

@@ -20,6 +20,8 @@ from topcli.engine.plan import Plan
 from topcli.engine.rows import Rows
 
 LEAVING_FACTOR = 100.0
+PART = 1 << 12
+"""Most states whose limits are computed together, nine times as many in memory."""
 
 
 def energy_of(top: Top) -> Invariant | None:
@@ -35,6 +37,8 @@ def energy_limits(top: Top, states: Array) -> Array:
     energy = energy_of(top)
     if energy is None:
         return np.full(len(states), np.inf)
+    if len(states) > PART:
+        return np.concatenate([energy_limits(top, states[i : i + PART]) for i in range(0, len(states), PART)])
     vectors = top.vectors.values()
     lengths, rest = np.zeros_like(states), states.copy()
     with np.errstate(all="ignore"):

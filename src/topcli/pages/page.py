@@ -97,10 +97,7 @@ _RUN_FILES = ("report.json", "config.yaml", "series.parquet", "series.csv", "tra
 
 def all_chapters(places: Sequence[str], results: Path) -> list[Chapter]:
     """Chapters on all ``places``, each once. Raises UsageError and RunError."""
-    chapters: list[Chapter] = []
-    for place in dict.fromkeys(places):
-        chapters.append(_chapter(place, results))
-    return chapters
+    return [_chapter(place, results) for place in dict.fromkeys(places)]
 
 
 def report_page(

@@ -20,7 +20,7 @@ from topcli.contracts import Outcome
 from topcli.errors import counted
 from topcli.figures.run import draw_quantiles, quantiles_of, run_pictures, series_of
 from topcli.figures.study import picture
-from topcli.figures.sweep import Choice, draw_sweep
+from topcli.figures.sweep import Choice, curves_of, draw_sweep
 from topcli.pages.contents import (
     Chapter,
     Notes,
@@ -232,8 +232,7 @@ def sweep_pictures(rows: Frame) -> Pictures:
     for choice in islice(sweep_choices(rows), MOST_PICTURES):
         combined = f", {choice.aggregate} over the rows" if choice.aggregate else ""
         each = f" for each {choice.by}" if choice.by else ""
-        curves = len(set(rows[choice.by])) if choice.by else 1
-        size = (5.6, max(3.2, 0.2 * curves + 1.0))  # as high as the legend
+        size = (5.6, max(3.2, 0.2 * curves_of(rows, choice) + 1.0))  # as high as the legend
         svg = picture(partial(draw_sweep, frame=rows, choice=choice), size=size)
         pictures.append((svg, f"{in_words(choice.y)} against {choice.x}{each}{combined}"))
     return Pictures(pictures)

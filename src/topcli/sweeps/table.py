@@ -221,7 +221,7 @@ def sweep_table(
     require_names(rows, "measure", measures, "--value")
     if column and len(measures) > 1:
         raise UsageError(f"--columns {column}: the columns show a single --value; {len(measures)} are given")
-    grouped = grouped_rows(rows, keys, aggregate, "cell")
+    grouped = grouped_rows(rows, keys, aggregate)
     cells: Frame = pd.DataFrame({name: aggregated(grouped, name, aggregate) for name in measures})
     if column:
         cells = cells[measures[0]].unstack(column)[list(rows[column].unique())]
@@ -241,8 +241,8 @@ def sweep_table(
     return SweepTable(cells, aggregate, title, [*notes, *missing_notes(rows, measures)])
 
 
-def grouped_rows(rows: Frame, keys: Sequence[str], aggregate: str | None, place: str) -> Any:
-    """Rows grouped by ``keys``, in the order of their first appearance; a group is called ``place`` in messages.
+def grouped_rows(rows: Frame, keys: Sequence[str], aggregate: str | None) -> Any:
+    """Rows grouped by ``keys``, in the order of their first appearance: those of a cell.
 
     Raises UsageError for an unknown aggregate, and if a group has several rows without an ``aggregate``, or several at
     one h for an order.
@@ -252,14 +252,14 @@ def grouped_rows(rows: Frame, keys: Sequence[str], aggregate: str | None, place:
     single = list(keys)
     if aggregate == ORDER:
         if STEP not in rows.attrs["keys"] or STEP in keys:
-            raise UsageError(f"--aggregate order: fits a measure against h, which must vary within a {place}")
+            raise UsageError("--aggregate order: fits a measure against h, which must vary within a cell")
         single.append(STEP)
     most = rows.groupby(single, sort=False, dropna=False)
     if aggregate in (None, ORDER) and (size := int(most.size().max())) > 1:
         vary = [key for key in rows.attrs["keys"] if key not in single and (most[key].nunique(dropna=False) > 1).any()]
         advice = f"choose with --where {vary[0]}=VALUE, or add --aggregate median" if vary else "add --aggregate median"
         because = f", because {', '.join(vary)} still {'varies' if len(vary) == 1 else 'vary'}" if vary else ""
-        raise UsageError(f"up to {size} values fall into one {place}{because}", advice)
+        raise UsageError(f"up to {size} values fall into one cell{because}", advice)
     return rows.groupby(list(keys), sort=False, dropna=False)
 
 
