@@ -21,7 +21,7 @@ import topcli
 from reading_html import read_html
 from stored_results import BASE, START
 from topcli.errors import RunError, UnknownNameError, UsageError
-from topcli.show.report import Report
+from topcli.show.report import ResultReport
 from topcli.show.results import RunReport
 from topcli.store.series import read_series
 from topcli.studies.report import PICTURES
@@ -38,7 +38,7 @@ STUDY = {
 }
 
 
-REPORTS: dict[str, Callable[[Path], Report]] = {
+REPORTS: dict[str, Callable[[Path], ResultReport]] = {
     "run": lambda out: topcli.run(CONFIG, out),
     "run of many": lambda out: topcli.run({**CONFIG, "name": "many", "ensemble": EIGHT}, out),
     "sweep": lambda out: topcli.sweep(STUDY, out),

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from topcli.pages.contents import Chapter
 
 
-class Report(ABC):
-    """Base class of the reports that ``topcli.run``, ``topcli.compare`` and similar functions return.
+class ResultReport(ABC):
+    """Base class of the reports that ``topcli.run``, ``topcli.sweep`` and ``topcli.motion`` return.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Report(ABC):
     @property
     @abstractmethod
     def headline(self) -> str:
-        """What the report is about, and the result in a sentence."""
+        """Subject and result of the report in a sentence."""
 
     def save(self, path: str | Path) -> Path:
         """Write the report to a file; an existing file is overwritten.
@@ -108,7 +108,7 @@ IRRELEVANT = {"scheme": "taylor", "h": 0.01}
 
 
 @dataclass(frozen=True, repr=False)
-class MotionReport(Motion, Report):
+class MotionReport(Motion, ResultReport):
     """Exact motion from an initial state, as returned by ``topcli.motion``.
 
     Attributes

@@ -17,7 +17,7 @@ from topcli.figures.study import on_axes
 from topcli.runs.report import report_tables
 from topcli.runs.run import CHECKPOINT_SECONDS, RunOptions, RunResult, run_experiment
 from topcli.show.progress import Progress
-from topcli.show.report import Report
+from topcli.show.report import ResultReport
 from topcli.store.series import read_series, series_names
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 from topcli.sweeps.table import read_rows, require_names
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class RunReport(Report):
+class RunReport(ResultReport):
     """Report on a stored run or ensemble, as returned by ``topcli.run``.
 
     ``report[name]`` is the column called ``name`` of the series, which contains the recorded rows of the run.
@@ -229,7 +229,7 @@ def run(
 
 
 @dataclass(frozen=True, repr=False)
-class SweepReport(Report):
+class SweepReport(ResultReport):
     """Report on a sweep, as returned by ``topcli.sweep``.
 
     Attributes
