@@ -47,7 +47,7 @@ def whole(folder: Path) -> bool:
 
 
 def killed_after(chunks: int) -> object:
-    """``on_chunk`` that ends the process in the middle of the chunk after so many."""
+    """``on_chunk`` that ends the process in the middle of the chunk after the first ``chunks``."""
     asked = itertools.count(1)
     return lambda n: os.kill(os.getpid(), signal.SIGKILL) if next(asked) > chunks else None
 

@@ -302,7 +302,7 @@ def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: In
 
 
 def _uniform(table: tuple[int, ...], samples: Integers, width: int) -> Array:
-    """Rows ``samples`` (m,) of an endless table of uniform numbers with so many columns."""
+    """Rows ``samples`` (m,) of an endless table of uniform numbers with ``width`` columns."""
     blocks, numbers = samples // BLOCK, np.empty((len(samples), width))
     order = np.argsort(blocks, kind="stable")
     for here in np.split(order, np.flatnonzero(np.diff(blocks[order])) + 1):

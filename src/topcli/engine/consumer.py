@@ -1,4 +1,4 @@
-"""What a driver feeds with rows: tallies, tables, collectors."""
+"""Consumers, which a driver feeds with rows: tallies, tables, collectors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the trajectories of a batch ended: arrays of a few bytes each; an ``Ending`` is made on access."""
+"""Endings of the trajectories of a batch: arrays of a few bytes each; an ``Ending`` is made on access."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is computed: a batch of trajectories of one top under one scheme, and what can be observed of them."""
+"""Plan of a computation: a batch of trajectories of one top under one scheme, and the quantities observed on them."""
 
 from __future__ import annotations
 

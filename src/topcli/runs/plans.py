@@ -138,7 +138,7 @@ def trajectory_of(experiment: Experiment, threads: int | None = None) -> Traject
 
 
 def _require_memory(count: int, rows: int, d: int) -> None:
-    """Raise UsageError if the rows of so many trajectories do not fit in memory."""
+    """Raise UsageError if ``rows`` rows of each of ``count`` trajectories do not fit in memory."""
     if count * rows * d > MAX_NUMBERS:
         what = f"{rows} rows" if count == 1 else f"{count} trajectories of {rows} rows"
         less = "" if count == 1 else ", or keep less with store: final or statistics"

@@ -36,7 +36,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How an experiment is run, of the command as of the function; none of it changes what is computed.
+    """Options of a run, for the command and for the function; none of them changes what is computed.
 
     Attributes
     ----------

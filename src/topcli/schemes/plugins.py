@@ -200,7 +200,7 @@ def _texts(name: str) -> dict[str, str]:
     place = getattr(sys.modules.get(name), "__file__", None)
     if not place:
         raise SchemeCodeError(
-            f"what is defined in {name} has no file, by whose text results could be told apart; "
+            f"what is defined in {name} has no file, and only the text of a file can tell results apart; "
             "write it into a file, or use topcli.simulate, which stores nothing"
         )
     file, package = Path(place), name.partition(".")[0]

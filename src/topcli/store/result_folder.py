@@ -125,7 +125,7 @@ class ResultFolder:
 
     @staticmethod
     def outlook(path: Path, identity: _Identity, force: bool = False) -> str:
-        """What ``claim`` would lead to, in words. Raises UsageError and RunError as ``claim``."""
+        """Words for the action that ``claim`` would lead to. Raises UsageError and RunError as ``claim``."""
         stored = _result_at(path)
         if being_computed(path):
             return "another process is computing it"
@@ -339,7 +339,7 @@ def _lock_path(path: Path) -> Path:
 def _wait_for_lock(
     path: Path, identity: _Identity, force: bool, stop: Callable[[], bool], tell: Callable[[str], None]
 ) -> tuple[int, bool]:
-    """Lock for ``path``, and whether another process held it before. Raises RunError if it is told to stop."""
+    """Lock for ``path``, and True if another process held it before. Raises RunError if it is told to stop."""
     for attempt in itertools.count():
         if (lock := locked(path)) is not None:
             return lock, attempt > 0

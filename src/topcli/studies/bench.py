@@ -72,7 +72,7 @@ Call = Callable[[], Array]
 Prepare = Callable[[float], Call]
 """Prepares the call for a setting, h or a tolerance; everything is compiled then. Raises NoResultError."""
 Measure = Callable[[float, int], tuple[Array, float]]
-"""States of a setting, and the mean CPU seconds of so many calls. Raises NoResultError."""
+"""States of a setting, and the mean CPU seconds of a number of calls. Raises NoResultError."""
 
 
 def measured(prepare: Prepare, times: Array) -> Measure:

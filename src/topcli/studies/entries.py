@@ -39,7 +39,7 @@ def scene_of(texts: Sequence[str]) -> str:
 
 
 FEW_ROWS = 100
-"""Entries share at least as many times, if the config asks for them and each has so many steps."""
+"""Smallest number of times that entries share, if the config asks for them and each has as many steps."""
 
 
 def common_strides(base: Experiment, experiments: Sequence[Experiment]) -> list[int]:
