@@ -5,7 +5,7 @@
 # make check     make lint and make test
 # make docs      the documentation as HTML in docs/_build/html
 # make docs-images  the pictures in docs/images, with a summary of their data
-# make attack    a hundred times as many wrong configs, damaged files and kills, others at every run: an hour
+# make attack    a hundred times as many wrong configs and foreign series, others at every run: an hour
 # make claims    decide the paper's claims: a quarter of a minute
 # make bench     speed against error, ours and other people's integrators: the table and the figure
 # make bench-steps  what single steps, start-up, storage, ensembles and sweeps cost (ratios against named baselines)
@@ -37,12 +37,9 @@ figures: $(VENV)/.installed
 quick: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
-# in parts, each with processes of its own: what numba has compiled stays in memory as long as its process
 test: $(VENV)/.installed-dev
-	@failed=0; for part in 1 2 3 4 5 6; do \
-		$(BIN)/python -m pytest -n auto --dist worksteal --part $$part/6 || failed=1; done; \
-	if [ $$failed = 1 ]; then \
-		echo "what failed, once more and alone:"; $(BIN)/python -m pytest --last-failed; exit 1; fi
+	@$(BIN)/python -m pytest -n auto --dist worksteal || \
+		{ echo "what failed, once more and alone:"; $(BIN)/python -m pytest --last-failed; exit 1; }
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -68,7 +65,7 @@ claims: $(VENV)/.installed
 	@$(BIN)/topcli claims
 
 attack: $(VENV)/.installed-dev
-	HYPOTHESIS_PROFILE=attack $(BIN)/python -m pytest -n auto tests/fuzz tests/config/test_config_hypothesis.py tests/runs/test_run_folder.py
+	HYPOTHESIS_PROFILE=attack $(BIN)/python -m pytest -n auto tests/fuzz tests/config/test_config_hypothesis.py
 
 # a peer that cannot be installed is left out: the bench names it
 $(VENV)/.installed-peers: $(VENV)/.installed-dev

@@ -14,8 +14,8 @@ from typing import Any
 from pydantic import BaseModel
 
 import topcli
-from topcli.cli.app import all_commands, parameter_rows
-from topcli.cli.commands import GROUPS
+from topcli.cli.app import GROUPS, all_commands
+from topcli.cli.options import parameter_rows
 from topcli.contracts import Invariant, Scheme, Top
 from topcli.errors import capitalized
 from topcli.schemes.registry import all_schemes
@@ -26,7 +26,7 @@ Page = list[str]
 
 HUGE = 1e15
 """Limits beyond it are those of the machine, and are not shown."""
-EVERY = ("--plugin", "--help")
+EVERY = ("--plugin", "--help", "--json", "--quiet")
 """Options of every command, described once."""
 CODE = (
     r"((?<![\w-])--[a-z-]+|\btopcli list [a-z]+|\btopcli plot (?:section|sweep)\b|\btopcli [a-z]+|pip install '[^']+')"
@@ -35,7 +35,7 @@ CODE = (
 KEYS = ("key", "type", "default", "meaning")
 TYPES = (
     *("studies.report.Report", "table.Table", "show.results.RunReport", "show.results.SweepReport"),
-    *("show.report.MotionReport", "contracts.Stepper", "contracts.Scheme", "contracts.Invariant", "contracts.Sampler"),
+    *("show.results.MotionReport", "contracts.Stepper", "contracts.Scheme", "contracts.Invariant", "contracts.Sampler"),
     *("contracts.Block", "sweeps.batch.Batch"),
 )
 """Types of arguments and results outside ``topcli`` itself, named from it on."""
@@ -150,12 +150,14 @@ def type_of(schema: Mapping[str, Any]) -> str:
 
 def keys_of(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
     """Key, type, default and description of each field of a model."""
+    from topcli.config.document import description_of
+
     rows = []
     schemas = model.model_json_schema()["properties"]
     for (name, schema), field in zip(schemas.items(), model.model_fields.values(), strict=True):
         default = "required" if field.is_required() else f"`{spelled(schema.get('default'))}`"
         default = "see below" if isinstance(schema.get("default"), dict) else default
-        rows.append((f"`{name}`", type_of(schema), default, prose(field.description or "")))
+        rows.append((f"`{name}`", type_of(schema), default, prose(description_of(model, name))))
     return rows
 
 
@@ -173,10 +175,13 @@ def config_part() -> Page:
             "A [Poincaré section](chaos.md#poincare-sections). Give either `component` or `quantity`.",
             PoincareSection,
         ),
-        "`ensemble`": ("An [ensemble](ensembles.md). Give one of `states`, `grid` and `random`.", EnsembleSection),
+        "`ensemble`": (
+            "An [ensemble](sweeps.md#ensembles). Give one of `states`, `grid` and `random`.",
+            EnsembleSection,
+        ),
         "`ensemble.grid`": ("Evenly spaced values can be written as a range, which is a section.", Range),
         "`ensemble.random`": ("Besides these keys, a key for each vector says how the vector is drawn.", Random),
-        "`top` with `kind: custom`": ("[A top of your own](own-top.md).", CustomSection),
+        "`top` with `kind: custom`": ("[A top of your own](own.md).", CustomSection),
     }
     lines = table(KEYS, keys_of(Config))
     for title, (about, model) in sections.items():

@@ -7,7 +7,6 @@ import math
 import os
 import signal
 import sys
-import zlib
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -76,18 +75,6 @@ def limited(what: str) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--part", default="1/1", help="I/N: part I of N of the test files; the compiler never frees memory"
-    )
-
-
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    part, parts = map(int, config.getoption("--part").split("/"))
-    other = zlib.crc32(collection_path.name.encode()) % parts != part - 1
-    return True if collection_path.name.startswith("test_") and other else None
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
     with limited(f"the preparation of {item.name}"):
@@ -153,7 +140,7 @@ def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], in_
     def call(*arguments: str) -> Said:
         monkeypatch.setattr(sys, "argv", ["topcli", *arguments])
         capsys.readouterr()
-        own = {"--plugin", "--scheme-file"}.intersection(arguments) or "check" in arguments[:1]
+        own = "--plugin" in arguments or "check" in arguments[:1]
         with unchanged_tables() if own else nullcontext(), pytest.raises(SystemExit) as leaving:
             main()
         out, err = capsys.readouterr()
@@ -169,6 +156,6 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Chunks, row groups and blocks so short that a run of some hundred steps has many, on a disk without delay."""
     for name, value in (("ROWS", 640), ("ROWS_ALONE", 16), ("CHUNK_STEPS", 16)):
         monkeypatch.setattr(f"topcli.engine.integration.{name}", value)
-    for name, value in (("ROW_GROUP", 40), ("GATHERED", 25)):
+    for name, value in (("ROW_GROUP", 40),):
         monkeypatch.setattr(f"topcli.store.table.{name}", value)
     monkeypatch.setattr(os, "fsync", lambda handle: None)

@@ -1,4 +1,4 @@
-"""Equations (1) to (3), (5), (7) and (8) of the page on the Kowalevski top, evaluated at one state."""
+"""Equations (1) to (3) of the page on the Kowalevski top, and those of its one equation, evaluated at one state."""
 
 import itertools
 
@@ -22,17 +22,8 @@ def separated(y):
 
 
 rates = np.array(field(tuple(y), (c,)))
-(s, R, R12, x, xi, k, l1, L, G), dx = separated(y), complex(rates[0], rates[1])
-assert np.isclose(2j * dx, y[2] * x - c * y[5])
-assert np.isclose(-4 * dx**2, R(x) + xi * (2j * y[1]) ** 2)  # (1)
-assert np.isclose(4 * abs(dx) ** 2, R12)
-root = np.sqrt(R(x))
-for sign in (1, -1):  # (2); the root of the conjugate is the conjugate root
-    left = (2 * dx / root + sign * 2 * np.conj(dx) / np.conj(root)) ** 2
-    right = (k**2 * (2j * y[1]) ** 4 - (abs(R(x)) - sign * R12) ** 2) / abs(R(x)) ** 2
-    assert np.isclose(left, right)
-
-# (3): s1, s2 separate the motion
+s, R, R12, x, xi, k, l1, L, G = separated(y)
+# (1): s1, s2 separate the motion
 g2, g3 = k * k - G + 3 * l1 * l1, l1 * (k * k - G - l1 * l1) + L * L
 e = np.append(np.roots([4, 0, -g2, -g3]), [(l1 + k) / 2, (l1 - k) / 2]).astype(complex)
 ds = (separated(y + 1e-6 * rates)[0] - separated(y - 1e-6 * rates)[0]) / 2e-6
@@ -43,13 +34,13 @@ assert np.isclose(s[0] - s[1], abs(R(x)) / (4 * y[1] ** 2))
 R1 = (6 * l1 - 4 * y[0] ** 2) * (G - k * k - abs(x) ** 4) - (2 * L - 2 * y[0] * abs(x) ** 2) ** 2
 assert np.isclose(s[0], l1 / 2 - R1 / (2 * (abs(R(x)) + R12)))
 
-# (5): the rates of A0 - B0 and of p + q if both variables grow
+# the rates of A0 - B0 and of p + q if both variables grow
 sigma = 0.4 * s[0] + 0.6 * s[1]
 speed = np.abs(ds) / np.sqrt([-(4 * np.prod(s[i] - e)).real for i in (0, 1)])
 assert np.isclose(speed[0], speed[1], rtol=1e-7)
 assert np.isclose((s[0] - sigma) * speed[0] + (sigma - s[1]) * speed[1], 1, rtol=1e-7)
 
-# (7), (8): the state for one choice of the signs of the square roots
+# (2), (3): the state for one choice of the signs of the square roots
 x0 = max(R.roots, key=lambda r: abs(np.polyder(R)(r)))
 r1, r2 = np.polyder(R)(x0) / 4, np.polyder(R, 2)(x0) / 24
 D, best = s[0] - s[1], np.inf

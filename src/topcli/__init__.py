@@ -33,7 +33,7 @@ HOMES = {
     "Trajectory": "topcli.analysis.trajectory",
     "figure": "topcli.figures.catalogue",
     "measure": "topcli.sweeps.measures",
-    "motion": "topcli.show.report",
+    "motion": "topcli.show.results",
     "run": "topcli.show.results",
     "scheme": "topcli.schemes.registry",
     "simulate": "topcli.runs.simulate",

@@ -7,7 +7,7 @@ from topcli.runs.simulate import simulate as simulate
 from topcli.runs.step_map import step as step
 from topcli.schemes.own_tops import top as top
 from topcli.schemes.registry import scheme as scheme
-from topcli.show.report import motion as motion
+from topcli.show.results import motion as motion
 from topcli.show.results import run as run
 from topcli.show.results import sweep as sweep
 from topcli.studies.analyse import analyse as analyse

@@ -220,17 +220,17 @@ class Top(BaseModel):
     @classmethod
     def __pydantic_init_subclass__(cls, **options: Any) -> None:
         """Set what a top does not declare."""
-        own = vars(cls)
+        declared = vars(cls)
         for name in ("field", "angular_velocity", "vertical"):
-            if inspect.isfunction(own.get(name)):
-                setattr(cls, name, staticmethod(own[name]))
-        if "kind" in own and "form" not in own:
+            if inspect.isfunction(declared.get(name)):
+                setattr(cls, name, staticmethod(declared[name]))
+        if "kind" in declared and "form" not in declared:
             cls.form = cls.kind
         if not hasattr(cls, "title"):
             cls.title = (cls.__doc__ or getattr(cls, "kind", cls.__name__)).strip().splitlines()[0].rstrip(".")
-        if "components" in own and "vectors" not in own:
+        if "components" in declared and "vectors" not in declared:
             cls.vectors = {name: (i, i + 1) for i, name in enumerate(cls.components)}
-        if "components" in own and not hasattr(cls, "swing"):
+        if "components" in declared and not hasattr(cls, "swing"):
             cls.swing = cls.components[0]
         if not cls.step_constants and cls.constants is Top.constants:
             cls.step_constants = tuple(cls.model_fields)
@@ -370,9 +370,6 @@ class Stepper:
         How many numbers of the working state, from the first one on, are tested after each step. A run ends as
         ``blew_up`` if a tested number is not finite. With 0, all numbers are tested. A number needs no test if its
         non-finite values spread to tested numbers.
-    advice : callable, optional
-        ``advice(work, h)`` returns a hint for the user of a run that ended as ``no_convergence``. ``work`` is the
-        working state after the failed step.
     stages : tuple, optional
         Only for a composition, which takes several steps (stages) of a base scheme in each of its own steps. ``stages``
         contains the step function of the base scheme, and the lengths of the stages as fractions of h, in order. The
@@ -400,7 +397,6 @@ class Stepper:
     plain: bool = False
     iterative: bool = False
     checked: int = 0
-    advice: Callable[[Sequence[float], float], str] | None = None
     stages: tuple[StepFunction, tuple[float, ...]] | None = None
     constants: tuple[Fraction, ...] = ()
     source: Callable[[], str] | None = None
@@ -452,8 +448,6 @@ class Block:
         As in ``Stepper``.
     iterative : bool, optional
         As in ``Stepper``.
-    advice : callable, optional
-        As in ``Stepper``.
     tangent : callable, optional
         ``tangent()`` returns a Block that advances a state together with a tangent vector, 2 d numbers in all. None if
         there is no such Block.
@@ -464,7 +458,6 @@ class Block:
     width: int
     counters: tuple[str, ...] = ()
     iterative: bool = False
-    advice: Callable[[Sequence[float], float], str] | None = None
     tangent: Callable[[], Block] | None = None
 
 
@@ -570,8 +563,6 @@ class Ending:
         run goes on after this step. If it takes all its steps, its outcome is ``left_motion``.
     left_t : float, optional
         Time t of the step ``left``, dimensionless.
-    advice : str, optional
-        Hint for the user of a run that did not converge.
     """
 
     outcome: Outcome
@@ -580,7 +571,6 @@ class Ending:
     counters: Mapping[str, int] = field(default_factory=dict)
     left: int | None = None
     left_t: float | None = None
-    advice: str = ""
 
     @property
     def message(self) -> str:
@@ -592,7 +582,7 @@ class Ending:
             Outcome.COMPLETED: completed,
             Outcome.LEFT_MOTION: f"{left}; {completed}",
             Outcome.BLEW_UP: f"blew up {where}: the state is no longer finite",
-            Outcome.NO_CONVERGENCE: f"did not converge {where}" + (f"; {self.advice}" if self.advice else ""),
+            Outcome.NO_CONVERGENCE: f"did not converge {where}",
             Outcome.INTERRUPTED: f"interrupted {where}",
             Outcome.DIGIT_LIMIT: f"stopped {where}: the rational numbers have more digits than max_digits",
         }[self.outcome]

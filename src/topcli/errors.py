@@ -14,15 +14,13 @@ NAME_LENGTH = 60
 """Length at which messages cut a name or value."""
 LIST_LENGTH = 300
 """Longest list of names in a message; instead of a longer one, the message names the command that lists them."""
-MESSAGE_LENGTH = 900
-"""Length of the longest message. With the prefix of a command, it stays below 1,000 characters."""
 
 
 class ExitCode(IntEnum):
     """Exit codes of the commands, each with its ``meaning`` in the help of ``topcli``.
 
-    A closed pipe (``topcli ... | head -1``) does not change the exit code: the command continues without printing. On
-    Windows, which topcli does not support, every command exits with 2.
+    A command whose reader closes the pipe (``topcli ... | head -1``) may exit with 1. On Windows, which topcli does not
+    support, every command exits with 2.
     """
 
     meaning: str
@@ -74,19 +72,11 @@ def quoted(name: str) -> str:
     return repr(shortened(name))
 
 
-def clipped(text: str, length: int = MESSAGE_LENGTH) -> str:
-    """Return ``text``, without its middle if it is longer than ``length``. Place and reason are at its ends."""
-    if len(text) <= length:
-        return text
-    tail = (length - 5) // 2
-    return f"{text[: length - 5 - tail]} ... {text[-tail:]}"
-
-
 class TopcliError(Exception):
     """Base class of topcli's errors.
 
-    The message consists of a few printable ``lines`` of bounded length. ``exit_code`` is the exit code of a command
-    that ends with this error.
+    The message consists of a few printable ``lines``. ``exit_code`` is the exit code of a command that ends with this
+    error.
     """
 
     exit_code = ExitCode.FAILED
@@ -94,8 +84,6 @@ class TopcliError(Exception):
     def __init__(self, *lines: str) -> None:
         super().__init__(*lines)
         self.lines = tuple(map(printable, lines))
-        if len(str(self)) > MESSAGE_LENGTH:
-            self.lines = tuple(clipped(line, MESSAGE_LENGTH // len(lines) - 1) for line in self.lines)
 
     def __str__(self) -> str:
         return "\n".join(self.lines)
@@ -131,15 +119,15 @@ class RunError(TopcliError):
     """Run that could not be computed or stored; the exit code is 1."""
 
 
-def nearest(name: str, known: Iterable[str], listed_by: str = "") -> str:
-    """Return a hint for a misspelt ``name``: the nearest of the ``known`` names or, if none is near, all of them.
+def nearest(name: str, choices: Iterable[str], listed_by: str = "") -> str:
+    """Return a hint for a misspelt ``name``: the nearest of the ``choices`` or, if none is near, all of them.
 
     If ``listed_by`` is given and the list is long, the hint names this command instead.
 
     >>> nearest("hkk", ["hk", "hybrid"])
     "did you mean 'hk'?"
     """
-    names = sorted(known)
+    names = sorted(choices)
     close = difflib.get_close_matches(name[:NAME_LENGTH].lower(), names, n=2, cutoff=0.6)
     if close:
         return "did you mean " + " or ".join(repr(c) for c in close) + "?"

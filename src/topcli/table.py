@@ -298,14 +298,16 @@ class Table:
     def as_dict(self) -> dict[str, Any]:
         """Plain data: heading, rows with all digits, and cells as they are shown."""
         cells = self.cells()
-        shown = {"header": cells.header, "lines": cells.lines, "right": cells.numbers}
-        return {"heading": self.heading, "rows": plain(self.rows), "cells": shown}
+        texts = {"header": cells.header, "lines": cells.lines, "right": cells.numbers}
+        texts |= {"caption": cells.caption, "marks": dict(cells.marks)}
+        return {"heading": self.heading, "rows": plain(self.rows), "cells": texts}
 
 
 def stored_cells(table: Mapping[str, Any]) -> Cells:
     """Texts of a table that is stored as plain data."""
     cells = table["cells"]
-    return Cells(table["heading"], cells["header"], cells["lines"], numbers=cells["right"])
+    rest = {"numbers": cells["right"], "marks": cells["marks"]}
+    return Cells(table["heading"], cells["header"], cells["lines"], cells["caption"], **rest)
 
 
 def plain(value: Any) -> Any:

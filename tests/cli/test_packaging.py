@@ -18,15 +18,15 @@ import pytest
 from conftest import ROOT
 from topcli.studies.bench import PEERS
 
-SUFFIXES = {".py", ".pyi", ".yaml", ".toml", ".mplstyle", ".bib", ".jinja", ".css"}
+SUFFIXES = {".py", ".pyi", ".yaml", ".toml", ".mplstyle", ".bib", ".css"}
 
 
 def build(source: Path, target: str, into: Path) -> Path:
     """Build a distribution without a network, in a process of its own."""
     command = [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", str(into)]
     subprocess.run(command, cwd=source, check=True, capture_output=True, text=True)
-    (made,) = into.glob("*.tar.gz" if target == "sdist" else "*.whl")
-    return made
+    (path,) = into.glob("*.tar.gz" if target == "sdist" else "*.whl")
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -40,42 +40,25 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build(source, "wheel", folder)
 
 
-def run_python(python: Path, where: Path, *arguments: str, **environment: str) -> str:
+def run_python(python: Path, where: Path, *arguments: str) -> str:
     """Standard output of a Python process in the folder ``where``, which knows nothing of this checkout."""
     cleared = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    done = subprocess.run(
-        [str(python), *arguments], cwd=where, env={**cleared, **environment}, capture_output=True, text=True
-    )
+    done = subprocess.run([str(python), *arguments], cwd=where, env=cleared, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout
-
-
-def use(python: Path, where: Path, package: Path, **environment: str) -> None:
-    """Run a scene of each file format and list the schemes with the topcli in ``package``, in the folder ``where``."""
-    short = ("run", "kowalevski-hk", "--set", "name=short", "--set", "N=100", "-q")
-    run_python(python, where, "-m", "topcli", *short, **environment)
-    assert (where / "results" / "short" / "series.parquet").exists()
-    asked = (
-        "import topcli; print(topcli.__file__); print(len(topcli.simulate('kowalevski_generic_hk', N=100).states));"
-        "from topcli.schemes.registry import all_schemes; print({scheme.name for scheme in all_schemes()})"
-    )
-    place, rows, schemes = run_python(python, where, "-c", asked, **environment).splitlines()
-    assert Path(place).resolve().parent == package.resolve()
-    assert rows == "101"
-    assert "'hybrid'" in schemes
 
 
 @pytest.mark.slow
 def test_the_wheel_holds_the_package_and_the_scenes_and_no_more(wheel: Path) -> None:
     package = ROOT / "src" / "topcli"
     source = {path.relative_to(package).as_posix() for path in package.rglob("*") if path.is_file()}
-    wanted = {f"topcli/{name}" for name in source if "__pycache__" not in name}
+    expected = {f"topcli/{name}" for name in source if "__pycache__" not in name}
     configs = ROOT / "configs"
-    wanted |= {f"topcli/scenes/{path.relative_to(configs)}" for path in configs.rglob("*.*")}
+    expected |= {f"topcli/scenes/{path.relative_to(configs)}" for path in configs.rglob("*.*")}
     names = set(zipfile.ZipFile(wheel).namelist())
     about = {name for name in names if name.split("/")[0].endswith(".dist-info")}
-    assert names - about == wanted
-    assert {Path(name).suffix for name in wanted - {"topcli/py.typed"}} == SUFFIXES
+    assert names - about == expected
+    assert {Path(name).suffix for name in expected - {"topcli/py.typed"}} == SUFFIXES
     assert {name.split("/", 1)[1] for name in about} == {
         "METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"
     }  # fmt: skip
@@ -85,16 +68,19 @@ def test_the_wheel_holds_the_package_and_the_scenes_and_no_more(wheel: Path) -> 
 def test_the_wheel_runs_in_an_environment_of_its_own(wheel: Path, tmp_path: Path) -> None:
     """Its dependencies are those of this environment, which is on the path behind it."""
     venv.create(tmp_path / "env", symlinks=True)
-    scripts = "Scripts" if os.name == "nt" else "bin"
-    python = tmp_path / "env" / scripts / "python"
-    packages = Path(
-        run_python(python, tmp_path, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip()
-    )
+    python = tmp_path / "env" / "bin" / "python"
+    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    packages = Path(run_python(python, tmp_path, "-c", code).strip())
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(packages)
     (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    (tmp_path / "elsewhere").mkdir()
-    use(python, tmp_path / "elsewhere", packages / "topcli")
+    where = tmp_path / "elsewhere"
+    where.mkdir()
+    run_python(python, where, "-m", "topcli", "run", "kowalevski-hk", "--set", "name=short", "--set", "N=100", "-q")
+    assert (where / "results" / "short" / "series.parquet").exists()
+    code = "import topcli; print(topcli.__file__); print(len(topcli.simulate('kowalevski_generic_hk', N=100).states))"
+    place, rows = run_python(python, where, "-c", code).splitlines()
+    assert (Path(place).resolve().parent, rows) == ((packages / "topcli").resolve(), "101")
 
 
 # peers of the benchmark

@@ -7,17 +7,14 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
-import topcli
 from conftest import ROOT, Said
 from documentation import read_page
 from injected import topcli_process
 from topcli.engine import compile
-from topcli.errors import UsageError
 
 Cli = Callable[..., Said]
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
@@ -172,15 +169,6 @@ measure: [%s]
 """
 
 
-def test_order_takes_the_content_of_a_config() -> None:
-    config: dict[str, Any] = {"top": "euler", "initial": {"omega": [0.2, 1, 0.1]}, "scheme": "hk", "h": 0.1, "N": 20}
-    found = topcli.order("hk", config=config, sizes=[0.1, 0.05, 0.025])
-    assert found.title.endswith("t from 0 to 2")
-    assert found.config["initial"] == {"omega": [0.2, 1.0, 0.1]}
-    with pytest.raises(UsageError, match="computed in doubles"):
-        topcli.order("hk", config={**config, "precision": 50})
-
-
 HEUN = "    return Stepper(heun, 3)"
 MID = """
     def step(y, h, p):
@@ -198,7 +186,7 @@ PAGE = {
     "width": ("def heun(y, h, p):", "def heun(y, h, p):  # the line\n    _, _ = y", ALL),
     "modified": ("order=2,", "order=2,\n    modified=lambda top, h, options: 1 / 0,  # the line", ALL),
     "no invariant": ("@topcli.scheme(", "@topcli.scheme(  # the line", ALL),
-    "no polynomial": ("def field(y, p):", "def field(y, p):", ("compare", "order", "stress")),
+    "no polynomial": ("def field(y, p):", "def field(y, p):  # the line", ("compare", "order", "stress")),
 }
 
 
@@ -207,12 +195,12 @@ PAGE = {
 def test_a_fault_in_a_file_is_named_by_every_command(cli: Cli, in_tmp: Path, fault: str) -> None:
     """By its file and line, and never as a bug of topcli; the others of several schemes go on."""
     old, new, commands = PAGE[fault]
-    files = read_page(ROOT / "docs" / "own-scheme.md").files()
+    files = read_page(ROOT / "docs" / "own.md").files()
     text = files["gyrostat.py"].replace(old, new)
     if fault == "no invariant":
         text = text.replace("self_adjoint=False", "self_adjoint=False, conserves=['enrgy']")
     if fault == "no polynomial":
-        text = NO_INTEGRALS.sub("", text).replace("/ A, (", "/ A + 0.0 / w3,  # the line\n            (")
+        text = NO_INTEGRALS.sub("", text).replace("/ A, (", "/ A + 0.0 / w3, (")
     assert text != files["gyrostat.py"]
     Path("rotor.yaml").write_text(files["rotor.yaml"])
     Path("mine.py").write_text(text)
@@ -238,7 +226,6 @@ def test_a_fault_in_a_file_is_named_by_every_command(cli: Cli, in_tmp: Path, fau
     ("settings", "words", "code"),
     [
         ({"NUMBA_DISABLE_JIT": "1"}, "NUMBA_DISABLE_JIT is set", 1),
-        ({"NUMBA_NUM_THREADS": "0"}, "Number of threads specified must be > 0", 1),
         ({"NUMBA_NUM_THREADS": "abc", "PYTHONOPTIMIZE": "2"}, "", 0),
     ],
 )
@@ -264,5 +251,5 @@ def test_a_compiler_that_cannot_be_loaded_is_not_a_folder_that_cannot_be_written
     finally:
         compile._llvm.cache_clear()
     assert said.code == 1
-    assert "the compiler cannot be loaded: llvmlite" in said.err
+    assert "a package cannot be loaded: import of llvmlite" in said.err
     assert "written" not in said.err

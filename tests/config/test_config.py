@@ -17,7 +17,6 @@ import topcli
 from config_texts import BASE, CONFIGS, ENSEMBLES, FILES, PAPER_GAMMA, refusal, write
 from topcli.config.files import scene_files
 from topcli.config.load import load, load_experiment
-from topcli.config.overrides import parse_override
 from topcli.config.ranges import steps_of
 from topcli.config.text import resolve_scalar
 from topcli.contracts import Stepper
@@ -46,15 +45,6 @@ def test_scene_by_bare_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UnknownNameError, match=r"did you mean the file mine\.yaml\?"):
         load_experiment("mine")
-
-
-def test_name_defaults(tmp_path: Path) -> None:
-    unnamed = BASE.replace("name: x\n", "")
-    experiment = load_experiment(write(tmp_path, unnamed, "my scene.yaml"))
-    assert experiment.name == "my scene"
-    data = {key: value for key, value in experiment.resolved().items() if key != "name"}
-    assert load_experiment(data | {"scheme": "bohlin-a"}).name == "kowalevski_bohlin_a"
-    assert "name: '-x' cannot name a folder" in refusal(write(tmp_path, unnamed, "-x.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -89,11 +79,6 @@ def test_a_vector_that_is_nearly_a_unit_vector_is_kept_with_a_warning(
         assert off == pytest.approx(excess, rel=1e-2)
 
 
-def test_numbers_and_case_of_names_are_read_leniently(tmp_path: Path) -> None:
-    experiment = load_experiment(write(tmp_path, BASE.replace("100", "5e4").replace("0.001", "-1").replace("hk", "HK")))
-    assert repr((experiment.N, experiment.h, experiment.scheme.name)) == "(50000, -1.0, 'hk')"
-
-
 def test_python_interface() -> None:
     data: dict[str, Any] = {
         "top": "kowalevski",
@@ -113,18 +98,11 @@ def test_python_interface() -> None:
         load_experiment(data | {"h": object()})
 
 
-def test_a_parameter_that_no_scheme_can_divide_by_is_refused() -> None:
-    tiny = load_experiment("heavy_chaotic", ["scheme=midpoint", "top.A=5e-324"])
-    with pytest.raises(UsageError, match=r"the field has a coefficient of about 2\^1073, which no double holds"):
-        tiny.method()
-
-
 def test_several_mistakes_are_reported_at_once(tmp_path: Path) -> None:
-    text = BASE.replace("h: 0.001", "h: 0").replace("c0", "c_0").replace("hk", "hkk").replace("100", "0")
+    text = BASE.replace("h: 0.001", "h: 0").replace("scheme", "shceme").replace("100", "0")
     messages = refusal(write(tmp_path, text)).splitlines()
-    assert len(messages) == 3
+    assert [line.split(": ")[1] for line in messages] == ["shceme", "scheme", "h"]
     assert messages[2].endswith("(and 1 more)")
-    assert {line.split(": ")[1] for line in messages} == {"h", "N", "top.c_0"}
 
 
 def test_unreadable_config_files_are_refused(tmp_path: Path) -> None:
@@ -161,12 +139,6 @@ def test_overrides_replace_keys() -> None:
     assert whole.resolved()["scheme"] == {"name": "bohlin-b", "branch": "sign", "project": 0}
     assert load_experiment(path, ["top=kowalevski", "top.c0=2"]).top.model_dump() == {"c0": 2.0, "A": 2.0}
     assert load_experiment(path, ("h=1", "N=3", "h=2")).h == 2.0
-
-
-def test_parse_override() -> None:
-    assert parse_override("a.b=[auto, -.5, 1e-3, no, '2']") == (("a", "b"), ["auto", -0.5, 1e-3, "no", "2"])
-    assert parse_override("a=b=c") == (("a",), "b=c")
-    assert parse_override("name='run #1'") == (("name",), "run #1")
 
 
 SCALARS = {"1e-3": 0.001, "-.5": -0.5, "2.": 2.0, "010": 10, "+7": 7, "0x1f": "0x1f", "1e99999": "1e99999", "no": "no"}

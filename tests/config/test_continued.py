@@ -14,12 +14,9 @@ import pytest
 import topcli
 from conftest import Said
 from custom_tops import SECTION
-from resuming import after
 from topcli.config.load import load, load_experiment
-from topcli.config.sweep import load_sweep
 from topcli.errors import ConfigError
-from topcli.runs.run import RunOptions, run_experiment
-from topcli.sweeps.run import SweepOptions, run_sweep
+from topcli.runs.run import run_experiment
 
 BODY: dict[str, Any] = {
     "name": "one",
@@ -70,13 +67,6 @@ def test_the_config_of_a_continued_run_is_complete(in_tmp: Path) -> None:
     assert many.ensemble.states[:, 3:].tolist() == [first[-1, 3:].tolist()] * 2
 
 
-def test_an_interrupted_run_goes_on_from_where_it_stopped(in_tmp: Path) -> None:
-    stored = run_experiment(load({**BODY, "N": 10**6}), in_tmp / "results", RunOptions(stop=after(3))).stored
-    last = pd.read_parquet(stored.series).iloc[-1]
-    assert 0 < stored.manifest["step"] == last["n"]
-    assert load_experiment({**BODY, "initial": {"from": "one"}}).y0[0] == last["omega1"]
-
-
 @pytest.mark.parametrize(
     ("run", "changes", "message"),
     [
@@ -101,15 +91,6 @@ def test_what_cannot_be_continued_is_refused(
         load({**BODY, "name": "on", "initial": {"from": "one"}, **changes})
 
 
-def test_a_damaged_run_is_not_continued(in_tmp: Path) -> None:
-    stored = run_experiment(load(BODY), in_tmp / "results").stored
-    data = bytearray(stored.series.read_bytes())
-    data[len(data) // 2] ^= 1
-    stored.series.write_bytes(data)
-    with pytest.raises(ConfigError, match=r"the run results/one is damaged: series\.parquet"):
-        load({**BODY, "initial": {"from": "one"}})
-
-
 OFF = [0.6, 0.0, 0.8 + 5e-5]
 """gamma² is off by 8e-5."""
 WARNING = "initial gamma is not a unit vector: gamma² is off by 8e-05, which the run keeps"
@@ -128,13 +109,3 @@ def test_commands_and_functions_warn_of_states_off_the_unit_sphere(cli: Callable
         topcli.simulate(BODY, states=[[0.3, 0.2, 1.1, 0.6, 0.0, 0.8], state])
     with pytest.warns(UserWarning, match=WARNING):
         topcli.simulate({**BODY, "ensemble": {"grid": {"gamma3": [0.8, OFF[2]], "omega1": [0.1, 0.2]}}})
-
-
-def test_sweeps_warn_of_states_off_the_unit_sphere(in_tmp: Path) -> None:
-    base = {key: value for key, value in BODY.items() if key != "name"}
-    sweep = load_sweep(
-        {"name": "s", "base": base, "grid": {"initial.gamma3": [0.8, OFF[2]]}, "measure": ["max.energy"]}
-    )
-    lines: list[str] = []
-    run_sweep(sweep, in_tmp, SweepOptions(on_message=lines.append))
-    assert sum(WARNING in line for line in lines) == 1

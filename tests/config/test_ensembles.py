@@ -13,13 +13,11 @@ import pytest
 from config_texts import ENSEMBLES, PLAIN, refusal, write
 from declared import BODIES
 from json_schema import fits
-from scheme_files import loaded_file
 from topcli.config.ensemble import Ensemble
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.schema import config_schema
 from topcli.contracts import Array, Top
-from topcli.engine.watch import energy_limits
 from topcli.errors import ConfigError
 from topcli.tops import TOPS
 
@@ -78,12 +76,6 @@ def test_a_grid_is_a_product_in_the_order_of_the_components() -> None:
     reordered = ensemble(grid=dict(reversed(found.resolved()["ensemble"]["grid"].items())))
     assert same(found, reordered)
     assert same(found, load(found.resolved()))
-
-
-def test_a_grid_over_a_whole_vector_needs_no_initial_one() -> None:
-    axes = {f"omega{i}": [0.1, 0.2] for i in (1, 2, 3)}
-    found = load({**PLAIN, "top": "euler", "initial": {}, "ensemble": {"grid": axes}})
-    assert states(found).tolist() == [list(x) for x in itertools.product((0.1, 0.2), repeat=3)]
 
 
 @pytest.mark.parametrize(
@@ -168,58 +160,3 @@ def test_energies_are_exact(form: str) -> None:
     for x in unit.T:
         assert within(x, 0.0, 1 / 3)
         assert within(x**2, 1 / 3, 1 / 5 - 1 / 9)
-
-
-OWN_TOPS = """
-from dataclasses import replace
-from topcli.contracts import Invariant
-import topcli
-from topcli.tops.heavy import Heavy
-
-@topcli.top
-class Renamed(Heavy):
-    '''Heavy top with twice the energy under the name "H", and m.gamma under the name "energy".'''
-
-    kind = form = "renamed"
-    energy = "H"
-    energy_factor = 0.5
-
-    def invariants(self):
-        _, m_gamma, energy = super().invariants()
-        twice = [lambda y, f=f: 2.0 * f(y) for f in (energy.value, energy.scale)]
-        return (replace(m_gamma, name="energy"), Invariant("H", "2E", "2E", "twice the energy", *twice))
-
-@topcli.top
-class Nameless(Heavy):
-    '''Heavy top without an invariant that is its energy.'''
-
-    kind = form = "nameless"
-    energy = "H"
-"""
-
-
-@pytest.mark.slow
-def test_the_energy_of_a_top_is_the_invariant_that_it_names(tmp_path: Path) -> None:
-    """For draws, their schema and the outcome left_motion alike, whatever the invariant is called."""
-
-    def asked(kind: str) -> dict[str, Any]:
-        random = {"count": 200, "gamma": "sphere", "omega": {"energy": 3.5}}
-        return {**PLAIN, "top": kind, "scheme": "rk4", "initial": {}, "ensemble": {"random": random}}
-
-    (tmp_path / "tops.py").write_text(OWN_TOPS)
-    with loaded_file(tmp_path / "tops.py"):
-        drawn = states(load(asked("renamed")))
-        energy, scale = body_energy(TOPS["renamed"].new(), drawn)
-        assert (np.abs(energy - 3.5) <= 4 * np.finfo(float).eps * (scale + 3.5)).all()
-        at_rest = np.array([[0.0, 0.0, 0.0, 0.6, 0.48, 0.64]])  # m.gamma, whose terms are 0, has other limits
-        assert 100.0 < energy_limits(TOPS["renamed"].new(), at_rest)[0] < 300.0
-        assert np.isinf(energy_limits(TOPS["nameless"].new(), at_rest)[0])
-        with pytest.raises(ConfigError, match="the top nameless has no invariant 'H', the name of its energy"):
-            load(asked("nameless"))
-
-
-def test_an_energy_below_the_saddle_leaves_part_of_the_sphere() -> None:
-    """With E = 0 and V = c0 gamma1, gamma1 is uniform in [-1, 0]."""
-    drawn = states(ensemble(random={"count": 20_000, "gamma": "sphere", "omega": {"energy": 0.0}}))
-    assert drawn[:, 3].max() <= 0.0
-    assert within(drawn[:, 3], -1 / 2, 1 / 12)

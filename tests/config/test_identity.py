@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from topcli.config.load import load
 from topcli.config.models import changed_name, name_fault
-from topcli.schemes.registry import names_for
 
 RUN = """
 top.c0=1.0000000000000002 top.A=3 initial.omega1=2.0000000000000004 initial.gamma=[0,0,1] scheme=rk4 scheme=hk+suzuki4
@@ -30,11 +27,6 @@ def test_every_key_enters_the_digest_but_name_and_format(keys: str) -> None:
     digests = [load(SCENE, [*base, override.replace(":", ": ")]).digest for override in keys.split()]
     assert len({first, *digests}) == len(digests) + 1
     assert load(SCENE, [*base, "name=other", "output.format=csv"]).digest == first
-
-
-def test_every_scheme_has_a_digest_of_its_own() -> None:
-    digests = [load(SCENE, [f"scheme={name}"]).digest for name in names_for("kowalevski")]
-    assert len(set(digests)) == len(digests)
 
 
 # names of runs: that of the config, with the first digits of the digest if an override changes what is computed
@@ -61,15 +53,6 @@ def test_an_override_that_changes_the_run_changes_its_name(scene: str, override:
     experiment = load(scene, [override], rename=True)
     assert experiment.digest == load(scene, [override]).digest
     assert experiment.name == experiment.resolved()["name"] == f"{scene}-{experiment.digest[:6]}"
-
-
-def test_a_name_that_is_given_wins(tmp_path: Path) -> None:
-    assert load(SCENE, ["h=0.01"], {"name": "mine"}, rename=True).name == "mine"
-    assert load(SCENE, ["h=0.01", "name=mine"], rename=True).name == "mine"
-    file = tmp_path / "part.yaml"
-    file.write_text("name: inside\ntop: euler\ninitial: {omega: [1, 1, 1]}\nh: 0.1\nN: 10\n")
-    completed = load(file, ["scheme=hk"], rename=True)
-    assert completed.name == f"inside-{completed.digest[:6]}"
 
 
 @pytest.mark.parametrize(

@@ -25,27 +25,6 @@ def exact(data: dict[str, object], *overrides: str) -> Experiment:
     return load_experiment(data, overrides, any_precision=True)
 
 
-def test_double_is_the_default_and_no_part_of_the_identity() -> None:
-    plain, named = exact(LAGRANGE), exact(LAGRANGE | {"precision": "double"})
-    assert plain.precision == named.precision == "double"
-    assert plain.written is None
-    assert plain.resolved() == named.resolved()
-    assert not {"precision", "max_digits"} & plain.resolved().keys()
-
-
-def test_precision_and_its_keys_enter_the_digest() -> None:
-    rational = LAGRANGE | {"precision": "rational"}
-    configs = [
-        LAGRANGE,
-        LAGRANGE | {"precision": 40},
-        LAGRANGE | {"precision": 50},
-        LAGRANGE | {"precision": 50, "h": "0.10000000000000000000001"},
-        rational,
-        rational | {"max_digits": 77},
-    ]
-    assert len({exact(config).digest for config in configs}) == len(configs)
-
-
 OMEGA = "[1.0000000000000000000001, 0, 1e-400]"
 YAML = (
     f"top: {{kind: lagrange, mu: {PI}}}\ninitial: {{omega: {OMEGA}, gamma: [0.6, 0, 0.8]}}\nscheme: hk\nh: 0.1\nN: 3\n"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +15,6 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.config.sweep import Sweep, load_sweep
 from topcli.config.text import parse_yaml
-from topcli.errors import TopcliError
 
 BASE: dict[str, Any] = {
     "top": "kowalevski",
@@ -124,14 +122,6 @@ def test_h_and_the_number_of_steps_follow_from_the_duration() -> None:
 RANDOM = {"count": 4, "seed": 3, "omega": {"sphere": 2}, "gamma": "sphere", "top.c0": {"from": 1, "to": 2}}
 
 
-@pytest.mark.parametrize("random", [RANDOM, {key: RANDOM[key] for key in ("count", "gamma")}])
-def test_added_rows_change_no_drawn_state(random: dict[str, Any]) -> None:
-    before = {row.keys: row.identity for row in rows(random=random, grid={"scheme": ["hk"]})}
-    after = {row.keys: row.identity for row in rows(random={**random, "count": 9}, grid={"scheme": ["rk4", "hk"]})}
-    assert len(after) == 18
-    assert before.items() <= after.items()
-
-
 def test_the_seed_and_the_sample_alone_change_what_is_drawn() -> None:
     """Schemes, steps and tops start from the same states; an initial vector that is drawn is not needed."""
     by_sample: dict[int, set[tuple[float, ...]]] = {}
@@ -145,21 +135,6 @@ def test_the_seed_and_the_sample_alone_change_what_is_drawn() -> None:
     assert (*first.state, first.experiment.resolved()["top"]["c0"]) in by_sample[1]
     bare = {key: value for key, value in BASE.items() if key != "initial"}
     assert [row.state for row in rows(base=bare, random=RANDOM)] == [row.state for row in rows(random=RANDOM)]
-
-
-def test_the_centre_of_a_drawn_vector_may_vary() -> None:
-    listed = rows(random={"count": 2, "omega": {"near": 0.1}}, grid={"initial.omega": [[2, 0, 0], [0, 2, 0]]})
-    for row, centre in zip(listed, [(2, 0, 0)] * 2 + [(0, 2, 0)] * 2, strict=True):
-        assert 0.0 < math.dist(row.state[:3], centre) < 0.1
-        assert json.loads(row.keys[0]) == list(centre), "the key is the centre, so that rows of one centre agree"
-
-
-def test_drawn_parameters_are_uniform() -> None:
-    c0 = [row.experiment.resolved()["top"]["c0"] for row in rows(random={**RANDOM, "count": 400})]
-    assert min(c0) >= 1.0
-    assert max(c0) <= 2.0
-    # 5 standard errors: a false alarm in 1.7 million
-    assert abs(sum(c0) / 400 - 1.5) < 5.0 / math.sqrt(12 * 400)
 
 
 def test_overrides_reach_the_base_and_the_grid() -> None:
@@ -180,14 +155,3 @@ def test_the_resolved_file_gives_the_same_rows(tmp_path: Path) -> None:
     assert [row.identity for row in rows_of(second)] == [row.identity for row in rows_of(first)]
     assert second.digest == first.digest
     assert load_sweep("Heavy-Drift").name == "heavy_drift"
-
-
-def test_exclude_may_name_what_an_override_removed() -> None:
-    data = {"base": BASE, "grid": {"scheme": ["hk", "rk4", "dop853"], "h": [0.1, 0.2]}}
-    data["exclude"] = [{"scheme": "dop853", "h": 0.2}, {"scheme": "hk", "h": 0.1}]
-    fewer = rows_of(load_sweep(data, ["grid.scheme=[hk, rk4]"]))
-    assert [row.keys for row in fewer] == [("hk", 0.2), ("rk4", 0.1), ("rk4", 0.2)]
-    assert load_sweep(data, ["grid={h: [0.1, 0.2]}"]).file.exclude == []
-    assert load_sweep("kowalevski_errors", ["grid.scheme=[hk, rk4]"]).count_left > 0
-    with pytest.raises(TopcliError, match=r"exclude\[0\]: no row has .*dop8"):
-        load_sweep({**data, "exclude": [{"scheme": "dop8"}]})

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from conftest import random_states
-from declared import SCHEMES
 from steppers import RK2, built
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import integration
@@ -21,9 +20,6 @@ from topcli.engine.integration import Integration
 from topcli.engine.machine import FEW_LANES, MANY_LANES, SIDE_BY_SIDE, Machine
 from topcli.engine.plan import Plan
 from topcli.engine.rows import Rows
-from topcli.errors import SchemeCodeError
-from topcli.schemes.registry import find_scheme
-from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
 COUNT = MANY_LANES + 6
@@ -74,26 +70,6 @@ def small_pieces(patch: pytest.MonkeyPatch, rows: int, steps: int) -> None:
     patch.setattr(integration, "ROWS_ALONE", rows)
     patch.setattr(integration, "CHUNK_STEPS", steps)
     patch.setattr(integration, "CALL_SECONDS", 0.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", [*SCHEMES, find_scheme("hk", "coupled-euler")], ids=lambda s: f"{s.name}/{s.top}")
-def test_pieces_and_batches_have_the_bits_of_a_single_run(scheme, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one piece, whose every seventh row is the same, and in pieces of awkward sizes."""
-    top = TOPS[scheme.top].new()
-    method = scheme.build(top, scheme.options())
-    slow = not isinstance(method, Stepper) or method.plain
-    count, N = (3, 20) if slow else (COUNT, 150)
-    y0 = random_states(count, 5)[:, : len(top.components)]
-    for h, every in ((0.02, 1), (-0.03, 7)):
-        whole = [orbit(top, method, y, h, N) for y in y0[:2]]
-        with monkeypatch.context() as patch:
-            small_pieces(patch, 5, 61)
-            run = assert_same(planned(top, method, y0, h, N, every), sorted({0, 1, count - 1}))
-            for y, one in zip(y0, whole, strict=False):
-                assert orbit(top, method, y, h, N, every).states.tobytes() == one.states[::every].tobytes()
-        outcomes = {Outcome.COMPLETED, *([Outcome.BLEW_UP] if scheme.name == "bohlin-b" else [])}  # where gamma3 is -1
-        assert {ending.outcome for ending in run.endings} <= outcomes
 
 
 @pytest.mark.slow
@@ -203,11 +179,3 @@ def test_an_error_stops_the_drive(threads: int, broken: int, monkeypatch: pytest
     with pytest.raises(OSError, match=f"no room for tile {broken}"):
         drive(plan, [Full()], threads=threads)
     assert len(begun) == len(set(begun)) <= 4  # no tile twice, and no second chunk
-
-
-def test_a_step_that_cannot_be_compiled_is_reported() -> None:
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        return tuple(float(str(x)) for x in s)
-
-    with pytest.raises(SchemeCodeError, match=r"test_drive\.py:"):
-        drive(planned(Kowalevski(), Stepper(step, 6), random_states(SIDE_BY_SIDE, 1), 0.1, 1))

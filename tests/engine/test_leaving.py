@@ -5,25 +5,19 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from conftest import GEN, ROOT, Said
-from resuming import after, content, killed
-from topcli.config.load import load, load_experiment
-from topcli.contracts import Invariant, Outcome, Top
+from conftest import GEN, Said
+from topcli.contracts import Outcome, Top
 from topcli.engine.plan import Plan
 from topcli.engine.rows import Rows
 from topcli.engine.watch import Watch
-from topcli.runs.run import RunOptions, run_experiment
 from topcli.runs.simulate import simulate
 from topcli.tops.euler import Euler
-from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import LagrangeInertial
 
@@ -98,50 +92,6 @@ def test_an_energy_beyond_the_range_of_numbers_has_left(value: float) -> None:
         assert left_by_each(Kowalevski(), states) == {1500}
 
 
-class Without(Heavy):
-    """A top whose energy is not known."""
-
-    def invariants(self) -> tuple[Invariant, ...]:
-        return super().invariants()[:2]
-
-
-class Named(Heavy):
-    """A top whose energy has another name."""
-
-    energy: ClassVar[str] = "gamma_sq"
-
-
-class Undefined(Heavy):
-    """A top whose energy is nan where omega1 < 0."""
-
-    def invariants(self) -> tuple[Invariant, ...]:
-        values = {"energy": lambda y: np.sqrt(y[:, 0])}
-        return tuple(replace(one, value=values.get(one.name, one.value)) for one in super().invariants())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("top", "slots", "factor", "left"),
-    [
-        (Heavy(), slice(0, 3), 1e8, 900),
-        (Without(), slice(0, 3), 1e8, None),
-        (Named(), slice(0, 3), 1e8, None),
-        (Named(), slice(3, 6), 1e8, 900),
-        (Undefined(), slice(0, 1), 1e13, 900),  # its square root is beyond a hundred times the terms
-        (Undefined(), slice(0, 1), -1e13, None),
-    ],
-)
-def test_what_is_watched_is_the_energy_where_it_is_defined(
-    top: Top, slots: slice, factor: float, left: int | None
-) -> None:
-    states = np.tile(np.array(GEN), (1000, 1))
-    if factor < 0.0:
-        states[:, 0] = -1.0
-    states[300:, slots] *= factor
-    with np.errstate(all="ignore"):
-        assert left_by_each(top, states) == {left}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("gamma", [(0.0, 0.0, 1.0), (1e-12, 0.6, 0.8)])
 def test_a_start_whose_terms_vanish_has_the_scale_of_its_lengths(gamma: tuple[float, ...]) -> None:
@@ -155,10 +105,6 @@ def test_a_start_whose_terms_vanish_has_the_scale_of_its_lengths(gamma: tuple[fl
     )
     assert falls.outcome is Outcome.COMPLETED
     assert np.ptp(falls["energy"]) == pytest.approx(0.000625, rel=0.05)
-
-
-def test_a_state_at_rest_for_ever_is_not_judged() -> None:
-    assert left_by_each(Kowalevski(c0=0.0), np.zeros((1000, 6))) == {None}
 
 
 @pytest.mark.slow
@@ -196,50 +142,3 @@ def test_a_later_failure_keeps_its_outcome_and_mentions_it() -> None:
     assert found.ending.message.startswith("blew up at step 10 ")
     assert "left its energy surface at step 8 (t = 16)" in found.ending.message
     assert "energy" not in simulate("kowalevski_hk", scheme="rk4", N=100).ending.message
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("small_chunks")
-@pytest.mark.parametrize("suffix", ["parquet", "csv"])
-@pytest.mark.parametrize("chunks", [1, 3])
-def test_leaving_survives_an_interruption(tmp_path: Path, suffix: str, chunks: int) -> None:
-    """Interrupted or killed after it had left, and before: the report of the uninterrupted run, bit for bit."""
-    start = ["initial={omega: [0.7, -0.4, 1.3], gamma: [0.6, 0.48, 0.64]}"]
-    experiment = load_experiment(
-        ROOT / "configs" / "kowalevski_hk.yaml", ["h=2", *start, "N=300", f"output.format={suffix}"]
-    )
-    whole = run_experiment(experiment, tmp_path / "whole")
-    assert whole.outcome is Outcome.LEFT_MOTION
-    step = whole.report["left_motion"]["step"]
-    cut = run_experiment(experiment, tmp_path / "cut", RunOptions(stop=after(chunks)))
-    assert cut.outcome is Outcome.INTERRUPTED
-    assert (cut.report["left_motion"] is None) == (cut.report["step"] < step)
-    killed(tmp_path / "killed", experiment, chunks)
-    for name in ("cut", "killed"):
-        continued = run_experiment(experiment, tmp_path / name)
-        assert continued.status == "continued"
-        assert content(continued.stored.folder) == content(whole.stored.folder)
-
-
-@pytest.mark.slow
-def test_ensembles_count_left_motions(tmp_path: Path) -> None:
-    experiment = load("kowalevski_ensemble", ["h=2", "N=300", "ensemble.store=final"])
-    result = run_experiment(experiment, tmp_path)
-    report = result.report
-    table = pq.read_table(tmp_path / "kowalevski_ensemble" / "trajectories.parquet")
-    outcomes, steps = (table.column(name).to_pylist() for name in ("outcome", "left_motion"))
-    left = [i for i, step in enumerate(steps) if step >= 0]
-    assert 0 < len(left) < len(steps)
-    assert result.outcome is Outcome.LEFT_MOTION
-    assert report["outcomes"] == {"completed": len(steps) - len(left), "left_motion": len(left)}
-    assert report["failures"] == [
-        {"trajectory": i, "outcome": "left_motion", "step": steps[i], "t": 2.0 * steps[i]} for i in left[:20]
-    ]
-    assert f"{len(left)} left their energy surface" in report["message"]
-    found = simulate("kowalevski_ensemble", overrides=["h=2", "N=300"])
-    assert [ending.outcome.value for ending in found.endings] == outcomes
-    for i in (left[0], next(i for i in range(len(steps)) if i not in left)):
-        y = found.initial[i].tolist()
-        config = {"top": "kowalevski", "scheme": found.scheme, "initial": {"omega": y[:3], "gamma": y[3:]}}
-        alone = simulate({**config, "h": 2.0, "N": 300, "output": {"every": 10}})
-        assert (alone.ending.left, alone.outcome.value) == (None if steps[i] < 0 else steps[i], outcomes[i])

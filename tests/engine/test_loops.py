@@ -54,7 +54,7 @@ def test_every_loop_has_the_bits_of_the_plain_loop(scheme: Scheme, monkeypatch: 
         return
     y, theta = random_states(LANES + 2, 5)[2:, :d].copy(), np.linspace(0.0, 1.0, LANES)
     plain, compiled = interpreted(method, d, len(p)), loop_of(method, d, len(p))
-    monkeypatch.setattr(loops, "_one_by_one", lambda *_: pytest.fail("parts of steps are not compiled"))
+    monkeypatch.setattr(loops, "state_after", lambda *_: pytest.fail("parts of steps are not compiled"))
     for h in (0.02, 1.7):
         for state, (usual, *lane) in zip(y, side_by_side(method, y, p, h), strict=True):
             expected, single = recorded(plain, state, p, h), recorded(compiled, state, p, h)
@@ -85,8 +85,3 @@ def texts_step(s: Any, h: float, p: Any) -> Any:
 def test_a_step_of_no_use_is_refused_with_its_place(method: Method, message: str) -> None:
     with pytest.raises(SchemeCodeError, match=message):
         recorded(loop_of(method, 3, 1), np.ones(3), np.ones(1), 0.1)
-
-
-def test_a_step_that_cannot_be_compiled_has_no_lanes() -> None:
-    with pytest.raises(SchemeCodeError, match=r"test_loops\.py:"):
-        lanes_code(Stepper(texts_step, 3), 3, 1, LANES)

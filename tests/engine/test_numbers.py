@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import operator
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -20,19 +18,11 @@ from topcli.contracts import Outcome, Scheme, Stepper
 from topcli.engine.collect import Orbit, orbit
 from topcli.engine.machine import Machine
 from topcli.engine.numbers import (
-    FUNCTIONS,
     RATIONAL,
-    NotRationalError,
     PreciseRun,
-    Rational,
-    StrayDoubleError,
     digits,
-    floating,
-    longest,
     meaning,
-    precise_loop,
     prepared,
-    rationals,
 )
 from topcli.errors import UsageError
 from topcli.runs.report import ORDINARY
@@ -116,66 +106,6 @@ def test_doubles_are_refused(value: Any, precision: int | str, library: str) -> 
     scheme = replace(find_scheme("rk2", "kowalevski"), build=lambda top, options: step)
     with pytest.raises(UsageError, match=r"no exact meaning|math.atan2, which|no step in"):
         carried_out(ready(scheme, precision), 2)
-
-
-@pytest.mark.parametrize("function", [operator.add, operator.sub, operator.mul, operator.truediv, operator.pow])
-def test_operators_take_short_doubles_only(function: Callable[..., Any]) -> None:
-    third = Fraction(1, 3)
-    for number in (floating(200).number(third), Rational(third)):
-        for swapped in (False, True)[: 1 if function is operator.pow else 2]:
-            pair = (2.0, number) if swapped else (number, 2.0)
-            exact = (Fraction(2), third) if swapped else (third, Fraction(2))
-            if function is not operator.pow:
-                value = function(*pair)
-                assert abs(Fraction(*map(int, value.as_integer_ratio())) - function(*exact)) < Fraction(1, 2**196)
-                assert type(value) is type(number)
-            with pytest.raises(StrayDoubleError, match=r"0\.1 has no exact meaning"):
-                function(*(0.1 if x == 2.0 else x for x in pair))
-    with pytest.raises(NotRationalError, match="power 1/2 of a rational number is not rational"):
-        _ = Rational(third) ** 0.5
-
-
-VALUES = (0.0, 0.5, -0.5, 1.0, -1.0, 2.0, -8.0, 700.0, -700.0, 1e10, -1e10, math.inf, -math.inf)
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_are_those_of_doubles(name: str, library: str) -> None:
-    """At 60 bits, and nan where a double is nan: never a complex number, never an exception."""
-    numbers = digits(17)
-    known = {"acos": np.arccos, "asin": np.arcsin, "atan": np.arctan, "atan2": np.arctan2}
-    expected = known.get(name) or getattr(np, name)
-    with numbers.active(), np.errstate(all="ignore"):
-        one = numbers.number(Fraction(1))
-        for arguments in itertools.product(VALUES, repeat=expected.nin):
-            values = [x * one if math.isinf(x) else numbers.number(Fraction(x)) for x in arguments]
-            value, other = float(getattr(numbers.math, name)(*values)), float(expected(*arguments))
-            assert value == pytest.approx(other, rel=4e-16, nan_ok=True), arguments
-        assert not numbers.finite(numbers.number(Fraction(-1)) ** 0.5)
-    with numbers.active():  # again, within that of a study
-        assert abs(numbers.fraction(one / 3) - Fraction(1, 3)) < Fraction(1, 10**17)
-
-
-def test_numbers_within_a_step_are_bounded() -> None:
-    """A step that squares its number twelve times, as a composition does, ends when the number is too long."""
-    longest_seen = [0]
-
-    def step(s: Any, h: Any, p: Any) -> Any:
-        x = s[0]
-        for _ in range(12):
-            x = x * x
-            longest_seen[0] = max(longest_seen[0], longest((x,)))
-        return (x / x,)
-
-    for bits, outcome in ((100, Outcome.DIGIT_LIMIT), (33_000, None)):
-        longest_seen[0] = 0
-        numbers = rationals(4 * bits)
-        loop = precise_loop(Stepper(step, 1), 1, (), numbers, bits)
-        work = np.array([numbers.number(Fraction(3))], dtype=object)
-        taken = loop.drive(work, np.empty(1, dtype=object), None, None, 1, 1, 1)
-        assert taken == (1 if outcome is None else -1)
-        assert outcome is None or loop.failure(work) is outcome
-        assert longest_seen[0] <= 4 * bits
-        assert longest_seen[0] > (bits if outcome else 6000)  # 3^4096 has 6493 binary digits
 
 
 H = Fraction(1, 20)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
-from fractions import Fraction
 from itertools import product
 from typing import Any
 
@@ -13,7 +12,6 @@ import mpmath
 import numpy as np
 import pytest
 
-from split_motions import bracket_matrix
 from steppers import built
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Method, Stepper, Top
@@ -21,15 +19,12 @@ from topcli.engine.collect import orbit
 from topcli.engine.compile import native
 from topcli.engine.drive import drive as driven
 from topcli.engine.duals import RULES, dual, slope_of, value_of
-from topcli.engine.loops import interpreted, loop_of, part_steps_of
+from topcli.engine.loops import interpreted, part_steps_of
 from topcli.engine.machine import Machine
 from topcli.engine.plan import Plan
 from topcli.engine.tangent import TangentRun, tangent_code
 from topcli.errors import SchemeCodeError, UsageError
-from topcli.field.expression import FUNCTIONS, in_arithmetic
-from topcli.field.implicit import KahanStep, KahanTangent, generated
-from topcli.field.polynomial import NotPolynomialError, decimal, field_of
-from topcli.field.straight_line import function_of
+from topcli.field.expression import FUNCTIONS
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 
@@ -42,17 +37,6 @@ class Pair(Top):
     kind = "pair"
     components = ("x", "y")
     field = staticmethod(lambda y, p: y)
-
-
-def quadratic_forms() -> list[str]:
-    found = []
-    for form, declared in TOPS.items():
-        try:
-            degree = max(rate.degree for rate in field_of(declared.new()))
-        except NotPolynomialError:
-            continue
-        found += [form] if degree == 2 else []
-    return found
 
 
 def states_of(form: str, count: int = 3, seed: int = 5) -> np.ndarray:
@@ -81,27 +65,6 @@ def moved(method: Method, p: np.ndarray, y: np.ndarray, h: float, steps: int) ->
     loop.enter(y, work, p, h)
     assert loop.drive(work, end, p, h, steps, steps, steps) == steps
     return end
-
-
-@pytest.mark.parametrize("form", quadratic_forms())
-def test_kahans_tangent_map_is_the_derivative_of_the_step(form: str) -> None:
-    """In fractions: the difference quotient is off by the square of its step, 1e-30; the state keeps its bits."""
-    top = TOPS[form].new()
-    field, d, first = field_of(top), len(top.components), len(top.constants())
-    plain, both = generated(KahanStep, field, first), generated(KahanTangent, field, first)
-    step = function_of(plain.graph, "step", plain.outputs)
-    tangent = function_of(both.graph, "tangent", both.outputs)
-    exact_step, exact_tangent = (in_arithmetic(function, decimal, None) for function in (step, tangent))
-    p, q = ((Fraction(0),) * first + made.constants for made in (plain, both))
-    y, v = (tuple(Fraction(round(1000 * x), 1000) for x in state) for state in states_of(form, 2))
-    h, nudge = Fraction(1, 7), Fraction(1, 10**15)
-    up, down = (exact_step(tuple(a + s * nudge * b for a, b in zip(y, v, strict=True)), h, p) for s in (1, -1))
-    found = exact_tangent((*y, *v), h, q)
-    assert found[:d] == exact_step(y, h, p)
-    for a, b, slope in zip(up, down, found[d:], strict=True):
-        assert abs(float((a - b) / (2 * nudge) - slope)) < 1e-26
-    numbers = tuple(map(float, y)), tuple(map(float, v)), tuple(map(float, p)), tuple(map(float, q))
-    assert tangent((*numbers[0], *numbers[1]), H, numbers[3])[:d] == step(numbers[0], H, numbers[2])
 
 
 CASES = [
@@ -153,21 +116,6 @@ def test_the_tangent_map_of_a_taylor_series_is_that_of_the_flow() -> None:
     assert 1e-9 < np.abs(near - vectors).max() < 1e-5
 
 
-@pytest.mark.parametrize(("name", "form"), [("hk", "clebsch"), ("hybrid", "kowalevski")])
-def test_growth_depends_neither_on_other_orbits_nor_on_the_lengths_of_calls(name: str, form: str) -> None:
-    """To the last bit: vectors are scaled by powers of two."""
-    y, v = states_of(form, 8), states_of(form, 8, seed=6)
-    v[3] *= 1e200
-    together, alone = code_of(name, form, 8).run(H, y, v), code_of(name, form)
-    together.advance(2000)
-    for i in range(8):
-        run = alone.run(H, y[i : i + 1], v[i : i + 1])
-        for steps in (1, 300, 1699):
-            run.advance(steps)
-        assert np.array_equal(run.states[0], together.states[i])
-        assert np.array_equal(np.ldexp(run.vectors[0], run.scales[0] - together.scales[i]), together.vectors[i])
-
-
 def stretching(factor: Callable[[float], float]) -> Stepper:
     """Map of (number of the step, y) near the fixed point y = 1/4 that stretches vectors along y."""
     return Stepper(lambda s, h, p: (s[0] + 1.0, 0.25 + (s[1] - 0.25) * factor(s[0])), 2)
@@ -197,49 +145,6 @@ def test_strong_growth_neither_overflows_nor_vanishes(
         assert growth(run)[0] - math.log(3.0) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def failing_orbits(name: str, form: str, method: Method, seed: int) -> list[tuple[np.ndarray, float, list[int]]]:
-    """States of eight orbits, a step so long that many fail, and of each the first of 30 steps that does; 0 if none."""
-    top, random = TOPS[form].new(), np.random.default_rng(seed)
-    p, orbits = np.array(top.constants()), []
-    loop = loop_of(method, len(top.components), len(p))
-    for _ in range(6):
-        y, h = random.normal(size=(8, len(top.components))), 10.0 ** random.uniform(0.3, 1.3)
-        failed = []
-        for state in y:
-            work, end = np.zeros(loop.width), np.zeros(len(state))
-            loop.enter(state, work, p, h)
-            failed.append(max(0, -loop.drive(work, end, p, h, 30, 30, 30)))
-        orbits.append((y, h, failed))
-    return orbits
-
-
-@pytest.mark.parametrize(
-    ("name", "form", "lanes"),
-    [
-        ("dmv", "kowalevski", 1),
-        ("dmv", "kowalevski", 8),
-        ("dmv", "euler", 8),
-        ("midpoint", "heavy", 8),
-        ("hybrid-sym", "kowalevski", 8),
-    ],
-)
-def test_an_orbit_breaks_off_at_its_first_failed_step(name: str, form: str, lanes: int) -> None:
-    """State, vector and growth are nan where a run does not converge, also if later steps do."""
-    code, early = code_of(name, form, lanes), 0
-    for y, h, failed in failing_orbits(name, form, built(name, TOPS[form].new()), seed=8):
-        for i in range(0, len(y), lanes):
-            run = code.run(h, y[i : i + lanes], np.ones((lanes, y.shape[1])))
-            run.advance(30)
-            fails = [step > 0 for step in failed[i : i + lanes]]
-            for values in (run.states, run.vectors, run.images):
-                assert np.isnan(values.reshape(lanes, -1)).all(axis=1).tolist() == fails
-                assert np.isnan(values.reshape(lanes, -1)).any(axis=1).tolist() == fails
-            run.advance(1)
-            assert np.isnan(growth(run))[fails].all()
-        early += sum(0 < step < 30 for step in failed)
-    assert early >= 5  # seen: 5 of the midpoint rule, 47 and 48 of 48 of the others
-
-
 @pytest.mark.parametrize("lanes", [1, 8])
 def test_a_step_that_hides_an_infinity_has_failed(lanes: int) -> None:
     """From (0, 2): (2, inf), (inf, 1/2), (1/2, 0), which is finite; the run ends at the first step."""
@@ -250,17 +155,6 @@ def test_a_step_that_hides_an_infinity_has_failed(lanes: int) -> None:
     assert np.isnan([*states[0], *vectors[0]]).all()
     assert lanes == 1 or states[1].tolist() == [0.5, 3.0]
     assert orbit(top, method, y[0], H, 3).ending.step == 1
-
-
-@pytest.mark.parametrize(("name", "bound"), [("splitting", 1e-13), ("backlund", 1e-12), ("hk", None), ("rk4", None)])
-def test_canonical_steps_have_a_poisson_tangent_map(name: str, bound: float | None) -> None:
-    """J P J^T = P at the image, to round-off; hk and rk4, which are not canonical, are the control."""
-    top = TOPS["kowalevski"].new()
-    y, scale = states_of("kowalevski", 1)[0] * 0.5, np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0])
-    states, vectors = image(code_of(name, "kowalevski", 8), np.repeat(y[None], 6, 0), np.diag(1.0 / scale), H)
-    jacobian = (scale * vectors).T
-    defect = np.abs(jacobian @ bracket_matrix(top, y) @ jacobian.T - bracket_matrix(top, states[0])).max()
-    assert defect < bound if bound else defect > 1e-9
 
 
 @pytest.mark.slow
@@ -331,21 +225,6 @@ def test_dual_numbers_in_branches_loops_and_powers() -> None:
     value = sum((2 * 1.3 + k) * 1.3**3 / 2.3 for k in range(3)) - 3
     exact = mpmath.diff(lambda x: -sum((2 * x + k) * x**3 / (1 + x) for k in range(3)), 1.3)
     assert out == pytest.approx([-value, float(exact), 0.0], rel=1e-13)
-
-
-@pytest.mark.parametrize("n", [-3, -1, 0, 1, 2, 5])
-def test_powers_of_dual_numbers_never_raise(n: int) -> None:
-    def drive(work, out):
-        s = dual(work[0], 1.0) ** n
-        out[0] = value_of(s)
-        out[1] = slope_of(s)
-        return 1
-
-    code, out = native(drive, "pp", duals=True), np.zeros(2)
-    code.checked(np.array([1.25]), out)
-    assert out == pytest.approx([1.25**n, n * 1.25 ** (n - 1)], rel=1e-15)
-    code.checked(np.array([0.0]), out)
-    assert out.tolist() == [0.0**n, n * 0.0 ** abs(n - 1)] if n >= 0 else [math.inf, -math.inf]
 
 
 RAISING = Stepper(lambda s, h, p: (s[int(10.0 * h)], s[1]), 2)

@@ -57,20 +57,21 @@ def test_backward_runs_are_shown_backwards(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_gif_holds_all_frames_at_the_chosen_speed(tmp_path: Path, motion: BodyMotion) -> None:
-    seen: list[tuple[int, int]] = []
-    path = tmp_path / "new" / "a.gif"
-    animate(motion, frame_times(motion, 5), path, 20.0, 240, lambda done, total: seen.append((done, total)))
-    with Image.open(path) as picture:
+def test_the_command_writes_all_frames_at_the_chosen_speed(folder: Path, cli: Callable[..., Said]) -> None:
+    output = cli("animate", str(folder), "--out", "a.gif", "--seconds", "0.2", "--size", "240", "--json")
+    content = json.loads(output.out)
+    assert (content["run"], content["frames"], content["width"], content["height"]) == ("turned", 5, 240, 160)
+    assert 0.0 < content["t_last"] < 4.0
+    assert "of 4; --stop 4 shows the whole run faster" in output.err
+    with Image.open("a.gif") as picture:
         assert (picture.size, picture.n_frames, picture.info["loop"]) == ((240, 160), 5, 0)
-        assert picture.info["duration"] == 50
+        assert picture.info["duration"] == 40
         first = np.asarray(picture.convert("RGB"))
         picture.seek(4)
         assert (np.asarray(picture.convert("RGB")) != first).any()
-    assert (seen[0], seen[-1]) == ((0, 5), (5, 5))
-    assert list(path.parent.iterdir()) == [path]
 
 
+@pytest.mark.slow
 def test_a_failed_animation_keeps_the_earlier_file(
     tmp_path: Path, motion: BodyMotion, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,42 +92,27 @@ def test_mp4_is_playable(tmp_path: Path, motion: BodyMotion) -> None:
     program = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
     animate(motion, frame_times(motion, 10), tmp_path / "a.mp4", 20.0, 241)
     decode = [program, "-i", str(tmp_path / "a.mp4"), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    made = subprocess.run(decode, check=True, capture_output=True)
-    assert len(np.frombuffer(made.stdout, dtype=np.uint8).reshape(-1, 160, 240, 3)) == 10
-    about = made.stderr.decode()
-    assert ("h264" in about, "20 fps" in about, "yuv420p" in about) == (True, True, True)
+    output = subprocess.run(decode, check=True, capture_output=True)
+    assert len(np.frombuffer(output.stdout, dtype=np.uint8).reshape(-1, 160, 240, 3)) == 10
+    assert all(word in output.stderr.decode() for word in ("h264", "20 fps", "yuv420p"))
 
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     table_of("""
 --out a.webm                           --out a.webm: must end in .gif or .mp4
---out a.gif --fps 60                   a GIF has at most 50 frames per second
 --out a.gif --seconds 200              a GIF has at most 50 frames per second and 2500; write an .mp4
 --out a.gif --stop 9                   --stop 9: the run is from t = 0 to 4
 --out a.gif --start -1                 --start -1: the run is from t = 0 to 4
 --out a.gif --start 2 --stop 2         are both 2
 --out a.gif --start nan                --start nan
+--out a.mp4                            --out a.mp4: MP4 needs an encoder, which is not installed
 """),
 )
-def test_wrong_options_are_refused(folder: Path, cli: Callable[..., Said], arguments: str, expected: str) -> None:
-    said = cli("animate", str(folder), *arguments.split())
-    assert said.code == 2
-    assert expected in said.err
-    assert not Path("a.gif").exists()
-
-
-def test_a_missing_encoder_is_said_first(cli: Callable[..., Said], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_options_are_refused(
+    folder: Path, cli: Callable[..., Said], monkeypatch: pytest.MonkeyPatch, arguments: str, expected: str
+) -> None:
     monkeypatch.setattr("topcli.figures.animation._encoder", lambda: "no-such-program")
-    said = cli("animate", "nowhere", "--out", "a.mp4")
-    assert said.code == 2
-    assert said.err.splitlines()[0] == "error: --out a.mp4: MP4 needs an encoder, which is not installed"
-
-
-@pytest.mark.slow
-def test_the_command_reports_what_it_wrote(folder: Path, cli: Callable[..., Said]) -> None:
-    said = cli("animate", str(folder), "--out", "a.gif", "--seconds", "0.2", "--size", "240", "--json")
-    shown = json.loads(said.out)
-    assert (shown["run"], shown["frames"], shown["width"], shown["height"]) == ("turned", 5, 240, 160)
-    assert 0.0 < shown["t_last"] < 4.0
-    assert "of 4; --stop 4 shows the whole run faster" in said.err
+    output = cli("animate", str(folder), *arguments.split())
+    assert output.code == 2
+    assert expected in output.err

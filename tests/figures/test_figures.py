@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import topcli
-from topcli.cli.options import complete_figure
+from topcli.cli.options import complete
 from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Figure, NothingMeasuredError, canvas_of, read_columns
@@ -116,7 +116,7 @@ def test_the_command_lists_completes_and_skips(cli: Callable[..., Any], monkeypa
         monkeypatch.setattr(f"topcli.figures.{place}.FIGURES", figures)
     listed = cli("list", "figures", "--json").json()["figures"]
     assert [item["name"] for item in listed] == ["wave", "slow"]
-    assert complete_figure("w") == ["wave"]
+    assert complete("FIGURE", "w") == ["wave"]
     said = cli("plot", "--all", "--format", "png")
     assert said.out == "wave: drawn: results/figures/wave.png, results/figures/wave.parquet\n"
     assert said.err == "slow: skipped: nothing measured\n"

@@ -8,33 +8,8 @@ import numpy as np
 import pytest
 
 import topcli
-from orbits import curves
-from topcli.analysis.lyapunov import Growth
 from topcli.figures import maps, paper
 from topcli.figures.figure import canvas_of
-
-GROWTH = {"chaotic": 110.0, "regular": 8.5, "undecided": 12.0, "broke_off": math.nan}
-"""Growth at the end of a curve that is a straight line."""
-
-
-def growth(**counts: int) -> Growth:
-    ends = [GROWTH[kind] for kind, count in counts.items() for _ in range(count)]
-    return curves(*(lambda u, end=end: end * u for end in ends))
-
-
-def test_share_of_chaotic_orbits_and_its_error() -> None:
-    """Among those with a verdict; the error is that of a binomial distribution, half an orbit at least."""
-    share, error = maps.chaotic_share(growth(chaotic=30, regular=90, undecided=7, broke_off=3))
-    assert share == 0.25
-    assert error == pytest.approx(math.sqrt(0.25 * 0.75 / 120))
-    assert maps.chaotic_share(growth(regular=50)) == (0.0, 0.01)
-    assert maps.chaotic_share(growth(broke_off=5))[0] == 0.0
-
-
-def test_random_orbits() -> None:
-    y = maps.random_orbits(20_000)
-    assert np.linalg.norm(y[:, 3:], axis=1) == pytest.approx(1.0)
-    assert y[:, :3].std(axis=0) == pytest.approx([1.5] * 3, rel=0.03)
 
 
 @pytest.mark.slow
@@ -97,7 +72,7 @@ def test_energies_are_the_largest_deviations_of_the_runs_so_far(monkeypatch: pyt
 def test_spacings_follow_the_law_and_scale_as_order_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """With few steps: gamma_1 of the rows, the swings of the motion, spacings with the right limits and slope."""
     monkeypatch.setattr(paper, "LADDERS", dict.fromkeys(paper.LADDERS, (-2.0, -3.0)))
-    monkeypatch.setattr(paper, "SHOWN", (("exact", 1e-3), ("bohlin-a", 1e-3)))
+    monkeypatch.setattr(paper, "MOTIONS", (("exact", 1e-3), ("bohlin-a", 1e-3)))
     columns = paper.period()
     assert columns["swings"] == pytest.approx([14.0858, 42.2571], abs=1e-3)
     run = topcli.simulate("kowalevski_bohlin_a")

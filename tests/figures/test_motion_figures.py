@@ -18,8 +18,8 @@ def roots(E: float, k_sq: float, two_l: float) -> np.ndarray:
 
 def region_of(E: float, k_sq: float, two_l: float) -> int:
     """Number of the region by the order of the real roots; 0 if the highest is not (E/3 + k)/2."""
-    found = roots(E, k_sq, two_l)
-    named = [(float(z.real), "eee45"[i]) for i, z in enumerate(found) if abs(z.imag) < 1e-9]
+    values = roots(E, k_sq, two_l)
+    named = [(float(z.real), "eee45"[i]) for i, z in enumerate(values) if abs(z.imag) < 1e-9]
     word = "".join(name for _, name in sorted(named))
     return {"5e4": 1, "ee5e4": 2, "5eee4": 2, "e5ee4": 3, "e54": 4, "eee54": 5}.get(word, 0)
 
@@ -39,11 +39,13 @@ def test_regions_are_those_of_the_order_of_the_roots() -> None:
 def test_two_roots_coincide_on_the_curves_and_only_there() -> None:
     for two_l, window in ((0.3, (-0.9, 2.9)), (1.288, (-0.9, 4.9)), (4.0, (3.0, 12.5))):
         kinds = set()
-        for one in branches(two_l / 2, 1.0, window, (0.0, 3.0)):
-            kinds.add(one.kind)
-            for at in np.linspace(0, len(one.E) - 1, 7).astype(int)[1:-1]:
-                apart = np.abs(np.subtract.outer(*[roots(one.E[at], one.k_sq[at], two_l)] * 2)) + 9 * np.eye(5)
+        for branch in branches(two_l / 2, 1.0, window, (0.0, 3.0)):
+            kinds.add(branch.kind)
+            for at in np.linspace(0, len(branch.E) - 1, 7).astype(int)[1:-1]:
+                apart = np.abs(np.subtract.outer(*[roots(branch.E[at], branch.k_sq[at], two_l)] * 2)) + 9 * np.eye(5)
                 assert apart.min() < 1e-5
-                off = np.abs(np.subtract.outer(*[roots(one.E[at], one.k_sq[at] + 0.05, two_l)] * 2)) + 9 * np.eye(5)
+                off = np.abs(np.subtract.outer(*[roots(branch.E[at], branch.k_sq[at] + 0.05, two_l)] * 2)) + 9 * np.eye(
+                    5
+                )
                 assert off.min() > 1e-4
         assert {"separatrix", "periodic", "delone"} <= kinds

@@ -18,7 +18,7 @@ from cases import table_of
 from sweep_rows import write_rows
 from topcli.errors import UsageError
 from topcli.figures.figure import canvas_of
-from topcli.figures.sweep import Choice, draw_sweep, scale_of
+from topcli.figures.sweep import Choice, draw_sweep, is_geometric, scale_of
 from topcli.sweeps.table import read_rows
 
 SCHEMES = {"hk": 2.0, "rk4": 4.0, "bohlin-a": 1.0}
@@ -39,26 +39,27 @@ def folder(tmp_path: Path) -> Path:
     return write_rows(tmp_path / "mine", keys, {"max_error": [error_of(*row) for row in rows], "drift.energy": drifts})
 
 
-def figure_of(frame: pd.DataFrame, choice: Choice) -> Figure:
-    choice.require(frame)
-    return canvas_of(lambda canvas, _: draw_sweep(canvas.subplots(), frame, choice, "mine"), {}, (6.4, 3.8))
+def figure_of(rows: pd.DataFrame, choice: Choice) -> Figure:
+    return canvas_of(lambda canvas, _: draw_sweep(canvas.subplots(), rows, choice, "mine"), {}, (6.4, 3.8))
 
 
 def test_curves_are_medians_with_quartiles_and_slopes(folder: Path) -> None:
     (axes,) = figure_of(read_rows(folder), Choice("h", "max_error", "scheme", aggregate="median")).axes
-    assert [line.get_label() for line in axes.lines] == ["HK: 2.00", "RK4: 4.00", "Bohlin A: 1.00"]
+    assert axes.get_legend_handles_labels()[1] == ["HK: 2.00", "RK4: 4.00", "Bohlin A: 1.00"]
+    assert axes.get_ylabel() == "max error (median [quartiles])"
     for line, scheme in zip(axes.lines, SCHEMES, strict=True):
         expected = [np.median([error_of(scheme, h, seed) for seed in SEEDS]) for h in sorted(SIZES)]
         np.testing.assert_allclose(line.get_xydata(), np.column_stack([sorted(SIZES), expected]))
     band = axes.collections[0].get_paths()[0].vertices
-    low, high = np.quantile([error_of("hk", 0.1, seed) for seed in SEEDS], (0.25, 0.75))
     edge = band[np.isclose(band[:, 0], 0.1), 1]
-    assert (edge.min(), edge.max()) == (pytest.approx(low), pytest.approx(high))
+    quartiles = np.quantile([error_of("hk", 0.1, seed) for seed in SEEDS], (0.25, 0.75))
+    assert (edge.min(), edge.max()) == pytest.approx(quartiles)
 
 
-def test_values_without_a_place_are_counted_in_the_title() -> None:
-    frame = pd.DataFrame({"h": [0.4, 0.2, 0.1, 0.05, 0.025, 0.0125], "v": [1e127, 9e9, math.nan, 1e-3, math.inf, 0.0]})
-    (axes,) = figure_of(frame, Choice("h", "v")).axes
+def test_values_without_a_place_are_counted_in_the_title(tmp_path: Path) -> None:
+    sizes, values = [0.4, 0.2, 0.1, 0.05, 0.025, 0.0125], [1e127, 9e9, math.nan, 1e-3, math.inf, 0.0]
+    rows = read_rows(write_rows(tmp_path / "few", {"h": sizes}, {"v": values}))
+    (axes,) = figure_of(rows, Choice("h", "v")).axes
     assert axes.lines[0].get_xydata().tolist() == [[0.05, 1e-3], [0.2, 9e9]]
     assert axes.get_title(loc="left") == "mine, 4 of 6 values not shown"
 
@@ -74,8 +75,7 @@ def test_cells_are_those_of_the_rows(folder: Path) -> None:
 
 
 def test_names_on_an_axis_have_spreads(folder: Path) -> None:
-    frame = read_rows(folder).query("h == 0.1")
-    (axes,) = figure_of(frame, Choice("scheme", "max_error", aggregate="mean")).axes
+    (axes,) = figure_of(read_rows(folder, ["h=0.1"]), Choice("scheme", "max_error", aggregate="mean")).axes
     assert [label.get_text() for label in axes.get_xticklabels()] == ["HK", "RK4", "Bohlin A"]
     values = [error_of("hk", 0.1, seed) for seed in SEEDS]
     half = np.std(values, ddof=1) / math.sqrt(3)
@@ -84,46 +84,45 @@ def test_names_on_an_axis_have_spreads(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "scale", "width"),
+    ("values", "scale", "width", "geometric"),
     table_of("""
-[1.0, 99.0]              linear  None
-[1.0, 101.0]             log     None
-[0.0, 1.0, 101.0, None]  log     None
-[-1.0, 101.0]            symlog  1.0
-[-1e-20, 5.0]            symlog  5e-10
-[0.0, None]              linear  None
+[1.0, 99.0]                linear  None   False
+[1.0, 10.0, 101.0]         log     None   True
+[1.0, 2.0, 4.0]            linear  None   True
+[1.0, 2.0, 3.0]            linear  None   False
+[0.0, 1.0, 101.0]          log     None   False
+[-1.0, 101.0]              symlog  1.0    False
+[-1e-20, 5.0]              symlog  5e-10  False
 """),
 )
-def test_scales_follow_the_magnitudes(values: list[Any], scale: str, width: float | None) -> None:
-    found = scale_of(np.array(values, dtype=float))
-    assert (found["value"], found.get("linthresh")) == (scale, width)
+def test_scales_follow_the_magnitudes(values: list[float], scale: str, width: float | None, geometric: bool) -> None:
+    expected = {"value": scale} | ({"linthresh": width} if width else {})
+    assert (scale_of(np.array(values)), is_geometric(np.array(values))) == (expected, geometric)
 
 
 @pytest.mark.parametrize(
     ("choice", "message"),
     table_of("""
-x=h y=max_error by=scheme                up to 3 rows have the same h and scheme; add --aggregate median
-x=h y=scheme colour=max_error            up to 3 rows have the same h and scheme
-x=hh y=max_error                         --x 'hh': no such column; did you mean 'h'
-x=h y=max_eror                           --y 'max_eror': no such column; did you mean 'max_error'
-x=h y=scheme                             --y 'scheme': has words, not numbers
+x=h y=max_error by=scheme                up to 3 values fall into one cell, because seed still varies
+x=hh y=max_error                         --x and --by: unknown key 'hh'; did you mean 'h'
+x=h y=max_eror                           --y: unknown measure 'max_eror'; did you mean 'max_error'
 x=h y=scheme by=seed colour=max_error    --colour and --by cannot be combined
-x=h y=max_error by=h                     key 'h' is used twice
-x=h y=max_error aggregate=avg            --aggregate 'avg': unknown aggregate
+x=h y=max_error by=h                     key 'h' is named twice
+x=h y=max_error aggregate=avg            --aggregate 'avg': unknown
 """),
 )
 def test_wrong_choices_are_named(folder: Path, choice: str, message: str) -> None:
     with pytest.raises(UsageError, match=re.escape(message)):
-        Choice(**dict(word.split("=") for word in choice.split())).require(read_rows(folder))
+        Choice(**dict(word.split("=") for word in choice.split())).cells(read_rows(folder))
 
 
 def test_the_command_stores_the_rows_that_it_draws(cli: Callable[..., Any], folder: Path) -> None:
     command = ("plot", "sweep", str(folder), "--x", "h", "--y", "max_error", "--by", "scheme", "--where", "seed=2")
     name = "mine_max_error_over_h_by_scheme"
-    said = cli(*command, "--format", "png")
-    assert said.out == f"{name}: drawn: results/figures/{name}.png, results/figures/{name}.parquet\n"
-    data = pd.read_parquet(f"results/figures/{name}.parquet")
-    assert data["max_error"].tolist() == [error_of(scheme, h, 2) for scheme in SCHEMES for h in SIZES]
+    output = cli(*command, "--format", "png")
+    assert output.out == f"{name}: drawn: results/figures/{name}.png, results/figures/{name}.parquet\n"
+    columns = pd.read_parquet(f"results/figures/{name}.parquet")
+    assert columns["max_error"].tolist() == [error_of(scheme, h, 2) for scheme in SCHEMES for h in SIZES]
     assert cli(*command[:-1], "seed=1", "--format", "png").code == 0
     assert pd.read_parquet(f"results/figures/{name}.parquet")["max_error"][0] == error_of("hk", 0.1, 1)
     for words, message in (

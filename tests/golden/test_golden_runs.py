@@ -97,7 +97,7 @@ def test_sweep(tmp_path: Path) -> None:
         pivot = sweep_table(rows, ["scheme"], "h", ["max_error"], aggregate)
         data[aggregate] = {
             "title": pivot.title,
-            "lines": pivot.lines(),
+            "lines": [pivot.cells.header, *pivot.cells.lines],
             "notes": pivot.notes,
             "csv": pivot.text("csv").splitlines(),
             "latex": pivot.text("latex").splitlines(),

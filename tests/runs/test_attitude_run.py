@@ -1,4 +1,4 @@
-"""The attitude of a run: recorded, refused, and the motion of a stored run, reconstructed where it is missing."""
+"""The attitude of a run: recorded, refused, and the motion of a stored run."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import topcli
-from resuming import HK, after, small
+from resuming import HK, small
 from topcli.config.load import load_experiment
-from topcli.errors import RunError, UsageError
+from topcli.errors import UsageError
 from topcli.figures.animation import BodyMotion, stored_body_motion
-from topcli.runs.identity import Identity
-from topcli.runs.run import RunOptions, run_experiment
+from topcli.runs.identity import identity_of
+from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 from turning import TURNED, stored, turned_apart
 
@@ -66,7 +66,7 @@ def test_the_attitude_enters_the_identity_only_if_recorded() -> None:
     assert small("output.attitude=null").digest == plain.digest
     assert len({plain.digest, turned.digest, angles.digest}) == 3
     assert load_experiment(turned.resolved()).digest == turned.digest
-    codes = {Identity.of(one).code for one in (plain, turned)}
+    codes = {identity_of(one).code for one in (plain, turned)}
     assert len(codes) == 2
 
 
@@ -81,71 +81,19 @@ def motion(folder: Path) -> BodyMotion:
     return stored_body_motion(folder)
 
 
-def test_motion_is_that_of_the_rows(folder: Path, motion: BodyMotion) -> None:
-    series = read_series(folder / "series.parquet")
-    np.testing.assert_array_equal(motion.attitude, np.column_stack([series[f"q{i}"] for i in range(4)]))
-    np.testing.assert_array_equal(motion.t, series["t"])
-    assert motion.notes == ()
-
-
 @pytest.mark.parametrize("h", [0.001, -0.002])
 def test_motion_without_recorded_times_is_over_those_of_its_steps(tmp_path: Path, h: float) -> None:
     columns = "output.columns=[n, omega1, omega2, omega3, gamma1, gamma2, gamma3]"
     rows = ("N=400", "output.every=4", f"h={h}", TURNED, columns)
-    found = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", *rows))
-    np.testing.assert_allclose(found.t, np.linspace(0.0, 400 * h, 101), rtol=1e-13)
+    motion = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", *rows))
+    np.testing.assert_allclose(motion.t, np.linspace(0.0, 400 * h, 101), rtol=1e-13)
 
 
 def test_euler_angles_give_the_same_motion(tmp_path: Path, motion: BodyMotion) -> None:
-    found = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", "N=400", "output.attitude=euler-angles"))
-    assert turned_apart(found.attitude, motion.attitude).max() < 1e-14
+    other = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", "N=400", "output.attitude=euler-angles"))
+    assert turned_apart(other.attitude, motion.attitude).max() < 1e-14
 
 
-@pytest.mark.slow
-def test_missing_attitude_is_reconstructed_and_said(tmp_path: Path) -> None:
-    """To the error of the scheme from rows of HK."""
-    rows = ("N=400", "output.every=10", "name=c")
-    coarse = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", *rows))
-    fine = stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", *rows[:2], TURNED, "name=d"))
-    assert coarse.notes == (
-        "c: no attitude is recorded; reconstructed from the rows (--set output.attitude=quaternion records the "
-        "scheme's own)",
-    )
-    assert 1e-7 < turned_apart(coarse.attitude, fine.attitude).max() < 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scene", ["kowalevski_generic_hk", "lagrange_cusps", "euler_hk", "euler_tennis_racket"])
-def test_every_form_of_a_top_is_reconstructed(tmp_path: Path, scene: str) -> None:
-    """To round-off from rows of the exact motion."""
-    sets = ("scheme=exact", "h=0.01", "N=200")
-    one = stored_body_motion(stored(tmp_path, scene, *sets, TURNED, "name=a"))
-    other = stored_body_motion(stored(tmp_path, scene, *sets, "name=b"))
-    assert turned_apart(one.attitude, other.attitude).max() < 1e-11
-
-
-def test_rows_that_are_too_few_are_refused(tmp_path: Path) -> None:
-    folder = stored(tmp_path, "kowalevski_hk", "N=2000", "output.every=1000")
-    with pytest.raises(UsageError, match="turns by up to 2 radians from row to row") as caught:
-        stored_body_motion(folder)
-    assert "--set output.attitude=quaternion, or with rows at least 4." in caught.value.lines[1]
-    narrow = stored(tmp_path, "kowalevski_hk", "N=100", "output.columns=[t, gamma1]", "name=narrow")
-    with pytest.raises(UsageError, match="records neither the attitude nor all of omega1"):
-        stored_body_motion(narrow)
-
-
-def test_a_damaged_run_is_refused(tmp_path: Path) -> None:
-    folder = stored(tmp_path, "kowalevski_hk", "N=50", TURNED)
-    with (folder / "series.parquet").open("r+b") as file:
-        file.seek(100)
-        file.write(b"\x00\x01\x02")
-    with pytest.raises(RunError, match=r"series\.parquet: damaged: its SHA-256 differs"):
-        stored_body_motion(folder)
-
-
-def test_an_interrupted_run_is_announced(tmp_path: Path, small_chunks: None) -> None:
-    one = load_experiment("kowalevski_hk", ["N=300", TURNED])
-    done = run_experiment(one, tmp_path, RunOptions(stop=after(3)))
-    found = stored_body_motion(done.stored.folder)
-    assert len(found.notes) == 1
-    assert found.notes[0].startswith("kowalevski_hk: interrupted at step ")
+def test_a_run_without_attitude_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"no attitude is recorded; run it with --set output\.attitude=quaternion"):
+        stored_body_motion(stored(tmp_path, "kowalevski_hk", "N=50"))

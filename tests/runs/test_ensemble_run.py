@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import pytest
 import topcli
 from cases import table_of
 from conftest import ROOT, random_states
-from topcli.analysis.tally import DEVIATIONS, quantiles
+from topcli.analysis.tally import DEVIATIONS
 from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
@@ -104,17 +103,6 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path) -> None
             }  # fmt: skip
 
 
-def test_a_drift_needs_all_rows_and_eight_of_them(tmp_path: Path) -> None:
-    """A trajectory that blew up has none, and its neighbours have theirs; nor has one of seven rows."""
-    table = columns(run(tmp_path / "failing", **failing()).stored.folder / "trajectories.parquet")
-    assert np.isnan(table["drift.energy"][1::4]).all()
-    assert np.isfinite(np.delete(table["drift.energy"], range(1, 200, 4))).all()
-    for rows, drifts in ((7, False), (8, True)):
-        short = run(tmp_path / str(rows), N=10 * (rows - 1))
-        found = columns(short.stored.folder / "trajectories.parquet")["drift.energy"]
-        assert np.isfinite(found).tolist() == [drifts] * 70
-
-
 DOCUMENTED = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)
 
 
@@ -125,7 +113,7 @@ def test_the_documented_columns_are_the_stored_ones(tmp_path: Path, varied: bool
     changes = {"initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "ensemble": grid} if varied else {}
     found = experiment(**changes)
     table = columns(run_experiment(found, tmp_path).stored.folder / "trajectories.parquet")
-    page = (ROOT / "docs" / "ensembles.md").read_text().split("## The table of trajectories")[1].split("\n## ")[0]
+    page = (ROOT / "docs" / "sweeps.md").read_text().split("## The table of trajectories")[1].split("\n## ")[0]
     documented = DOCUMENTED.findall(page)
     named = {
         "top.PARAMETER": ["top.c0"] if varied else [],
@@ -157,14 +145,6 @@ def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
     assert list(table["outcome"]) == [("blew_up" if i % 4 == 1 else "completed") for i in range(200)]
     assert (table["n"][1::4] < 5).all()
     assert json.loads((result.stored.folder / "report.json").read_text()) == report
-
-
-def test_csv_holds_the_recorded_columns(tmp_path: Path) -> None:
-    stored = run(tmp_path, output={"every": 100, "format": "csv", "columns": ["t", "k_sq"]}).stored
-    series = columns(stored.series)
-    assert list(series) == ["trajectory", "t", "k_sq"]
-    assert series["trajectory"].dtype == np.int64
-    assert (stored.folder / "trajectories.csv").read_text().startswith("trajectory,initial_omega1,")
 
 
 @pytest.mark.parametrize(("scheme", "begun"), [("hk", 0), ("dop853", 1)])
@@ -202,18 +182,6 @@ def test_an_array_of_states() -> None:
         few[0]
 
 
-def test_a_grid_over_parameters_and_a_failure() -> None:
-    grid = {"top.c0": [0.5, 2.0], "omega1": [0.5, 1e200]}
-    found = topcli.simulate("kowalevski_hk", scheme="rk2", ensemble={"grid": grid}, N=50, h=0.01)
-    assert [part.top.model_dump()["c0"] for part in found.parts] == [0.5, 2.0]
-    assert [ending.outcome.value for ending in found.endings] == ["completed", "blew_up"] * 2
-    assert np.isnan(found.states[1, -1]).all()
-    assert [len(found[1]), len(found[2]), len(found), len(found.endings)] == [1, 51, 51, 4]
-    assert found[2]["energy"][0] == found["energy"][2, 0]
-    table = found.trajectories()
-    assert list(table["top.c0"]) == [0.5, 0.5, 2.0, 2.0]
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     table_of(r"""
@@ -231,87 +199,6 @@ def test_a_grid_over_parameters_and_a_failure() -> None:
 def test_mistakes_from_python(options: dict[str, Any], said: str) -> None:
     with pytest.raises(UsageError, match=said):
         topcli.simulate("kowalevski_hk", **options)
-
-
-GRID = {"top.c0": [0.5, 1.0, 2.0], "omega1": {"from": 0.1, "to": 0.9, "count": 90}}
-START = {"omega": [0.7, -0.4, 1.3], "gamma": [0.6, 0.48, 0.64]}
-
-
-def test_numbers_of_trajectories_are_unique_over_parameters(tmp_path: Path) -> None:
-    """Each member's number leads to its own parameters, initial state and state at step N, which is no recorded one."""
-    found = experiment(N=205, initial=START, ensemble={"grid": GRID, "store": "final"})
-    stored = run_experiment(found, tmp_path).stored
-    table, last = columns(stored.folder / "trajectories.parquet"), columns(stored.series)
-    for rows in (table, last):
-        assert rows["trajectory"].tolist() == list(range(270))
-        assert set(rows["n"]) == {205}
-    assert table["top.c0"].tolist() == [c0 for c0 in (0.5, 1.0, 2.0) for _ in range(90)]
-    for i in (0, 89, 90, 269):
-        member = found.trajectory(i)
-        assert member.top.model_dump()["c0"] == table["top.c0"][i]
-        assert list(member.y0) == [table[f"initial_{name}"][i] for name in found.top.components]
-        single = topcli.simulate({**member.resolved(), "output": {"every": 205}})
-        assert [last[name][i] for name in found.top.components] == single.states[-1].tolist()
-    with pytest.raises(IndexError, match="there are 270"):
-        found.trajectory(270)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("store", "changes"),
-    [("trajectories", {}), ("statistics", {"scheme": "rk2", "h": 1e200})],
-    ids=["trajectories", "all blow up"],
-)
-def test_memory_does_not_grow_with_the_members(
-    store: str, changes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """More members take some hundred bytes each: their endings, and the figures whose quantiles are sought."""
-    monkeypatch.setattr("topcli.store.table.ROW_GROUP", 1024)
-
-    def peak(name: str, count: int) -> int:
-        ensemble = {"random": {**RANDOM, "count": count}, "store": store}
-        tracemalloc.start()
-        try:
-            found = experiment(N=2, output={"every": 1}, ensemble=ensemble, **changes)
-            run_experiment(found, tmp_path / name, RunOptions(checkpoint_every=1e6, threads=1))
-            return tracemalloc.get_traced_memory()[1]
-        finally:
-            tracemalloc.stop()
-
-    peak("first", 10)  # what is imported and compiled once
-    assert peak("many", 12_000) - peak("few", 2_000) < 10_000 * 400
-
-
-@pytest.mark.parametrize("store", ["trajectories", "statistics"])
-def test_modified_integrals_are_in_every_table(store: str, tmp_path: Path) -> None:
-    """HK of the Euler top keeps integrals of its own exactly: reported, tallied, and a column where asked for."""
-    ensemble = {"random": {"count": 70, "omega": {"near": 0.2}}, "store": store}
-    found = experiment(top="euler", initial={"omega": [0.3, 1.0, 0.2]}, ensemble=ensemble)
-    own = [invariant.name for invariant in found.modified]
-    assert own
-    result = run_experiment(found, tmp_path)
-    assert [row["name"] for row in result.report["invariants"]][-len(own) :] == own
-    table = columns(result.stored.folder / "trajectories.parquet")
-    for row in result.report["invariants"][-len(own) :]:
-        assert row["within_round_off"] == row["judged"] == 70, row["name"]
-        single = topcli.simulate(found.trajectory(41).resolved())
-        values = single[row["name"]]
-        assert table[f"first.{row['name']}"][41] == values[0]
-        assert table[f"max_deviation.{row['name']}"][41] == np.abs(values - values[0]).max()
-
-
-def test_verdicts_do_not_depend_on_every() -> None:
-    for scheme, exact in (("hybrid", {"gamma_sq", "k_sq"}), ("hk", set())):
-        for every in (1, 7, 100, 1000):
-            config = experiment(scheme=scheme, N=1000, output={"every": every}).resolved()
-            table = topcli.simulate(config, ensemble={"random": RANDOM}).invariants()
-            assert set(table.index[table["within_round_off"] == 70]) == exact, every
-            assert (table["judged"] == 70).all()
-
-
-def test_quantiles_of_what_is_known() -> None:
-    assert quantiles(np.array([np.nan, 3.0, 1.0, np.inf]))["median"] == 3.0
-    assert quantiles(np.array([np.nan]))["max"] is None
 
 
 def test_exit_codes_count_failed_trajectories(cli, in_tmp: Path) -> None:

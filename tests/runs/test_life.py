@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,11 +12,9 @@ import pytest
 
 from conftest import Said
 from custom_tops import VOLTERRA
-from injected import in_fork
-from resuming import Killed, after, content, killed, life, small
+from resuming import Killed, after, content, killed, life
 from topcli.config.load import load
 from topcli.contracts import Outcome
-from topcli.errors import UsageError
 from topcli.runs import plans, run
 from topcli.runs.run import RunOptions, run_experiment
 from topcli.store.results import intact_result
@@ -51,6 +47,7 @@ CASES: dict[str, dict[str, Any]] = {
     "interpreted": {"scheme": "dop853", "N": 70},
     "modified integrals": EULER,
     "failing": {"scheme": "rk2", "h": 0.2, "initial": {**START, "omega": [3.0, 2.0, 1.0]}},
+    "off its energy surface": {"h": 2.0, "N": 300},
     "section": SECTION | {"output": QUANTITIES},
     "ensemble": many(),
     "ensemble in csv": many(output={"every": 5, "format": "csv", **QUANTITIES}),
@@ -86,15 +83,6 @@ def test_any_lives_end_with_the_same_files(case: str, tmp_path: Path, monkeypatc
     assert sorted(path.name for path in tmp_path.iterdir()) == ["life", "whole"]
 
 
-def test_calls_of_one_step_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the calls of machine code end depends on the clock."""
-    experiment = load({**BASE, "N": 30, "output": {"every": 4}})
-    whole = run_experiment(experiment, tmp_path / "whole")
-    monkeypatch.setattr("topcli.engine.integration.CALL_SECONDS", 0.0)
-    life(experiment, tmp_path, 7)
-    assert content(life(experiment, tmp_path).stored.folder) == content(whole.stored.folder)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_ensemble_may_be_stopped_at_any_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int) -> None:
@@ -113,22 +101,6 @@ def test_an_ensemble_may_be_stopped_at_any_call(tmp_path: Path, monkeypatch: pyt
     assert content(tmp_path / "life") == expected
 
 
-@pytest.mark.parametrize("chunks", [1, 9])
-def test_a_process_that_is_killed_leaves_what_it_computed(tmp_path: Path, chunks: int) -> None:
-    """By SIGKILL, with which also the lock is gone."""
-
-    def die(steps: int, total: int) -> None:
-        if steps >= 16 * chunks:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    dying = RunOptions(checkpoint_every=0.0, on_progress=die)
-    assert in_fork(lambda: run_experiment(small(), tmp_path, dying)) == -signal.SIGKILL
-    again = run_experiment(small(), tmp_path)
-    assert again.status == "continued"
-    expected = run_experiment(small(), tmp_path / "whole").stored.folder
-    assert content(again.stored.folder) == content(expected)
-
-
 def test_other_precisions_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("topcli.engine.integration.CALL_SECONDS", 0.0)
     experiment = load({**BASE, "precision": 30, "N": 12})
@@ -136,47 +108,6 @@ def test_other_precisions_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
     again = life(experiment, tmp_path)
     assert (again.status, again.outcome) == ("ran", Outcome.COMPLETED)
     assert pq.read_metadata(again.stored.series).num_rows == 13
-
-
-PLUGIN = '''
-import topcli
-from topcli.contracts import Stepper
-
-def step(y, h, p):
-    return (y[0] + 1.0 * h * y[1], *y[1:])
-
-@topcli.scheme("own", top="kowalevski", title="A", order=1, explicit=True, self_adjoint=False, citation="none",
-               equations="none")
-def build(top, options):
-    """Test."""
-    return Stepper(step, 6)
-'''
-
-
-@pytest.mark.parametrize("stopped", [True, False])
-def test_an_edited_plugin_begins_anew_beside_the_earlier_result(
-    cli: Callable[..., Said], in_tmp: Path, stopped: bool
-) -> None:
-    from scheme_files import loaded_file
-
-    path, out, data = in_tmp / "own.py", in_tmp / "results", {**BASE, "scheme": "own"}
-    contents = []
-    for factor in ("1.0", "2.0"):
-        path.write_text(PLUGIN.replace("1.0 *", f"{factor} *"))
-        with loaded_file(path):
-            contents.append(content(run_experiment(load(data), in_tmp / factor).stored.folder))
-            result = life(load(data), out, 3 if stopped and factor == "1.0" else 10**9)
-    assert result.status == "ran"
-    assert result.set_aside is not None
-    assert content(result.stored.folder) == contents[1]
-    path.write_text(PLUGIN)
-    result.set_aside.rename(out / "aside")
-    result.stored.folder.rename(out / "second")
-    (out / "aside").rename(out / "life")
-    with loaded_file(path):
-        back = life(load(data), out)
-    assert back.status == ("continued" if stopped else "up to date")
-    assert content(back.stored.folder) == contents[0]
 
 
 def test_a_dry_run_says_what_would_happen(cli: Callable[..., Said], in_tmp: Path) -> None:
@@ -201,14 +132,3 @@ def test_a_dry_run_says_what_would_happen(cli: Callable[..., Said], in_tmp: Path
     assert said() == "life: up to date"
     for more in (["--force"], ["--set", "output.format=csv", "--set", "name=life"]):
         assert said(*more) == "life: will run; the earlier result is renamed, not overwritten"
-
-
-def test_an_earlier_result_makes_way_only_for_force(tmp_path: Path) -> None:
-    first = run_experiment(small(), tmp_path)
-    expected = content(first.stored.folder)
-    with pytest.raises(UsageError, match=r"different experiment \(h: 0.001 stored, 0.002 requested\)"):
-        run_experiment(small("h=0.002"), tmp_path)
-    forced = run_experiment(small("h=0.002"), tmp_path, RunOptions(force=True))
-    assert forced.set_aside is not None
-    assert content(forced.set_aside) == expected
-    assert sorted(path.name for path in tmp_path.iterdir()) == [small().name, forced.set_aside.name]

@@ -13,11 +13,8 @@ from conftest import ROOT, Said
 from documentation import read_page
 from scheme_files import loaded_file
 from topcli.config.load import load_experiment
-from topcli.schemes.plugins import own_sources
-from topcli.schemes.registry import all_schemes, find_scheme, scheme
-from topcli.tops import TOPS
 
-FILES = read_page(ROOT / "docs" / "own-scheme.md").files()
+FILES = read_page(ROOT / "docs" / "own.md").files()
 
 
 HELPED = "from turning import field\n" + FILES["gyrostat.py"].replace("field = Gyrostat.field", "")
@@ -45,21 +42,6 @@ FIELD = ("(A - B) * w1 * w2 / C", "(A - B) * w2 * w1 / C")
 
 ENERGY = ("+ p[2] * y[2] ** 2) / 2", "+ p[2] * y[2] ** 2) / 3")
 """Another integral."""
-
-
-COMPOSED = """
-import topcli
-from topcli.contracts import Stepper
-
-def step(y, h, p):
-    return (y[0] + 1.0 * h * y[1], *y[1:])
-
-@topcli.scheme("own-hk", top="kowalevski", title="HK", order=2, explicit=True, self_adjoint=True, citation="none",
-               equations="none")
-def build(top, options):
-    '''HK.'''
-    return Stepper(step, 6)
-"""
 
 
 @pytest.fixture
@@ -105,32 +87,6 @@ def test_an_edit_of_a_file_or_of_what_it_imports_is_another_experiment(
     assert [before[name] != after[name] for name in before] == [old != new] * 2
 
 
-def test_the_place_of_a_file_changes_no_digest(folder: Path) -> None:
-    (folder / "other").mkdir()
-    copy = folder / "other" / "copied.py"
-    copy.write_text(FILES["gyrostat.py"])
-    assert digests(copy) == digests(folder / "gyrostat.py")
-
-
-def test_code_of_a_composed_scheme_counts(folder: Path) -> None:
-    found = []
-    for factor in ("1.0 * h", "1.5 * h"):
-        (folder / "own.py").write_text(COMPOSED.replace("1.0 * h", factor))
-        with loaded_file(folder / "own.py"):
-            found.append(own_sources(TOPS["kowalevski"], find_scheme("own-hk+suzuki4", "kowalevski")))
-    assert [list(sources) for sources in found] == [["source.own.py"]] * 2
-    assert found[0] != found[1]
-
-
-def test_an_experiment_of_topcli_is_its_config() -> None:
-    assert not any(own_sources(TOPS[one.top], one) for one in all_schemes() if one.origin == "topcli")
-    experiment = load_experiment("kowalevski_hk")
-    plain = experiment.resolved()
-    del plain["name"], plain["output"]["format"]
-    text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
-    assert experiment.digest == hashlib.sha256(text.encode()).hexdigest()
-
-
 @pytest.mark.parametrize("name", ["heun", "rk4"])
 def test_an_edited_file_does_not_replace_the_earlier_run(cli: Callable[..., Said], folder: Path, name: str) -> None:
     """Under rk4 alike, although that is topcli's own scheme; the earlier run is renamed, and said so."""
@@ -161,14 +117,6 @@ def test_rows_of_a_sweep_are_computed_again_after_an_edit(cli: Callable[..., Sai
         said.append(cli(*command))
     assert [one.code for one in said] == [0, 0, 0]
     assert ["(2 ran)" in one.out + one.err for one in said] == [True, False, True]
-
-
-def test_a_scheme_of_a_script_names_the_script(own_registry: None) -> None:
-    @scheme("scripted", top="euler", title="a", order=1, explicit=True, self_adjoint=True, citation="a", equations="a")
-    def build(top, options):
-        """Test."""
-
-    assert find_scheme("scripted", "euler").origin == __file__
 
 
 @pytest.mark.parametrize(("scheme", "N"), [("heun", 20), ("hk+suzuki4", 20), ("rk4", 20)])

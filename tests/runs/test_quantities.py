@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 
 import topcli
-from conftest import GEN
 from custom_tops import config
 from sweeping import sweep, table
 from topcli.config.load import load
 from topcli.config.sweep import load_sweep
-from topcli.errors import ConfigError, TopcliError
+from topcli.errors import ConfigError
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
 
 QUANTITIES = {"spin": "sqrt(w1**2 + w2**2 + w3**2)", "phase": "w3*t + k*h - 0.1", "half": 0.5}
 FIGURES = ("first", "last", "min", "max", "mean")
-INITIAL = {"omega": list(GEN[:3]), "gamma": list(GEN[3:])}
 
 
 def with_quantities(**changes):
@@ -48,36 +46,6 @@ def test_quantities_are_columns_and_their_figures_are_in_the_report(tmp_path: Pa
     assert stored["quantities"] == result.report["quantities"]
 
 
-def test_quantities_of_a_built_in_top() -> None:
-    """c0 is a parameter of the Kowalevski top and c0/C the constant of its equations."""
-    output = {"quantities": {"nutation": "gamma3*c0", "moment": "omega1*gamma1 + A*omega3"}}
-    trajectory = topcli.simulate(
-        top={"kind": "kowalevski", "c0": 2.0, "A": 3.0}, initial=INITIAL, scheme="hk", h=0.01, N=50, output=output
-    )
-    assert trajectory["nutation"] == pytest.approx(2.0 * trajectory["gamma3"], rel=1e-15)
-    moment = trajectory["omega1"] * trajectory["gamma1"] + 3.0 * trajectory["omega3"]
-    assert trajectory["moment"] == pytest.approx(moment, rel=1e-15)
-    assert trajectory.to_pandas().columns.tolist()[-2:] == ["nutation", "moment"]
-
-
-def test_quantities_beside_the_attitude() -> None:
-    output = {"quantities": {"x": "gamma1 - gamma2"}, "attitude": "quaternion"}
-    given = {"top": "heavy", "initial": INITIAL, "scheme": "rk4", "h": 0.01, "N": 30, "output": output}
-    trajectory = topcli.simulate(given)
-    assert trajectory["x"].tolist() == (trajectory["gamma1"] - trajectory["gamma2"]).tolist()
-    assert trajectory.to_pandas().columns.tolist()[-5:] == ["x", "q0", "q1", "q2", "q3"]
-
-
-def test_chosen_columns_and_identity() -> None:
-    plain, observed = load(config()), load(with_quantities())
-    assert "quantities" not in plain.resolved()["output"]
-    assert plain.digest != observed.digest
-    assert load(observed.resolved()).digest == observed.digest
-    assert observed.resolved()["output"]["quantities"] == {**QUANTITIES, "half": "0.5"}
-    chosen = load(with_quantities(output={"columns": ["phase", "t"]}))
-    assert chosen.recorded == ["phase", "t", "spin", "half"]
-
-
 def test_quantities_of_an_ensemble(tmp_path: Path) -> None:
     many = with_quantities(ensemble={"grid": {"top.k": [0.1, 0.6], "w1": [0.5, 0.7]}})
     result = run_experiment(load(many), tmp_path)
@@ -101,14 +69,6 @@ def test_quantities_of_an_ensemble(tmp_path: Path) -> None:
             assert table[f"{figure}.{name}"] == pytest.approx(numbers, rel=1e-14)
             assert trajectories[f"{figure}.{name}"].tolist() == table[f"{figure}.{name}"].tolist()
             assert row[figure] == pytest.approx(join(numbers), rel=1e-14)
-
-
-def test_quantities_in_another_precision(tmp_path: Path) -> None:
-    given = with_quantities(precision=40, N=20)
-    series = read_series(run_experiment(load(given), tmp_path).stored.series)
-    assert series["phase"] == pytest.approx(expected(series)["phase"], rel=1e-14)
-    with pytest.raises(TopcliError, match="'spin' has no rational values"):
-        run_experiment(load(given | {"precision": "rational", "name": "r"}), tmp_path)
 
 
 def test_a_quantity_without_a_value_is_no_number_in_any_precision(tmp_path: Path) -> None:
@@ -147,16 +107,6 @@ def test_measures_of_columns(tmp_path: Path) -> None:
     assert shown.digest != load_sweep({**study, "base": config()}).digest
 
 
-def test_rows_of_other_quantities_are_other_rows(tmp_path: Path) -> None:
-    study = {"name": "study", "base": {**config(), "output": {"quantities": {"x": "w1"}}}, "grid": {"h": [0.01, 0.02]}}
-    study["measure"] = ["max.x"]
-    sweep(tmp_path, study)
-    before = [row["max.x"] for row in table(tmp_path)]
-    study["base"]["output"]["quantities"]["x"] = "2*w1"
-    sweep(tmp_path, study)
-    assert [row["max.x"] for row in table(tmp_path)] == [2 * value for value in before]
-
-
 @pytest.mark.parametrize(
     ("quantities", "message"),
     [
@@ -181,9 +131,3 @@ def test_what_is_no_quantity_is_refused(quantities, message: str) -> None:
     with pytest.raises(ConfigError) as error:
         topcli.sweep({**study, "measure": ["steps"]})
     assert message in str(error.value)
-
-
-def test_a_measure_of_an_unknown_column_names_the_nearest() -> None:
-    study = {"name": "s", "base": {**config(), "output": {"quantities": QUANTITIES}}, "grid": {"h": [0.1, 0.2]}}
-    with pytest.raises(ConfigError, match=r"unknown measure 'max.spn' .*did you mean 'max.spin'"):
-        topcli.sweep({**study, "measure": ["max.spn"]})

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
 
 from resuming import FILES, small
@@ -34,13 +33,3 @@ def test_a_run_folder_is_complete(tmp_path: Path, suffix: str) -> None:
         about = read_metadata(result.stored.series)
         assert json.loads(about["topcli.config"]) == experiment.resolved()
         assert about["topcli.digest"] == experiment.digest
-
-
-@pytest.mark.slow
-def test_the_step_at_which_a_run_left_its_motion_stays_in_its_tables(tmp_path: Path) -> None:
-    """HK with so long a step that gamma² grows to 2e59."""
-    big = ["h=2", "N=1000"]
-    first = run_experiment(load_experiment("kowalevski_hk", big), tmp_path)
-    left = first.report["left_motion"]
-    assert json.loads(pq.read_metadata(first.stored.series).metadata[b"topcli.left_motion"]) == left
-    assert 0 < left["step"] < 1000

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 import topcli
-from topcli.analysis.crossings import roots
 from topcli.config.load import load, load_experiment
 from topcli.contracts import Stepper, same_state
 from topcli.errors import ConfigError, UsageError
@@ -70,18 +69,6 @@ def test_crossings_of_a_free_body_have_the_times_of_its_period(scheme: str, dire
     assert abs(found["omega2"]).max() < 1e-14
 
 
-def test_crossings_of_a_regular_precession_of_lagrange() -> None:
-    """With m = Omega p + sigma a, sigma Omega = nu, a turns about p at the rate Omega."""
-    rate, tilt = 0.7, 0.6
-    a = np.array([tilt, 0.0, math.sqrt(1.0 - tilt**2)])
-    m = a / rate + [0.0, 0.0, rate]
-    start = {"m": m.tolist(), "a": a.tolist()}
-    found = topcli.simulate(LAGRANGE, initial=start, scheme="exact", section={"component": "a2", "value": 0.3})
-    expected = (math.asin(0.3 / tilt) + 2.0 * math.pi * np.arange(len(found))) / rate
-    assert len(found) == 6
-    assert abs(found.t - expected).max() < 1e-12
-
-
 @pytest.mark.parametrize("config", [EULER, LAGRANGE, KOWALEVSKI], ids=["euler", "lagrange", "kowalevski"])
 def test_taylor_and_exact_cross_at_the_same_places(config: dict[str, Any]) -> None:
     formula = {"omega": "omega1*omega2", "a": "a1 + a2 - 0.1", "gamma": "gamma1*gamma2"}[[*config["initial"]][-1]]
@@ -129,41 +116,9 @@ def test_maps_cross_where_a_shorter_step_of_their_own_reaches_the_section(scheme
         assert abs(found.states[k] - state).max() < 1e-14
 
 
-def test_a_scheme_keeps_its_integrals_at_the_crossings() -> None:
-    found = topcli.simulate(KOWALEVSKI, scheme="splitting", **section())
-    assert len(found) > 5
-    assert abs(found["gamma_sq"] - 1.0).max() < 1e-13
-
-
 def test_a_pole_or_a_jump_is_no_crossing() -> None:
     for formula in ("1/gamma2", "gamma2/abs(gamma2)"):
         assert len(topcli.simulate(KOWALEVSKI, section={"quantity": formula, "direction": "both"})) == 0
-
-
-def test_a_formula_crosses_like_its_component() -> None:
-    found = topcli.simulate(KOWALEVSKI, **section(value=0.25))
-    same = topcli.simulate(KOWALEVSKI, section={"quantity": "4*gamma2", "value": 1.0})
-    assert len(found) > 5
-    assert np.array_equal(found.states, same.states)
-
-
-def test_roots_are_located_to_the_last_bit() -> None:
-    """Zeros of every kind of multiplicity one or three, at and between the ends."""
-    at = np.linspace(0.0, 1.0, 41)[1:]
-
-    def cubic(i: NDArray[np.int64], x: NDArray[Any]) -> NDArray[Any]:
-        return (x - at[i]) * (0.1 + (x - at[i]) ** 2)
-
-    def step(i: NDArray[np.int64], x: NDArray[Any]) -> NDArray[Any]:
-        return np.where(x < at[i], -1.0, np.nan)
-
-    every, one = np.arange(40), np.ones(40)
-    found, value = roots(cubic, cubic(every, 0.0 * one), cubic(every, one))
-    assert abs(found - at).max() <= 2.0**-51
-    assert abs(value).max() <= 2.0**-53
-    found, value = roots(step, -one, one)
-    assert abs(found - at).max() <= 2.0**-50
-    assert (abs(value) == 1.0).all()
 
 
 RUN = {"name": "crossings", **KOWALEVSKI, "h": 0.1, "N": 300_000, **section(direction="both")}
@@ -231,19 +186,6 @@ def test_an_ensemble_records_the_crossings_of_each_trajectory(tmp_path: Path) ->
     assert result.report["message"].endswith(f"; {never} of 70 trajectories never crossed it")
 
 
-def test_each_group_of_an_ensemble_has_the_columns_of_its_top(tmp_path: Path) -> None:
-    base = {**EULER, "name": "groups", "scheme": "hk", "section": {"component": "omega2"}}
-    base["output"] = {"columns": ["t", "omega1", "modified_k12"], "quantities": {"moment": "A*omega1"}}
-    result = run_experiment(load({**base, "ensemble": {"grid": {"top.A": [3.0, 4.0], "omega1": [0.7]}}}), tmp_path)
-    rows = pd.read_parquet(result.stored.series)
-    for i, A in enumerate([3.0, 4.0]):
-        single = topcli.simulate({**base, "top": {**EULER["top"], "A": A}})
-        own = rows[rows["trajectory"] == i]
-        assert len(own) > 3
-        for name in ("t", "omega1", "modified_k12", "moment"):
-            assert np.array_equal(own[name], single[name])
-
-
 def test_a_section_that_is_never_crossed_is_reported(tmp_path: Path) -> None:
     never = {**RUN, "N": 100, "section": {"component": "gamma2", "value": 3.0}, "output": {"quantities": {"q": "t"}}}
     result = run_experiment(load(never), tmp_path)
@@ -262,13 +204,3 @@ def test_what_records_no_crossings_refuses_a_section(tmp_path: Path) -> None:
         topcli.simulate(RUN, ensemble=drawn)
     with pytest.raises(ConfigError, match=r"base\.section: cannot be in base"):
         topcli.sweep({"base": {k: v for k, v in RUN.items() if k != "name"}, "grid": {"h": [0.1]}})
-
-
-def test_studies_look_at_every_step() -> None:
-    """A config with a section is compared and analysed like the same config without it."""
-    plain = {name: value for name, value in RUN.items() if name != "section"} | {"N": 2000}
-    both = [{**plain, **section()}, plain]
-    deviations = [topcli.compare("hk", config=config).tables[3].rows for config in both]
-    assert deviations[0] == deviations[1]
-    assert load_experiment(both[0]).digest == load_experiment(both[1]).digest
-    assert load(both[0]).digest != load(both[1]).digest

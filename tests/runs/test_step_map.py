@@ -73,14 +73,6 @@ def test_a_step_that_fails_gives_nan_and_leaves_its_neighbours_alone() -> None:
     assert np.isfinite(np.delete(images, 3, axis=0)).all()
 
 
-def test_closed_forms_have_a_map_but_no_tangent_map() -> None:
-    f = topcli.step("euler_gamma_hk", ["h=0.1", "scheme=exact"])
-    rk4 = topcli.step("euler_gamma_hk", ["h=0.001", "scheme=rk4"])
-    assert f(f.initial) == pytest.approx(rk4(f.initial, 100), abs=1e-11)
-    with pytest.raises(TopcliError, match="scheme 'exact' is a solution in closed form"):
-        f.tangent(f.initial, f.initial)
-
-
 @pytest.mark.parametrize(
     ("call", "words"),
     [

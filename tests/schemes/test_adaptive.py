@@ -1,4 +1,4 @@
-"""The adaptive methods: Taylor series against their twin and the motion, DOP853 against SciPy, and what limits both."""
+"""The adaptive methods: Taylor series against the motion, DOP853 against SciPy, and what limits both."""
 
 from __future__ import annotations
 
@@ -11,20 +11,15 @@ import topcli
 from conftest import GEN, random_states
 from declared import BODIES, SCHEMES
 from fields import random_field, random_state, top_of
-from plain_vectors import advance
-from topcli.analysis.order import observed_order, one_step_back_and_forth
+from topcli.analysis.order import one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
-from topcli.contracts import Block, Outcome, Scheme, Stepper, Top
-from topcli.engine import compile, machine
+from topcli.contracts import Block, Outcome, Stepper, Top
 from topcli.engine.collect import orbit
-from topcli.engine.loops import Loop, loop_of, part_steps_of
-from topcli.engine.tangent import tangent_code
+from topcli.engine.loops import Loop, loop_of
 from topcli.errors import UsageError
-from topcli.field.polynomial import field_of
 from topcli.schemes.any_top import taylor as loop_text
-from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, extended_precision, order_for
-from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of
+from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, order_for
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps.batch import Measuring
 from topcli.sweeps.measures import resolve_measures
@@ -57,87 +52,6 @@ def after(top: Top, y0, h: float, N: int, every: int = 1, tol: float = 1e-17) ->
     return orbit(top, taylor(top, tol), y0, h, N, every).states[1:]
 
 
-def prepared(top: Top, y0, h: float, tol: float = 1e-17) -> tuple[Loop, np.ndarray, np.ndarray]:
-    p = np.array(top.constants())
-    loop = loop_of(taylor(top, tol), len(y0), len(p))
-    work = np.zeros(loop.width)
-    loop.enter(y0, work, p, h)
-    return loop, work, p
-
-
-def arrangement(top: Top) -> Arrangement:
-    return arrangement_of(tuple(tuple(sorted(rate.terms)) for rate in field_of(top)))
-
-
-def fuses() -> bool:
-    """True if this processor has a fused multiply-add; the twin depends on it."""
-    import llvmlite.binding as llvm
-
-    features = llvm.get_host_cpu_features()
-    return features.get("fma", not llvm.get_process_triple().startswith(("x86", "i386", "i686")))
-
-
-def follow(top: Top, tol: float, work, out, h: float, steps: int, every: int, fuse: bool | None = None) -> int:
-    """The twin, executed in plain Python."""
-    order, fuse = order_for(tol), fuses() if fuse is None else fuse
-    return advance(
-        arrangement(top),
-        order,
-        work,
-        out,
-        h,
-        steps,
-        every,
-        1,
-        extended_precision=extended_precision(order),
-        fuse=fuse,
-    )
-
-
-@pytest.mark.slow
-@of_every_top
-@pytest.mark.parametrize(("tol", "h", "steps"), [(1e-16, 0.25, 12), (1e-4, -1.7, 3), (1e-7, 1e-3, 900)])
-def test_machine_code_equals_plain_python(top: Top, tol: float, h: float, steps: int) -> None:
-    """Bit for bit: all that is recorded, and all that the loop keeps."""
-    y0, every = gen(top), max(1, steps // 4)
-    loop, work, p = prepared(top, y0, h, tol)
-    mine, d = work.copy(), len(y0)
-    out, plain = np.zeros((2, 12 * d))
-    assert loop.drive(work, out, p, h, steps, every, 1) == steps
-    assert follow(top, tol, mine, plain, h, steps, every) == steps
-    assert (out == plain).all()
-    assert (work == mine).all()
-    assert np.count_nonzero(out)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("cpu", "fuse"), [("x86-64", False), ("x86-64-v3", True), ("x86-64-v4", True)])
-@pytest.mark.parametrize("top", [Kowalevski(), Euler()], ids=repr)
-def test_other_processors_give_the_same_bits(cpu: str, fuse: bool, top: Top, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiled for narrower vectors, and without fused multiply-add, as far as this processor runs that."""
-    import llvmlite.binding as llvm
-
-    features = llvm.get_host_cpu_features()
-    needs = {"x86-64": (), "x86-64-v3": ("avx2", "fma"), "x86-64-v4": ("avx512f", "avx512dq", "avx512vl")}[cpu]
-    if not llvm.get_process_triple().startswith("x86_64") or not all(features.get(word) for word in needs):
-        pytest.skip(f"this processor does not run code for {cpu}")
-    compile._llvm()
-    machine = llvm.Target.from_default_triple().create_target_machine(
-        cpu=cpu, opt=3, jit=True, reloc="static", codemodel="jitdefault"
-    )
-    monkeypatch.setattr(compile, "_target", lambda: machine)
-    monkeypatch.setattr(compile, "stored_code", lambda name: None)
-    monkeypatch.setattr(compile, "store_code", lambda *stored: None)
-    y0, h = gen(top), 0.4
-    loop, work, p = prepared(top, y0, h, 1e-9)
-    mine, d = work.copy(), len(y0)
-    out, plain = np.zeros((2, 8 * d))
-    assert loop.drive(work, out, p, h, 8, 1, 1) == 8
-    assert follow(top, 1e-9, mine, plain, h, 8, 1, fuse) == 8
-    assert (out == plain).all()
-    assert (work == mine).all()
-
-
 @pytest.mark.slow
 @of_every_top
 @pytest.mark.parametrize(("h", "N"), [(0.01, 2000), (-0.7, 30), (math.pi, 7)])
@@ -159,10 +73,6 @@ def test_any_polynomial_field_is_followed_to_round_off(d: int, degree: int, dens
     top, times = top_of(field), 0.05 * np.arange(1, 5)
     exact = reference_states(top, y0, times)
     assert np.abs(after(top, y0, 0.05, 4) - exact).max() < 5e-16 * np.abs(exact).max()
-
-
-def test_fields_with_the_same_products_share_their_code() -> None:
-    assert taylor(Heavy()).text() == taylor(Heavy(A=1.7, x0=-2.3)).text() != taylor(Heavy(x0=0.0)).text()
 
 
 def test_a_coarse_tolerance_fails_the_same_test() -> None:
@@ -194,6 +104,14 @@ def test_order_grows_with_the_digits() -> None:
     assert order_for(0.0) == ORDERS[1]
 
 
+def prepared(top: Top, y0: np.ndarray, h: float) -> tuple[Loop, np.ndarray, np.ndarray]:
+    p = np.array(top.constants())
+    loop = loop_of(taylor(top, 1e-17), len(y0), len(p))
+    work = np.zeros(loop.width)
+    loop.enter(y0, work, p, h)
+    return loop, work, p
+
+
 def test_a_long_step_is_left_and_taken_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """A step of more expansions than the budget returns in between, so that an interrupt is heard."""
     top, h = Kowalevski(), 50.0
@@ -216,20 +134,6 @@ def tangent_images() -> np.ndarray:
     return np.array(f.tangent(f.initial, np.eye(6), 2))
 
 
-def grown() -> np.ndarray:
-    top = Kowalevski()
-    run = tangent_code(find_scheme("taylor", top.form), top, taylor(top), 8).run(20.0, np.array([GEN]), np.ones((1, 6)))
-    run.advance(4)
-    return run.images
-
-
-def parts() -> np.ndarray:
-    y = random_states(3, seed=4)
-    return part_steps_of(taylor(Kowalevski()), Kowalevski(), 30.0)(
-        y, np.zeros(3, np.int64), y, np.array([0.2, 0.7, 1.0])
-    )
-
-
 def one_step() -> np.ndarray:
     experiment = load_experiment("kowalevski_generic_hk", ["scheme=taylor", "N=10"])
     measuring = Measuring(experiment, resolve_measures(["reversal_defect"], experiment.top, experiment.scheme))
@@ -241,8 +145,6 @@ LONG_STEPS = {
     "single step": lambda: np.array(one_step_back_and_forth(Kowalevski(), taylor(Kowalevski()), GEN, 20.0)),
     "map": lambda: topcli.step("kowalevski_generic_hk", ["scheme=taylor", "h=20"])(GEN, 2),
     "tangent map": tangent_images,
-    "growth of a vector": grown,
-    "parts of steps": parts,
     "steps of a sweep": one_step,
 }
 
@@ -253,16 +155,8 @@ def test_no_caller_takes_an_unfinished_step_for_done(name: str, monkeypatch: pyt
     """Whoever drives a block goes on until its step is done: no result depends on the number of series per call."""
     whole = LONG_STEPS[name]()
     monkeypatch.setattr(loop_text, "MAX_EXPANSIONS", 5)
-    monkeypatch.setattr(machine, "_machines", {})
     assert np.isfinite(whole).all()
     assert np.array_equal(LONG_STEPS[name](), whole)
-
-
-@pytest.mark.slow
-def test_a_step_of_more_series_than_a_call_has_the_right_tangent_map() -> None:
-    """Against the composition of shorter steps; a free body at h = 30,000 takes 64,000 series a step."""
-    long, short = (topcli.step("euler_hk", ["scheme=taylor", f"h={h}"]) for h in (30000.0, 7500.0))
-    assert long.jacobian(long.initial) == pytest.approx(short.jacobian(short.initial, 4), rel=1e-7)
 
 
 @pytest.mark.parametrize("scale", [1e-90, 1e-8, 1e8, 1e90])
@@ -303,14 +197,6 @@ def test_integrals_stay_at_round_off(top: Top) -> None:
         assert np.abs(values - values[0]).max() < 8e-14 * invariant.scale(found).max()
 
 
-def test_equilibria_rest() -> None:
-    assert (after(Euler(), (0.0, 0.0, 0.0), 1e3, 3) == 0.0).all()
-    upright = (0.0, 0.0, 1.3, 0.0, 0.0, 1.0)
-    assert (after(Lagrange(), upright, 7.0, 5) == upright).all()
-    hanging = (0.0, 0.0, 0.0, -1.0, 0.0, 0.0)
-    assert (after(Kowalevski(), hanging, 7.0, 5) == hanging).all()
-
-
 def ending(top: Top, y0, h: float, N: int):
     return orbit(top, taylor(top), y0, h, N).ending
 
@@ -336,48 +222,10 @@ def test_taylor_cannot_be_composed() -> None:
 
 ADAPTIVE = [scheme for scheme in SCHEMES if scheme.adaptive and scheme.order is not None]
 adaptive = pytest.mark.parametrize("scheme", ADAPTIVE, ids=lambda s: f"{s.name}/{s.top}")
-LOOSE = {"rtol": 1e6, "atol": 1e6}
-"""Tolerances that accept every step, so that one step of the formula is taken a step h."""
 
 
 def last_state(top: Top, made: Stepper, y0, h: float, N: int) -> np.ndarray:
     return orbit(top, made, y0, h, N, N).states[-1]
-
-
-@adaptive
-def test_order_of_an_adaptive_formula(scheme: Scheme) -> None:
-    """If the tolerance accepts every step, the formula is a fixed-step method of the declared order."""
-    top = TOPS[scheme.top].new()
-    y0 = GEN[: len(top.components)]
-    made = scheme.build(top, scheme.options(**LOOSE))
-    free = not any(top.euler_poisson().gravity)
-    duration, counts = (16.0, (28, 40, 56, 80)) if free else (4.0, (20, 28, 40, 56))
-    exact = reference_states(top, y0, np.array([duration]))[0]
-    errors = [np.linalg.norm(last_state(top, made, y0, duration / N, N) - exact) for N in counts]
-    order = observed_order([duration / N for N in counts], errors, 1e-13)
-    assert order is not None
-    assert order > scheme.order - 0.1
-    if top.form in ("heavy", "kowalevski"):  # the others, integrable by quadratures, are often solved with one more
-        assert order == pytest.approx(scheme.order, abs=0.1)
-    counted = [orbit(top, made, y0, 0.1, N).ending.counters["evaluations"] for N in (20, 40)]
-    assert counted[1] - counted[0] == 20 * 13  # 12 stages, and one to begin with: a single step each
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("form", ["euler", "kowalevski"])
-def test_error_follows_the_tolerance_and_not_h(form: str) -> None:
-    scheme, top = find_scheme("dop853", form), TOPS[form].new()
-    y0 = GEN[: len(top.components)]
-    exact = reference_states(top, y0, np.array([20.0]))[0]
-    tolerances = (1e-4, 1e-7, 1e-10)
-    errors = []
-    for rtol in tolerances:
-        made = scheme.build(top, scheme.options(rtol=rtol, atol=rtol))
-        at_h = [np.linalg.norm(last_state(top, made, y0, 20.0 / N, N) - exact) for N in (1, 10)]
-        assert max(at_h) < 2e3 * rtol
-        errors.append(max(at_h))
-    slope = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
-    assert 0.8 < slope < 1.25  # tolerance proportionality
 
 
 def test_dop853_is_scipys_own_solution() -> None:

@@ -10,17 +10,14 @@ import numpy as np
 import pytest
 
 from conformance import ExactStep, Subject
-from conftest import GEN, random_states
+from conftest import random_states
 from declared import TRIALS, gen
 from stepping import made, ran
-from topcli.arithmetic.fused import compensated_sum
 from topcli.contracts import Outcome, Top
 from topcli.engine.loops import loop_of
 from topcli.engine.numbers import floating
-from topcli.schemes.compose import COMPOSITIONS
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
-from topcli.tops.kowalevski import Kowalevski
 
 EPS = 2.0**-52
 FORMS = ["kowalevski", "euler", "euler+gamma", "lagrange", "heavy"]
@@ -35,28 +32,6 @@ def end(top: Top, name: str, y0: Any, h: float, n: int, **options: bool) -> np.n
     loop.enter(np.array(y0), work, p, h)
     assert loop.drive(work, work[:0], p, h, n, n + 1, n + 1) == n
     return np.array((method.leave or (lambda s, h, p: s))(tuple(work), h, tuple(p)))
-
-
-def test_every_hk_and_midpoint_rule_has_the_option() -> None:
-    compensated = {
-        (scheme.name, scheme.top) for scheme in all_schemes() if "compensated" in scheme.options.model_fields
-    }
-    assert compensated == {(scheme.name, scheme.top) for scheme in all_schemes() if scheme.name in ("hk", "midpoint")}
-
-
-def test_carried_sum_returns_the_lost_part() -> None:
-    """Exactly, where the change is the smaller one; else up to the last bit of the change."""
-    random = np.random.default_rng(5)
-    for y, d, e in zip(*random.normal(size=(3, 2000)), strict=True):
-        for size in (1.0, 1e-3, 1e-9):
-            t = d * size + e * 1e-17
-            s, r = compensated_sum(y, e * 1e-17, d * size)
-            assert s == y + t
-            lost = Fraction(y) + Fraction(t) - Fraction(s)
-            if abs(t) <= abs(y):
-                assert Fraction(r) == lost
-            else:
-                assert abs(Fraction(r) - lost) <= math.ulp(t)
 
 
 def errors(name: str, top: Top, y0: Any, h: float, exact: list[Fraction], n: int) -> tuple[float, float]:
@@ -80,16 +55,6 @@ def test_hk_against_forty_digits(form: str) -> None:
     assert np.median(ratios) > 4.0
 
 
-def test_composed_hk_against_forty_digits() -> None:
-    """A compensated base composes: the stages hand on what was lost."""
-    hk, top, h, n = find_scheme("hk", "kowalevski"), Kowalevski(), 0.1, 3
-    precise = ExactStep(Subject(hk, top, hk.options()), floating(133))
-    exact = precise(GEN, *[weight * h for weight in COMPOSITIONS["kahan-li8"].weights] * n)
-    plain, better = errors("hk+kahan-li8", top, GEN, h, exact, n)
-    assert better < 10.0
-    assert plain > 3.0 * better
-
-
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", ["hk", "midpoint"])
 def test_every_sum_is_carried_on(name: str, form: str) -> None:
@@ -108,16 +73,6 @@ def test_every_sum_is_carried_on(name: str, form: str) -> None:
         bit = 0.25 * math.ulp(start[i])
         moved = (*start[: d + i], start[d + i] + bit, *start[d + i + 1 :])
         assert float(after(moved, i) - after(start, i)) / bit == pytest.approx(1.0, rel=0.1), i
-
-
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", ["hk", "midpoint"])
-def test_the_first_step_is_that_of_the_plain_scheme(name: str, form: str) -> None:
-    """Up to a rounding: a plain step of HK fuses its last product with the sum. Later steps differ."""
-    top = TRIALS[form][-1]
-    first, later = ([end(top, name, gen(top), 0.05, n, compensated=c) for c in (False, True)] for n in (1, 200))
-    assert np.abs(first[0] - first[1]).max() <= EPS
-    assert later[0].tolist() != later[1].tolist()
 
 
 def test_a_step_that_does_not_converge_is_seen() -> None:

@@ -13,7 +13,7 @@ from conformance import compositions_of
 from conftest import GEN
 from declared import SCHEMES
 from kick_turn import KICK_TURN, SPLIT
-from topcli.contracts import Outcome, Sampler, Scheme, Stepper
+from topcli.contracts import Outcome, Sampler, Scheme
 from topcli.engine.collect import orbit
 from topcli.errors import UnknownNameError, UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, obstacle, palindrome
@@ -101,16 +101,6 @@ def test_unsuitable_bases_are_refused(change: dict, says: str) -> None:
     with pytest.raises(UsageError, match=says) as refusal:
         compose(replace(SPLIT, **change), COMPOSITIONS["suzuki4"])
     assert len(str(refusal.value).splitlines()) == 1
-
-
-def test_options_decide_when_the_scheme_is_built() -> None:
-    """A base whose default options serve and whose others do not."""
-    base = replace(SPLIT, build=lambda top, options: replace(KICK_TURN, enter=scaled) if options else KICK_TURN)
-    default = replace(base, options=lambda: None)  # type: ignore[arg-type]
-    scheme = compose(default, COMPOSITIONS["suzuki4"])
-    assert isinstance(scheme.build(Kowalevski(), None), Stepper)
-    with pytest.raises(UsageError, match="with these options: it works on a form of the state that depends on h"):
-        scheme.build(Kowalevski(), "scaled")
 
 
 def test_names_and_traits() -> None:

@@ -18,21 +18,14 @@ from conformance import (
 )
 from declared import SCHEMES, TRIALS, by_name, gen
 from kick_turn import SPLIT
-from steppers import RK2
 from stepping import states_of
 from topcli.analysis.conformance import deviation, reversal_defect
-from topcli.analysis.order import observed_order, reversal
 from topcli.contracts import Invariant, Scheme, Stepper
 from topcli.engine.collect import orbit
-from topcli.schemes.limits import polynomial_invariants
 from topcli.schemes.registry import find_scheme
 from topcli.testing import check_scheme
 from topcli.tops import TOPS
-from topcli.tops.declared import custom_class
-from topcli.tops.heavy import Heavy
-from topcli.tops.kowalevski import Kowalevski
 
-HK = find_scheme("hk", "kowalevski")
 SUBJECTS = [
     subject
     for scheme in (SPLIT, *SCHEMES)
@@ -56,11 +49,6 @@ def test_registration_is_complete(scheme: Scheme) -> None:
     known = {invariant.name for invariant in TOPS[scheme.top]().invariants()}
     assert set(scheme.conserves) <= known
     assert all(field.description for field in scheme.options.model_fields.values())
-
-
-def test_names_are_unique() -> None:
-    keys = [(scheme.name, scheme.top) for scheme in SCHEMES]
-    assert len(set(keys)) == len(keys)
 
 
 @cases(*SUBJECTS)
@@ -166,37 +154,3 @@ def test_modified_integrals_tend_to_those_of_the_motion(scheme: Scheme) -> None:
         for name, gap in gaps[0].items():
             assert gap < 0.01
             assert gap < 1e-14 or gap / gaps[1][name] == pytest.approx(2.0**scheme.order, rel=0.02), name
-
-
-@pytest.mark.parametrize(
-    ("h", "sizes"), [(0.05, (0.05, 0.1, 0.2, 0.4)), (-0.05, (0.05, 0.1, 0.2, 0.4)), (0.3, (0.0375, 0.075, 0.15, 0.3))]
-)
-def test_the_reversal_defect_is_that_of_the_step_itself(h: float, sizes: tuple[float, ...]) -> None:
-    """The largest component missed over the states, at h and along the ladder, by the step called here."""
-    top, states = Kowalevski(), states_of(Kowalevski(), 5, seed=8)
-    p = top.constants()
-
-    def missed(size: float) -> float:
-        there = [RK2.step(tuple(y), size, p) for y in states]
-        return max(
-            np.abs(np.array(RK2.step(y, -size, p)) - start).max() for y, start in zip(there, states, strict=True)
-        )
-
-    found = reversal(top, RK2, np.array(states), h)
-    assert (found.h, found.defect) == (abs(h), missed(abs(h)))
-    assert found.order == pytest.approx(observed_order(sizes, [missed(size) for size in sizes], 1e-13), rel=1e-6)
-
-
-def test_which_invariants_are_quadratic() -> None:
-    for top in (Kowalevski(), Kowalevski(c0=-3.0, A=0.1)):
-        assert polynomial_invariants(top, 1) == ()
-        assert polynomial_invariants(top, 2) == polynomial_invariants(top, 3) == ("gamma_sq", "two_l", "energy")
-        assert polynomial_invariants(top, 4) == ("gamma_sq", "two_l", "energy", "k_sq")
-    assert polynomial_invariants(Heavy(), 2) == ("gamma_sq", "m_gamma", "energy")
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_formula_without_a_value_is_no_polynomial() -> None:
-    invariants = {"log": "log(-1 - x**2)", "line": "2*x"}
-    top = custom_class({"components": ["x"], "field": {"x": "0"}, "invariants": invariants}).new()
-    assert polynomial_invariants(top, 2) == ("line",)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
 import numpy as np
@@ -11,17 +10,13 @@ import pytest
 
 import topcli
 from conftest import GEN, PAPER
-from declared import SCHEMES
-from steppers import RK2
-from topcli.contracts import Ending, Floats, Outcome, Scheme, Stepper, Top
+from topcli.contracts import Ending, Floats, Outcome, Stepper, Top
 from topcli.engine.collect import orbit
 from topcli.engine.loops import interpreted
-from topcli.errors import RunError
 from topcli.runs.report import warning_of
 from topcli.schemes.any_top.hk import NEAR_SINGULAR
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import find_scheme
 from topcli.studies.stress import singular_step
-from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
@@ -74,34 +69,12 @@ def test_a_singular_step_of_a_top_without_an_energy_is_counted(own_registry: Non
         assert run.ending.counters == {NEAR_SINGULAR: 1}
 
 
-@pytest.mark.parametrize("top", [Euler(), EulerGamma()], ids=lambda top: top.form)
-def test_implicit_euler_top_steps_report_no_convergence(top: Top) -> None:
-    for name in ("bs-implicit", "midpoint"):
-        _, ending = carried_out(top, name, GEN, singular_step(top, GEN[: len(top.components)]), 50)  # pyright: ignore
-        assert ending.outcome is Outcome.NO_CONVERGENCE
-        assert carried_out(top, name, GEN, 0.05, 100)[1].outcome is Outcome.COMPLETED
-    _, blown = carried_out(top, "rk4", (3.0, -2.0, 6.0, 0.6, 0.48, 0.64), 1.0, 50)
-    assert blown.outcome is Outcome.BLEW_UP
-
-
 def test_a_run_warns_of_what_it_counted() -> None:
     """Iterations are the rule and no reason to warn."""
     report = {"name": "x", "scheme": "hk", "step": 9, "counters": {"iterations": 40, NEAR_SINGULAR: 0}}
     assert warning_of(report) == ""
     report["counters"] = {"iterations": 40, NEAR_SINGULAR: 3}
     assert warning_of(report) == "3 near singular solves in 9 steps; topcli show hk lists the limits of this scheme"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda one: f"{one.name}/{one.top}")
-def test_normal_counts_give_no_warning(scheme: Scheme) -> None:
-    """On an ordinary run nothing that a scheme counts is a warning; what can be one has a limit that explains it."""
-    top = TOPS[scheme.top].new()
-    _, ending = carried_out(top, scheme.name, GEN, 0.02, 200)
-    report = {"step": ending.step, "scheme": scheme.name}
-    assert warning_of({**report, "counters": ending.counters}) == ""
-    warned = [name for name in ending.counters if warning_of({**report, "counters": {name: 1}})]
-    assert not warned or scheme.limits
 
 
 # steps that end a run
@@ -113,17 +86,6 @@ def test_equilibria_and_special_states_settle(y: Floats, h: float) -> None:
     for A, C, x, z in ((1.0, 1.0, 0.6, 0.8), (2.0, 1.0, 0.0, 0.0), (2.0, 1.0, 1.0, 0.0)):
         top = Heavy(A=A, B=A, C=C, x0=x, y0=0.0, z0=z)
         assert carried_out(top, "midpoint", y, h, 3)[1].outcome is Outcome.COMPLETED
-
-
-@pytest.mark.parametrize("scale", [1e-9, 1e9])
-def test_slow_and_fast_tops_settle_to_the_last_bits(scale: float) -> None:
-    """Omega is far smaller or larger than gamma: the equations hold for both, each to its own size."""
-    top, h = Heavy(x0=scale**2, y0=0.5 * scale**2, z0=0.8 * scale**2), 0.2 / scale
-    y = tuple(np.array(GEN) * [scale, scale, scale, 1.0, 1.0, 1.0])
-    start, end = np.longdouble(carried_out(top, "midpoint", y, h, 1)[0])
-    rates = np.array(top.field(tuple((start + end) / 2), tuple(map(np.longdouble, top.constants()))))
-    residual = np.abs(end - start - h * rates) / (scale, scale, scale, 1.0, 1.0, 1.0)
-    assert residual.max() < 4e-16
 
 
 def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
@@ -144,52 +106,4 @@ def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
     assert math.isnan(work[method.width - 2])
 
 
-def test_blow_up_is_not_reported_as_no_convergence() -> None:
-    run = orbit(Kowalevski(), RK2, (1e200, 1e200, 0.0, 0.6, 0.48, 0.64), 1.0, 10)
-    assert run.ending.outcome is Outcome.BLEW_UP
-
-
 # states that the texts of limits name
-
-NUMBERS = r"\(([-\d., ]+)\)"
-EXAMPLE = re.compile(rf"omega = {NUMBERS},?(?: with| and)? gamma = {NUMBERS}(?:(?: with|,) c0 = ([-\d.]+))?")
-
-
-def examples() -> list[tuple[Scheme, str, list[float], list[float], float]]:
-    """Scheme, name of the limit, omega, gamma and c0 of every state in a text."""
-    return [
-        (scheme, name, vector(omega), vector(gamma), float(c0 or 1.0))
-        for scheme in all_schemes()
-        for name, text in scheme.limits.items()
-        for omega, gamma, c0 in EXAMPLE.findall(text)
-    ]
-
-
-def vector(numbers: str) -> list[float]:
-    return [float(v) for v in numbers.split(",")]
-
-
-def simulate(scheme: str, omega: list[float], gamma: list[float], c0: float) -> topcli.Trajectory:
-    top = {"kind": "kowalevski", "c0": c0}
-    return topcli.simulate(
-        {"top": top, "initial": {"omega": omega, "gamma": gamma}, "scheme": scheme, "h": 0.01, "N": 10}
-    )
-
-
-def test_every_state_in_a_limit_is_found() -> None:
-    """No text names a vector that the examples leave out."""
-    vectors = sum(len(re.findall(r"= " + NUMBERS, text)) for one in all_schemes() for text in one.limits.values())
-    assert vectors == 2 * len(examples()) > 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("scheme", "name", "omega", "gamma", "c0"), examples(), ids=lambda one: str(one)[:20])
-def test_states_in_limits_can_be_run(
-    scheme: Scheme, name: str, omega: list[float], gamma: list[float], c0: float
-) -> None:
-    """Legal for every other scheme; those of limits that say "refused" are refused."""
-    assert simulate("hk", omega, gamma, c0).outcome is Outcome.COMPLETED
-    if "refused" in scheme.limits[name]:
-        with pytest.raises(RunError):
-            simulate(scheme.name, omega, gamma, c0)
-        assert simulate(scheme.name, [omega[0] + 1e-3, *omega[1:]], gamma, c0).outcome is Outcome.COMPLETED

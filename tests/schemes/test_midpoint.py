@@ -13,7 +13,6 @@ import topcli
 from fields import random_state
 from steppers import built, physical
 from topcli.contracts import Outcome, Top
-from topcli.engine.collect import orbit
 from topcli.field.expression import in_arithmetic
 from topcli.tops import TOPS
 from topcli.tops.declared import custom_class
@@ -65,15 +64,6 @@ def test_the_step_solves_its_equation_and_returns(d: int, compensated: bool) -> 
             assert np.abs(np.subtract(step(new, -h, p), y)).max() < 20.0 * 2.0**-52
 
 
-@pytest.mark.slow
-def test_a_state_of_many_components_is_compiled() -> None:
-    """Lorenz's ring of 1996; numba refuses more than 30 items for a variable with several values."""
-    top = top_of({f"x{i}": f"(x{(i + 1) % 33} - x{(i - 2) % 33})*x{(i - 1) % 33} - x{i} + 8" for i in range(33)})
-    y = tuple(8.0 + 0.01 * i for i in range(33))
-    new = orbit(top, built("midpoint", top), y, 0.01, 1).states[-1]
-    assert residual(top, y, new, 0.01) < 10.0
-
-
 def config(field: dict[str, str], y: Any, h: float = 0.1, **changes: Any) -> dict[str, Any]:
     top = {"kind": "custom", "components": list(field), "field": field}
     initial = dict(zip(field, map(float, y), strict=True))
@@ -115,14 +105,3 @@ def test_a_step_without_a_solution_does_not_converge(h: float) -> None:
     """x' = exp(x) from 0: u = (h/2) exp(u) has no solution for h > 2/e = 0.736."""
     run = topcli.simulate(config({"x": "exp(x)"}, (0.0,), h))
     assert run.outcome == (Outcome.COMPLETED if h < 0.7 else Outcome.NO_CONVERGENCE)
-
-
-@pytest.mark.slow
-def test_quadratic_integrals_stay_exact() -> None:
-    """x^2 + y^2 of a rotation at an uneven rate, over 2e4 steps; rk4, the control, deviates."""
-    field = {"x": "-y*(2 + sin(x))", "y": "x*(2 + sin(x))"}
-    given = config(field, (0.8, 0.6), 0.1, N=20_000, output={"every": 100})
-    runs = [topcli.simulate(given, overrides=[f"scheme={name}"]) for name in ("midpoint", "rk4")]
-    kept, control = (np.abs(run["x"] ** 2 + run["y"] ** 2 - 1.0).max() for run in runs)
-    assert kept < 1e-13
-    assert control > 1e-3

@@ -98,14 +98,11 @@ def test_rows_are_recorded_at_common_times(texts: str, every: int, strides: list
     ("entries", "message"),
     table_of("""
 ""                     name at least one scheme
-hk hkk                 unknown scheme 'hkk'; did you mean 'hk'?
-kowalevski_hk          'kowalevski_hk' is a config, not a scheme
 hk:h=0.03              "hk:h=0.03: --set T=20.0: T: T/h = 20/0.03 = 666.666667 is not a whole number of steps"
 hk:h=-0.02             "hk:h=-0.02: --set T=20.0: T: T/h = 20/-0.02 = -1000 steps"
 hk:h=0                 hk:h=0: --set h=0
 hybrid:brunch=sign     hybrid:brunch=sign: --set scheme.brunch=sign: scheme.brunch: unknown key
 hybrid:branch=sing     "hybrid:branch=sing: --set scheme.branch=sing: scheme.branch: must be 'nearest' or 'sign'"
-hk HK                  hk: is named twice
 hk hk:h=1e-2           hk:h=1e-2: computes the same as hk; keep one of them
 """),
 )
@@ -135,12 +132,6 @@ def test_errors_are_against_the_reference_that_is_asked_for(kind: Any) -> None:
     assert 50.0 < report.table["ns_per_step"]["exact"] < 1e5  # no state costs 4 ns
     method = {"taylor": "Taylor series in double-double arithmetic", "exact": "closed form (scheme exact)"}[kind]
     assert report.notes[-1].startswith(f"Errors are norms of the difference of states from the reference, a {method}.")
-
-
-def test_a_closed_form_that_a_top_does_not_have_is_refused(cli: Cli) -> None:
-    said = cli("compare", "hk", "--config", "heavy_hk", "--set", "N=10", "--reference", "exact")
-    assert (said.code, said.out) == (2, "")
-    assert "the top heavy has no scheme exact to compare with; use the reference taylor" in said.err
 
 
 def test_steps_that_share_few_times_are_refused() -> None:

@@ -12,10 +12,7 @@ import pytest
 
 import topcli
 from conftest import Said
-from sweeping import measured
 from topcli.analysis.frequencies import agreement_digits, rotation_number, strongest_line
-from topcli.config.load import load_experiment
-from topcli.errors import UsageError
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
@@ -32,18 +29,6 @@ def columns_of(**options: Any) -> dict[str, dict[str, Any]]:
 # the functions
 
 
-def test_columns_without_a_line() -> None:
-    jitter = 0.1 + 1e-17 * (-1.0) ** np.arange(100)
-    for rows, frequency, digits in (
-        (jitter, 0.0, 16.0),
-        (np.zeros(100), 0.0, 16.0),
-        (np.arange(15.0), math.nan, math.nan),
-        (np.r_[np.arange(99.0), math.nan], math.nan, math.nan),
-    ):
-        assert strongest_line(rows).frequency == pytest.approx(frequency, nan_ok=True)
-        assert float(agreement_digits(rows)) == pytest.approx(digits, nan_ok=True)
-
-
 def test_digits_count_the_agreement_of_the_halves() -> None:
     """Relative to the amplitude: neither the unit of a column nor its zero matter."""
     wave = np.cos(2.0 * np.pi * 0.1 * GOLDEN * np.arange(2000))
@@ -52,13 +37,6 @@ def test_digits_count_the_agreement_of_the_halves() -> None:
     assert agreement_digits(rows)[1:] == pytest.approx([5.0, 9.0, 0.0], abs=0.05)
     assert agreement_digits(rows)[0] > 12.0
     assert agreement_digits(1e-3 * rows + 5.0)[1:3] == pytest.approx([5.0, 9.0], abs=0.05)
-
-
-def test_frequency_and_amplitude_of_a_line_beside_a_weaker_one() -> None:
-    n, frequency = np.arange(4001), 0.4 + 1e-3 * GOLDEN
-    rows = 5.0 + 3.0 * np.cos(2.0 * np.pi * frequency * n + 1.0) + 2.0 * np.sin(2.0 * np.pi * 0.2371 * n)
-    line = strongest_line(rows)
-    assert (line.frequency, line.amplitude) == pytest.approx((frequency, 3.0), rel=1e-12)
 
 
 @pytest.mark.parametrize("cycles", [0.05, 0.7, 1.4, 2.3, 2.6, 5.0])
@@ -90,15 +68,6 @@ def test_frequencies_of_the_euler_top() -> None:
     assert rows["omega3"]["frequency"] == pytest.approx(2.0 * exact, rel=1e-12)
     assert abs(rows["angle of omega1, omega2"]["frequency"]) == pytest.approx(exact, rel=1e-12)
     assert min(row["digits"] for row in rows.values()) > 14.0
-
-
-def test_frequencies_of_the_lagrange_top() -> None:
-    initial = {"m": [0.3, 0.5, 2.0], "a": [0.6, 0.0, 0.8]}
-    orbit = {**config("lagrange", "exact", 1 << 14, []), "top": "lagrange", "initial": initial}
-    exact = topcli.motion(orbit)
-    rows = columns_of(config=orbit, component=["a3"], angle=["a1,a2"])
-    assert rows["a3"]["frequency"] == pytest.approx(exact["frequency.nutation"], rel=1e-12)
-    assert rows["angle of a1, a2"]["frequency"] == pytest.approx(exact["frequency.precession"], rel=1e-12)
 
 
 def test_frequencies_of_the_kowalevski_top() -> None:
@@ -139,20 +108,6 @@ def test_columns_that_are_no_numbers_or_too_slow_are_named(cli: Callable[..., Sa
     assert re.search(rf"^c +{rows['c']['frequency']:.12g} ", said.out, re.MULTILINE)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"component": ["omega7"]}, "no column 'omega7'"),
-        ({"angle": ["gamma1"]}, "--angle 'gamma1': write two columns"),
-        ({"overrides": ["N=20"]}, "21 recorded rows: too few"),
-        ({"overrides": ["N=100000000", "output.every=1"]}, "do not fit in memory; take 24 or more"),
-    ],
-)
-def test_what_is_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        topcli.frequencies("euler_hk", **options)
-
-
 def test_change_is_that_from_the_first_half_to_the_second() -> None:
     """The angle 0.3t + at² has the mean rate 0.3 + 2at at the middle of each half."""
     a, T = 1e-4, 4000 * 0.25
@@ -162,11 +117,3 @@ def test_change_is_that_from_the_first_half_to_the_second() -> None:
     assert rows["angle of x, y"]["frequency"] == pytest.approx((0.3 + a * T) / (2.0 * np.pi), rel=1e-12)
     assert rows["angle of x, y"]["change"] == pytest.approx(a * T / (2.0 * np.pi), rel=1e-12)
     assert rows["x"]["change"] == pytest.approx(a * T / (2.0 * np.pi), rel=0.3)
-
-
-def test_measures_are_those_of_the_study() -> None:
-    orbit = {**config("kowalevski", "hk", 4000, [2.0, 1.0, 1.0]), "output": {"every": 2}}
-    names = ["frequency.omega1", "digits.omega1"]
-    row = columns_of(config=orbit, component=["omega1"])["omega1"]
-    found = measured(load_experiment(orbit), names)
-    assert [found[name][0] for name in names] == [row["frequency"], row["digits"]]

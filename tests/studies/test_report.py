@@ -40,7 +40,7 @@ def made_up(
     fast: bool = False,
     watch: Watch = SILENT,
 ) -> Report:
-    """Return what was given.
+    """Return the arguments.
 
     Parameters
     ----------
@@ -63,8 +63,8 @@ def made_up(
     """
     watch.begin("made up", unit="things")
     watch(1, 1)
-    given = {"names": list(names), "config": str(config), "overrides": list(overrides), "sizes": list(sizes)}
-    given |= {"max_steps": max_steps, "kind": kind, "limit": limit, "fast": fast}
+    arguments = {"names": list(names), "config": str(config), "overrides": list(overrides), "sizes": list(sizes)}
+    arguments |= {"max_steps": max_steps, "kind": kind, "limit": limit, "fast": fast}
     columns = {"h": np.array([row["h"] for row in FINE])}
 
     def draw(axes: Any, looks: Callable[..., Any]) -> None:
@@ -76,7 +76,7 @@ def made_up(
         Table("Fine print", FINE, detail=True),
     ]
     notes, errors = ["a note"], ["an error"]
-    return Report("made_up", "A <title>", "The answer.", tables, notes, errors, 4, given, columns, draw)
+    return Report("made_up", "A <title>", "The answer.", tables, notes, errors, 4, arguments, columns, draw)
 
 
 order = made_up
@@ -84,7 +84,7 @@ order = made_up
 
 @pytest.fixture
 def listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(STUDIES, "order", (__name__, "Return what was given."))
+    monkeypatch.setitem(STUDIES, "order", (__name__, "Return the arguments."))
 
 
 def test_cells_of_a_table_are_its_numbers() -> None:
@@ -105,8 +105,8 @@ def test_the_command_has_the_options_of_the_function(cli: Cli, listed: None) -> 
     said = cli(
         "order", "a", "b", "--set", "x=1", "--set", "y=2", "--h", "0.1", "--max-steps", "1e3", "--fast", "--json"
     )
-    given = {"names": ["a", "b"], "config": "kowalevski_hk", "overrides": ["x=1", "y=2"], "sizes": [0.1]}
-    assert said.json()["config"] == {**given, "max_steps": 1000, "kind": "taylor", "limit": None, "fast": True}
+    arguments = {"names": ["a", "b"], "config": "kowalevski_hk", "overrides": ["x=1", "y=2"], "sizes": [0.1]}
+    assert said.json()["config"] == {**arguments, "max_steps": 1000, "kind": "taylor", "limit": None, "fast": True}
     assert cli("order", "--limit", "2", "--kind", "exact", "--json").json()["config"]["limit"] == 2.0
     helped = " ".join(cli("order", "--help").out.split())
     texts = ("Names of things.", "Largest number.", "[default: 1000]", "--kind taylor|exact", "--fast Hurry up.")
@@ -146,8 +146,8 @@ def test_files_tables_and_pages_show_the_stored_record(cli: Cli, listed: None, m
     assert stored["tables"][0]["cells"]["lines"] == cells.lines
     assert json.loads(cli("order", "--json").out)["tables"] == stored["tables"]
     monkeypatch.delitem(STUDIES, "order")  # no code of the study is needed any more
-    shown = cli("table", "r.json").out
-    assert all(cell in shown for line in cells.lines for cell in line)
+    output = cli("table", "r.json").out
+    assert all(cell in output for line in cells.lines for cell in line)
     assert cli("table", "r.json", "--format", "csv").out.splitlines()[0] == "scheme,max_error,steps,ok,hidden"
     assert (
         cli("table", "r.json", "--table", "fine_print", "--format", "csv").out == made_up().tables[1].frame().to_csv()
@@ -182,23 +182,6 @@ def test_save_writes_by_the_ending(in_tmp: Path) -> None:
     assert "rk4 &lt;b&gt;" in report._repr_html_()
 
 
-def test_existing_files_are_kept(cli: Cli, listed: None) -> None:
-    Path("r.csv").write_text("mine")
-    said = cli("order", "--save", "r.csv")
-    assert said.code == 2
-    assert "exists already" in said.err
-    assert Path("r.csv").read_text() == "mine"
-    assert cli("order", "--save", "r.csv", "--force").code == 4
-
-
-def test_damaged_records_are_refused(cli: Cli, listed: None) -> None:
-    cli("order", "--save", "r.json")
-    text = Path("r.json").read_text()
-    Path("r.json").write_text(text.replace('"steps": 7', '"steps": 8'))
-    assert "SHA-256" in cli("table", "r.json").err
-    assert "SHA-256" in cli("report", "r.json", "--out", "r.html").err
-
-
 @pytest.mark.parametrize("name", STUDIES)
 def test_the_python_function_is_that_of_the_module(name: str) -> None:
     function = getattr(topcli, name)
@@ -206,3 +189,9 @@ def test_the_python_function_is_that_of_the_module(name: str) -> None:
     assert function.__module__ == STUDIES[name][0]
     assert (function.__doc__ or "").splitlines()[0] == STUDIES[name][1]
     assert len(STUDIES[name][1]) <= 60
+
+
+def test_damaged_records_are_refused(cli: Cli, listed: None) -> None:
+    cli("order", "--save", "r.json")
+    Path("r.json").write_text(Path("r.json").read_text().replace('"steps": 7', '"steps": 8'))
+    assert "SHA-256" in cli("table", "r.json").err

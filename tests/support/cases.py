@@ -46,3 +46,17 @@ def _value(cell: str) -> Any:
         return ast.literal_eval(cell)
     except (SyntaxError, ValueError):
         return math.nan if cell == "nan" else cell
+
+
+def changes_of(name: str) -> list[tuple[str, str, str]]:
+    """Changes of a declaration from a file beside the tests of tops: the old text, the new one, and a message."""
+    blocks = (Path(__file__).parents[1] / "tops" / name).read_text(encoding="utf-8").rstrip().split("\n\n")[1:]
+    changes = []
+    for change, message in (block.replace("\\n", "\a").splitlines() for block in blocks):
+        old, _, new = change.replace("\a", "\n").partition(" ->")
+        changes.append((old, new.removeprefix(" "), message))
+    return changes
+
+
+MOTIONS = parts_of(Path(__file__).parents[1] / "tops" / "motions.txt")
+"""States of special motions, as text."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from topcli.store.result_folder import ResultFolder
+from topcli.store.result_folder import Identity, ResultFolder
 from topcli.store.table import Table
 
 NAME = "odd [name] 'ü' 100%"
@@ -19,51 +17,38 @@ CHUNK = 16
 N = 70
 
 
-@dataclass(frozen=True)
-class Counted:
+def counted(h: float = 0.1, code: str = "c" * 64, form: str = "parquet") -> Identity:
     """Identity of the computation with a step ``h``."""
+    config = {"name": NAME, "h": h, "scheme": {"name": "counting"}, "output": {"format": form}}
+    return Identity(config, hashlib.sha256(str(h).encode()).hexdigest(), code)
 
-    h: float = 0.1
-    code: str = "c" * 64
-    form: str = "parquet"
-    config: dict[str, Any] = field(init=False)
 
-    def __post_init__(self) -> None:
-        config = {"name": NAME, "h": self.h, "scheme": {"name": "counting"}, "output": {"format": self.form}}
-        object.__setattr__(self, "config", config)
-
-    @property
-    def digest(self) -> str:
-        return hashlib.sha256(str(self.h).encode()).hexdigest()
-
-    @property
-    def key(self) -> str:
-        return hashlib.sha256((self.digest + self.code).encode()).hexdigest()[:8]
+COUNTED = counted()
 
 
 def compute(
     out: Path,
-    identity: Counted = Counted(),
+    identity: Identity = COUNTED,
     *,
     every: int = 1,
     force: bool = False,
     on_chunk: Callable[[int], bool | None] = lambda n: None,
-    tell: Callable[[str], None] = lambda line: None,
 ) -> str:
     """Compute N steps into ``out``, until ``on_chunk`` returns True; return "ran", "continued" or "up to date"."""
-    with ResultFolder.claim(out / NAME, identity, force=force, tell=tell) as folder:
+    with ResultFolder.claim(out / NAME, identity, force=force) as folder:
         if folder.complete:
             return "up to date"
         state = folder.checkpoint()
         n, y, total = int(state.get("n", 0)), float(state.get("y", 0.3)), float(state.get("total", 0.0))
         stopped = False
-        with Table(folder.working, "series", {"topcli.digest": identity.digest}, identity.form) as table:
+        form = identity.config["output"]["format"]
+        with Table(folder.working, "series", {"topcli.digest": identity.digest}, form) as table:
             if state:
                 table.restore(state)
             while n < N and not stopped:
                 rows, end = [], min(n + CHUNK, N)
                 while n < end:
-                    n, y = n + 1, 4.0 * y * (1.0 - y) * (1.0 - identity.h)
+                    n, y = n + 1, 4.0 * y * (1.0 - y) * (1.0 - identity.config["h"])
                     total += y
                     rows += [(n, y)] if n % every == 0 else []
                 numbers, values = zip(*rows, strict=True)

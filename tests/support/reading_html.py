@@ -20,12 +20,12 @@ class Element:
 
     def all(self, name: str | None = None) -> list[Element]:
         """Elements below this one, in order; those of one ``name``."""
-        found: list[Element] = []
+        elements: list[Element] = []
         for child in self.children:
             if isinstance(child, Element):
-                found += [child] if name in (None, child.name) else []
-                found += child.all(name)
-        return found
+                elements += [child] if name in (None, child.name) else []
+                elements += child.all(name)
+        return elements
 
     def with_class(self, name: str) -> list[Element]:
         return [one for one in self.all() if name in one.attributes.get("class", "").split()]
@@ -42,10 +42,10 @@ class _Reader(HTMLParser):
         self.open = [self.root]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        made = Element(tag, {name: value or "" for name, value in attrs})
-        self.open[-1].children.append(made)
+        element = Element(tag, {name: value or "" for name, value in attrs})
+        self.open[-1].children.append(element)
         if tag not in EMPTY:
-            self.open.append(made)
+            self.open.append(element)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.open[-1].children.append(Element(tag, {name: value or "" for name, value in attrs}))
@@ -65,15 +65,3 @@ def read_html(text: str) -> Element:
     reader.close()
     assert reader.open == [reader.root], f"not closed: {[one.name for one in reader.open[1:]]}"
     return reader.root
-
-
-def section_of(page: Element, title: str) -> Element:
-    """The innermost section whose heading is ``title``."""
-    (found,) = [
-        one
-        for one in page.all("section")
-        if any(
-            getattr(c, "name", "") in ("h2", "h3") and c.text == title for c in one.children if isinstance(c, Element)
-        )
-    ]
-    return found

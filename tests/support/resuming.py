@@ -13,11 +13,12 @@ from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.runs.run import RunOptions, RunResult, run_experiment
+from topcli.store.files import SEAL
 
 HK = ROOT / "configs" / "kowalevski_hk.yaml"
 NAME = "kowalevski_hk"
 FILES = ["config.yaml", "manifest.json", "report.json"]
-TIMES = ("run", "started", "ended", "continued", "seconds", "files", "manifest_sha256")
+TIMES = (SEAL, "started", "ended", "continued", "seconds", "files")
 """Entries of a manifest that differ from run to run."""
 
 

@@ -48,11 +48,6 @@ def euler_step(s: Floats, h: float, p: Floats) -> Floats:
     return _moved(s, h, field(s, p))
 
 
-def explode_step(s: Floats, h: float, p: Floats) -> Floats:
-    """Squares omega1 every step: not finite after a known number of steps."""
-    return (s[0] * s[0], s[1], s[2], s[3], s[4], s[5])
-
-
 def _moved3(s: Floats, a: float, k: Floats) -> Floats:
     return (s[0] + a * k[0], s[1] + a * k[1], s[2] + a * k[2])
 
@@ -69,4 +64,3 @@ def rk2(top: Top) -> Stepper:
 
 RK2 = Stepper(rk2_step, 6)
 EULER = Stepper(euler_step, 6)
-EXPLODE = Stepper(explode_step, 6)

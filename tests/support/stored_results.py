@@ -24,14 +24,9 @@ def store_run(out: Path, name: str, scheme: str = "hk", **changes: object) -> Pa
     return run_experiment(experiment(name, scheme, **changes), out).stored.folder
 
 
-def store_euler(out: Path, name: str = "euler") -> Path:
-    config = {"name": name, "top": {"kind": "euler", "A": 3, "B": 2, "C": 1}, "initial": {"omega": [0.4, 1, 0.3]}}
-    return run_experiment(load_experiment({**config, "scheme": "hk", "h": 0.05, "N": 400}), out).stored.folder
-
-
 def store_ensemble(out: Path, name: str = "many", count: int = 12) -> Path:
-    made = load({**BASE, "name": name, "scheme": "hk", "ensemble": {"random": {"count": count, "gamma": "sphere"}}})
-    return run_experiment(made, out).stored.folder
+    loaded = load({**BASE, "name": name, "scheme": "hk", "ensemble": {"random": {"count": count, "gamma": "sphere"}}})
+    return run_experiment(loaded, out).stored.folder
 
 
 def store_sweep(out: Path, name: str = "sweep") -> Path:
@@ -43,14 +38,4 @@ def store_sweep(out: Path, name: str = "sweep") -> Path:
 
 def store_comparison(path: Path) -> Path:
     topcli.compare("hk", "hk:h=0.02", "hybrid", config={**BASE, "name": "compared", "scheme": "hk"}).save(path)
-    return path
-
-
-def store_order(path: Path) -> Path:
-    topcli.order("hk", "rk4", config="euler_hk", overrides=["T=2"], sizes=[0.1, 0.05, 0.025]).save(path)
-    return path
-
-
-def store_stress(path: Path) -> Path:
-    topcli.stress("hk", "backlund", case=["delone", "pole"]).save(path)
     return path

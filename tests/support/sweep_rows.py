@@ -15,13 +15,12 @@ def write_rows(
     measures: Mapping[str, Sequence[float]],
     *,
     outcome: Sequence[str] = (),
-    log: Sequence[str] = (),
 ) -> Path:
     """Write ``rows.parquet`` into ``folder``; the folder."""
     count = len(next(iter(keys.values())))
     outcomes = list(outcome) or ["completed"] * count
     rows = pd.DataFrame({"row": range(count), **keys, "outcome": outcomes, "message": "", **measures, "digest": "0"})
-    rows.attrs = {"name": folder.name, "keys": list(keys), "measures": list(measures), "log": list(log)}
+    rows.attrs = {"name": folder.name, "keys": list(keys), "measures": list(measures)}
     folder.mkdir(parents=True, exist_ok=True)
     rows.to_parquet(folder / "rows.parquet", index=False)
     return folder

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,11 @@ import pandas as pd
 import pytest
 
 import topcli
-from conftest import ROOT
 from sweeping import BASE, DATA, MANY, sweep, table
-from topcli.config.files import scene_files
 from topcli.config.sweep import load_sweep
 from topcli.errors import RunError
 from topcli.sweeps.batch import Measuring
 from topcli.sweeps.compute import compute
-from topcli.sweeps.run import batches_of, plan_of, planned
 
 
 def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
@@ -28,7 +24,7 @@ def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
     rows = pd.read_parquet(tmp_path / "study" / "rows.parquet")
     assert list(rows) == ["row", "scheme", "h", "outcome", "message", "max_deviation.energy", "digest"]
     assert " ".join(map(str, rows.dtypes)) == "int64 str float64 str str float64 str"
-    assert rows.attrs == {"name": "study", "keys": ["scheme", "h"], "measures": ["max_deviation.energy"], "log": []}
+    assert rows.attrs == {"name": "study", "keys": ["scheme", "h"], "measures": ["max_deviation.energy"]}
     values = rows[["row", "scheme", "h"]].to_numpy().tolist()
     assert values == [[0, "hk", 0.01], [1, "hk", 0.02], [2, "rk4", 0.01], [3, "rk4", 0.02]]
     assert all(message.startswith("completed 60 steps") for message in rows["message"])
@@ -131,27 +127,3 @@ def test_rows_do_not_depend_on_their_batch() -> None:
     assert compute(group.experiment.resolved(), group.states[::-1], names)[::-1] == usual
     assert [row for state in group.states for row in compute(group.experiment, state[None], names)] == usual
     assert len({numbers for _, _, numbers in usual}) == 40
-
-
-def test_batches_hold_every_waiting_row_once_and_are_bounded(tmp_path: Path) -> None:
-    plan, waiting = planned(load_sweep(MANY), tmp_path)
-    waiting[::3] = False
-    batches = list(batches_of(plan.groups, waiting, 2))
-    rows = [row for batch in batches for piece in batch for row in piece.rows]
-    assert sorted(rows) == np.flatnonzero(waiting).tolist()
-    assert len(batches) >= 8
-    assert max(sum(len(piece.rows) * piece.experiment.N for piece in batch) for batch in batches) <= 106 * 60 // 8 + 1
-    for batch in batches:
-        for piece in batch:
-            for state, row in zip(piece.states, piece.rows, strict=True):
-                (group,) = (group for group in plan.groups if row in group.numbers)
-                assert state.tolist() == group.states[group.numbers.tolist().index(row)].tolist()
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "configs" / "sweeps").iterdir()), ids=lambda path: path.stem)
-def test_a_packaged_sweep_is_short_and_its_measures_fit(path: Path) -> None:
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= 30
-    assert path.stem not in scene_files()
-    few = ["random.count=1"] if "random" in path.read_text() else []
-    assert plan_of(load_sweep(path, few)).digests
-    assert os.path.basename(path) == f"{load_sweep(path).name}.yaml"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import io
-import math
 import statistics
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -57,21 +57,17 @@ def test_conditions_select_rows_or_are_refused(tmp_path: Path, conditions: tuple
         with pytest.raises(UsageError, match=kept):
             read_rows(stored(tmp_path), conditions)
         return
-    rows = read_rows(stored(tmp_path, log=["h"]), conditions)
+    rows = read_rows(stored(tmp_path), conditions)
     assert (len(rows) if isinstance(kept, int) else rows["row"].tolist()) == kept
     assert rows.attrs["keys"] == ["scheme", "h", "seed"]
-    assert (rows.attrs["log"], rows.attrs["where"]) == (["h"], list(conditions))
+    assert rows.attrs["where"] == list(conditions)
 
 
 def test_missing_and_damaged_rows_are_reported(tmp_path: Path) -> None:
     folder = stored(tmp_path)
     with pytest.raises(UsageError, match=r"no sweep is stored here \(rows.parquet is missing\); did you mean 'mine'"):
         read_rows(folder.with_name("mien"))
-    path = folder / "rows.parquet"
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(RunError, match=r"rows.parquet: cannot be read"):
-        read_rows(folder)
-    pd.DataFrame({"h": [1.0]}).to_parquet(path)
+    pd.DataFrame({"h": [1.0]}).to_parquet(folder / "rows.parquet")
     with pytest.raises(RunError, match=r"rows.parquet: cannot be read"):
         read_rows(folder)
 
@@ -80,7 +76,7 @@ def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
     for (scheme, h), label in zip(product(SCHEMES, SIZES), ("0.1", "0.01", "1e-7") * 2, strict=True):
         values = [value_of(scheme, h, seed) for seed in SEEDS]
         median, mean, largest = (
-            table(tmp_path, name).cells.loc[scheme, f"h = {label}"] for name in ("median", "mean", "max")
+            table(tmp_path, name).values.loc[scheme, f"h = {label}"] for name in ("median", "mean", "max")
         )
         low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
         assert median == pytest.approx((middle, low, high), rel=1e-14)
@@ -98,7 +94,6 @@ scheme     None    ['max_eror']              None   "--value: unknown measure 'm
 scheme     scheme  ['max_error']             None   "'scheme' is named twice"
 scheme     h       ['max_error', 'seconds']  max    'show a single --value; 2 are given'
 scheme     None    ['max_error']             men    "--aggregate 'men': unknown; did you mean"
-h          None    ['max_error']             order  'fits a measure against h, which must vary within a cell'
 """),
 )
 def test_refusals_name_the_nearest_and_what_varies(
@@ -108,22 +103,11 @@ def test_refusals_name_the_nearest_and_what_varies(
         sweep_table(read_rows(stored(tmp_path)), [index], column, measures, aggregate)
 
 
-def test_the_observed_order_is_an_aggregate_over_h(tmp_path: Path) -> None:
-    grid = list(product(("hk", "rk4", "bs"), (1, 2), [0.1 * 2.0**-k for k in range(6)]))
-    errors = [(1.0 + seed) * h ** {"hk": 2, "rk4": 4, "bs": 1}[scheme] for scheme, seed, h in grid]
-    errors[-4:] = [math.nan] * 4
-    keys = {name: [row[i] for row in grid] for i, name in enumerate(("scheme", "seed", "h"))}
-    rows = read_rows(write_rows(tmp_path / "x", keys, {"error": errors}))
-    orders = sweep_table(rows, ["scheme"], "seed", ["error"], "order")
-    assert orders.lines()[1:] == [["hk", "2.00", "2.00"], ["rk4", "4.00", "4.00"], ["bs", "1.00", "–"]]
-    assert orders.title == "error of x: observed order over h"
-
-
 def test_failed_rows_are_left_out_and_counted(tmp_path: Path) -> None:
     outcome = ["blew_up", "left_motion", *["completed"] * 2, *["no_convergence"] * 4, *["completed"] * 16]
-    shown = table(tmp_path, outcome=outcome, spoilt=dict.fromkeys((0, 4, 5, 6, 7, 20), math.nan))
-    assert shown.cells.loc["hk", "h = 0.1"][0] == statistics.median([value_of("hk", 0.1, seed) for seed in (2, 3, 4)])
-    assert shown.lines()[1][2] == "–"
+    shown = table(tmp_path, outcome=outcome, spoilt=dict.fromkeys((0, 4, 5, 6, 7, 20), np.nan))
+    assert shown.values.loc["hk", "h = 0.1"][0] == statistics.median([value_of("hk", 0.1, seed) for seed in (2, 3, 4)])
+    assert shown.cells.lines[0][2] == "–"
     assert shown.notes == [
         "4 rows in each cell",
         "6 of 24 rows did not complete: 4 no_convergence, 1 blew_up, 1 left_motion",
@@ -174,7 +158,7 @@ def test_infinite_values_count_as_the_largest(numbers: tuple[float, ...], median
     """A failed reversal is infinite: it never makes a median better, nor the value disappear."""
     values = pd.Series(numbers)
     assert summary(values, "median") == median
-    assert summary(values, "mean") == summary(values, "max") == (math.inf,)
+    assert summary(values, "mean") == summary(values, "max") == (np.inf,)
 
 
 def test_labels_of_keys_are_short_and_different() -> None:

@@ -10,7 +10,7 @@ import mpmath as _mpmath
 import numpy as np
 import pytest
 
-from cases import numbers_of
+from cases import MOTIONS, numbers_of
 from conftest import GEN, random_states
 from steppers import built
 from test_euler import random_tops
@@ -43,20 +43,6 @@ def test_exact_is_the_reference() -> None:
         assert error[:, 3:].max() < 1e-13
 
 
-@pytest.mark.slow
-def test_exact_for_almost_symmetric_bodies_and_small_components() -> None:
-    """The period of omega is then long, and the angle about the angular momentum large in its formula."""
-    random, n = np.random.default_rng(5), np.array([1, 7, 30, 100, 200])
-    for body in range(60):
-        A, B, C = random.choice([1.0, 1.5, 2.0, 2.5, 3.0], 3)
-        omega, gamma = random.integers(-3, 4, 3).astype(float), random.normal(size=3)
-        omega[random.integers(3)] *= 10.0 ** random.uniform(-30, -1)
-        B = B if body % 2 else A * (1.0 + 10.0 ** random.uniform(-16, -1))
-        top, y0 = EulerGamma(A=float(A), B=float(B), C=float(C)), (*omega, *gamma)
-        error = np.abs(sampled("exact", top, y0, 0.1, n) - reference_states(top, y0, n * 0.1))
-        assert error.max() < 1e-13, (top, y0)
-
-
 @pytest.mark.parametrize("offset", [1e-3, 1e-9, 1e-15, -1e-15, -1e-9, -1e-3])
 def test_exact_beside_the_separatrix(offset: float) -> None:
     """omega3² = 3 omega1² for A, B, C = 3, 2, 1; by t = 50 the motion amplifies an error of the offset by 1e12."""
@@ -66,25 +52,7 @@ def test_exact_beside_the_separatrix(offset: float) -> None:
     assert error[3:].max() < 1e-11
 
 
-SPECIAL = numbers_of("""
-on the separatrix: 3 2 1.5  0.5 0.1 1
-spherical: 2 2 2  0.5 0.1 1
-oblate: 1 1 1.5  0.5 0.1 1
-prolate: 1 2 2  0.5 0.1 1
-equatorial: 1 2 2  0 0.1 1
-nearly symmetric: 1 1.000000000001 2  1 1 1
-next to symmetric, equatorial: 1.75 1.7500000000000002 1.5  -1 -1 6e-28
-principal axis: 3 2 1  0 0.7 0
-at rest: 3 2 1  0 0 0
-no middle component: 3 2 1  0.5 0 0.1
-no third component: 3 2 1  0.5 0.1 0
-no first component: 3 2 1  0 0.1 0.5
-tennis racket: 3 2 1  1e-09 0.7 0
-wobble of 1e-12: 1 3 2  1 1e-12 1e-10
-impossible body: 9 2 1  0.5 -0.3 0.8
-slow: 3 2 1  7e-08 -4e-08 1.3e-07
-denormal: 3 2 1  7e-311 -4e-311 1.3e-310
-""")
+SPECIAL = numbers_of(MOTIONS["free bodies"])
 """Moments, then omega."""
 
 
@@ -179,19 +147,7 @@ def test_lagrange_motions_are_the_reference() -> None:
                 assert np.abs(error).max() < 1e-12
 
 
-LAGRANGE = numbers_of("""
-a plane pendulum let go: 0 0 0 0.6 0 0.8
-pushed: 0 0.3 0 0.6 0 0.8
-going over the top: 0 3 0 0.6 0 0.8
-asleep: 0 0 2.5 0 0 1
-waking: 1e-05 0 1.9 0 0 1
-falling from next to the vertical: 0 0 0.5 1e-10 0 1
-hanging at rest: 0 0 0 0 0 -1
-thrown off the vertical: 3 4 0 0 0 1
-fast: 0 0 20 0.6 0 0.8
-level: 0.4 0.7 1.3 0.6 0.8 0
-close to a sleeping top's separatrix: 0 0 1.99 0.1 0 0.99498743710662
-""")
+LAGRANGE = numbers_of(MOTIONS["Lagrange tops"])
 
 
 @pytest.mark.parametrize("y0", LAGRANGE.values(), ids=LAGRANGE)
@@ -199,8 +155,3 @@ close to a sleeping top's separatrix: 0 0 1.99 0.1 0 0.99498743710662
 def test_lagrange_motions_of_special_kinds(y0: tuple[float, ...], mu: float) -> None:
     top, n = Lagrange(C=1.0, mu=mu), np.arange(0, 1001, 10)
     assert np.abs(sampled("exact", top, y0, 0.02, n) - reference_states(top, y0, n * 0.02)).max() < 2e-13
-
-
-def test_almost_planar_motion_is_refused() -> None:
-    with pytest.raises(RunError, match="planar"):
-        sampled("exact", LagrangeInertial(), (0, 0, 1e-6, 0.6, 0, 0.8), 0.1, range(3))

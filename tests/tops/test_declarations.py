@@ -16,8 +16,6 @@ from topcli.contracts import Top
 from topcli.field.integrals import broken_integral, measured_change
 from topcli.tops import TOPS
 
-STATES = np.random.default_rng(3).uniform(-1.0, 1.0, (50, 6))
-
 
 def test_what_a_top_does_not_declare() -> None:
     top = Volterra(k=0.7)
@@ -25,16 +23,6 @@ def test_what_a_top_does_not_declare() -> None:
     assert top.vectors == {"w1": (0, 1), "w2": (1, 2), "w3": (2, 3)}
     assert (top.constants(), top.step_constants) == ((3.0, 2.0, 1.0, 0.7), ("A", "B", "C", "k"))
     assert next((i.name, i.symbol, i.meaning) for i in top.invariants()) == ("energy", "energy", "energy")
-
-
-def test_an_integral_is_its_formula_and_its_scale_the_size_of_its_terms() -> None:
-    energy, momentum = Volterra(k=-0.7).invariants()
-    w = STATES[:, :3]
-    assert energy.value(w) == pytest.approx((1.5 * w[:, 0] ** 2 + w[:, 1] ** 2 + 0.5 * w[:, 2] ** 2), rel=1e-15)
-    expected = 9.0 * w[:, 0] ** 2 + 4.0 * w[:, 1] ** 2 + (w[:, 2] - 0.7) ** 2
-    assert momentum.value(w) == pytest.approx(expected, rel=1e-14)
-    sizes = 9.0 * w[:, 0] ** 2 + 4.0 * w[:, 1] ** 2 + (abs(w[:, 2]) + 0.7) ** 2
-    assert momentum.scale(w) == pytest.approx(sizes, rel=1e-14)
 
 
 def test_sizes_of_terms_are_added() -> None:
@@ -50,75 +38,6 @@ def test_sizes_of_terms_are_added() -> None:
         (np.exp(x + y), np.e, np.e),
     ]:
         assert (formula.value, formula.size) == (pytest.approx(value), pytest.approx(size))
-
-
-def heavy(y, p):
-    A, B, C, x, z = p
-    w1, w2, w3, g1, g2, g3 = y
-    return (
-        ((B - C) * w2 * w3 + g2 * z) / A,
-        ((C - A) * w3 * w1 + (g3 * x - g1 * z)) / B,
-        ((A - B) * w1 * w2 - g2 * x) / C,
-        g2 * w3 - g3 * w2,
-        g3 * w1 - g1 * w3,
-        g1 * w2 - g2 * w1,
-    )
-
-
-def m_gamma(y, p):
-    return p[0] * y[0] * y[3] + p[1] * y[1] * y[4] + p[2] * y[2] * y[5]
-
-
-def chaplygin(y, p):
-    """Integral of Goryachev and Chaplygin, for A = B = 4C."""
-    return y[2] * (y[0] ** 2 + y[1] ** 2) - p[3] * y[0] * y[5]
-
-
-def hess(y, p):
-    """Invariant relation of Hess."""
-    A, _, C, x, z = p
-    return A * y[0] * x + C * y[2] * z
-
-
-class HeavyOnItsPlane(Top):
-    """Heavy top with its centre of gravity in the plane of two axes."""
-
-    kind = "declared-heavy"
-    components = ("w1", "w2", "w3", "g1", "g2", "g3")
-    A: float = 4.0
-    B: float = 4.0
-    C: float = 1.0
-    x: float = 1.0
-    z: float = 0.0
-    field = staticmethod(heavy)
-
-
-def declared(integrals, where) -> type[Top]:
-    class Declared(HeavyOnItsPlane):
-        """With these integrals."""
-
-    Declared.integrals, Declared.holds_on = integrals, where
-    return Declared
-
-
-G = {"m_gamma": m_gamma, "chaplygin": chaplygin}
-
-
-def test_an_integral_may_hold_on_a_level_of_another() -> None:
-    assert "'chaplygin' is not an integral of the field" in broken_integral(declared(G, {})())
-    on = declared(G, {"chaplygin": {"m_gamma": 0.0}})
-    assert broken_integral(on()) == ""
-    assert on().invariants()[1].on == {"m_gamma": 0.0}
-    assert "'chaplygin' is not an integral" in broken_integral(declared(G, {"chaplygin": {"m_gamma": 0.1}})())
-    assert "'chaplygin' is not an integral" in broken_integral(on(A=4.1, B=4.1))
-    assert "'m_omega', which is not an integral" in broken_integral(declared(G, {"chaplygin": {"m_omega": 0.0}})())
-
-
-def test_an_invariant_relation_holds_on_its_own_zero() -> None:
-    """Hess' condition A (B - C) x^2 = C (A - B) z^2, here with 2.4 on both sides."""
-    on = declared({"hess": hess}, {"hess": {"hess": 0.0}})
-    assert broken_integral(on(A=4.0, B=1.6, C=1.0, x=1.0, z=1.0)) == ""
-    assert "'hess' is not an integral" in broken_integral(on(A=4.0, B=1.6, C=1.0, x=1.0, z=1.01))
 
 
 @pytest.mark.parametrize("form", TOPS)

@@ -8,21 +8,17 @@ changes by one ulp. Typical errors at t = 100 are 1e-15.
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 
-import mpmath
 import numpy as np
 import pytest
 
-from cases import numbers_of
+from cases import MOTIONS, numbers_of
 from conftest import GEN
 from steppers import built
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Sampler
-from topcli.engine.collect import orbit
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.exact import _motions
 from topcli.tops.kowalevski import Kowalevski
 
 RANDOM_STATES = int(os.environ.get("TOPCLI_RANDOM_TOPS", "6"))
@@ -63,10 +59,6 @@ def assert_is_the_motion(y0, c: float = 1.0, times: np.ndarray = TIMES, factor: 
     assert (error <= allowed).all(), (y, c, error, allowed)
 
 
-def test_a_generic_motion() -> None:
-    assert_is_the_motion(GEN)
-
-
 def random_state(seed: int) -> tuple[list[float], float]:
     random = np.random.default_rng(seed)
     gamma = random.normal(size=3)
@@ -87,21 +79,7 @@ def test_degenerate_motions_and_their_neighbours(family: str) -> None:
         assert_is_the_motion(FAMILIES[family](distance))
 
 
-NATURAL = numbers_of("""
-# three roots of the curve coincide, elsewhere than k = 0
-root of the cubic three times: 1 0 2 0 2 -2
-cubic and e5: 1 0 1 0 0 -1
-cubic and e5, thirds: 0 3 1 0 0 -3
-cubic and e5, rest of gamma1: 0 1 2 -1 -1 0
-# s1 and s2 are in the double root together at t = 0, next to a conjugate pair
-pendulum at the passage: 0 1 0 0 0 -2
-pinch at the passage: 0 1 2 -1 2 -2
-pinch at the passage, sideways: 1 1 0 1 2 2
-# next to a turning point, where the wrong direction is a shift of time that shows at t = 97
-next to a turning point: 0 0.6 0 0.5 1e-12 1e-09
-# homoclinic to the upright position at rest, on none of its invariant planes
-homoclinic in space: 3 2 8 -20 12 9
-""")
+NATURAL = numbers_of(MOTIONS["whole numbers"])
 
 
 @pytest.mark.slow
@@ -136,16 +114,6 @@ def test_states_at_long_times_satisfy_the_equations(y0) -> None:
             np.testing.assert_allclose(got[1], later, atol=5e-14 * max(1.0, float((got[:, :3] ** 2).sum())))
 
 
-@pytest.mark.slow
-def test_motions_of_small_whole_numbers() -> None:
-    """Most have equal roots, or start at a turning point or in a common passage; hardly any is refused."""
-    starts = [y0.tolist() for y0 in np.random.default_rng(3).integers(-2, 3, (30, 6)) if y0[3:].any()]
-    answered = [y0 for y0 in starts if not isinstance(states_or_refusal(y0, 1.0, [1]), str)]
-    assert len(answered) >= len(starts) - 1
-    for y0 in answered:
-        assert_is_the_motion(y0, times=np.array([1, 7, 20]), loss=4.0)
-
-
 def test_motion_at_a_double_root_of_the_cubic_is_refused() -> None:
     with pytest.raises(RunError, match="too close to a degenerate motion"):
         states((-1.0, 0.0, 2.0, 0.0, 0.0, 2.0), 1.0, [1])
@@ -174,24 +142,10 @@ def test_small_c() -> None:
         states(GEN, 1.0, [10], 1e-12)
 
 
-@pytest.mark.slow
-def test_long_times() -> None:
-    """The double-double reference at t = 1e4; phases in double precision would be off by 1e-12."""
-    assert_is_the_motion(GEN, times=np.array([10_000]), factor=0.0)
-
-
 def test_equilibria_and_the_free_top() -> None:
     np.testing.assert_array_equal(states((2.0, 0.0, 0.0, 1.0, 0.0, 0.0), 1.0, [10**9])[0], (2, 0, 0, 1, 0, 0))
     free = reference_states(Kowalevski(c0=0.0), GEN, np.array([50.0]))[0]
     np.testing.assert_allclose(states(GEN, 0.5, [100], 0.0)[0], free, atol=2e-14)
-
-
-@pytest.mark.slow
-def test_units_of_time_round_nothing() -> None:
-    fast = states([4.0 * v for v in GEN[:3]] + list(GEN[3:]), 0.25, [3, 400], 16.0)
-    slow = states(GEN, 1.0, [3, 400])
-    np.testing.assert_array_equal(fast[:, :3], 4.0 * slow[:, :3])
-    np.testing.assert_array_equal(fast[:, 3:], slow[:, 3:])
 
 
 SIGNS = list(product((1.0, -1.0), repeat=3))
@@ -220,21 +174,3 @@ def test_motions_with_a_triple_root(y0, c: float) -> None:
 def test_gravity_too_weak_to_resolve_is_refused() -> None:
     with pytest.raises(RunError, match="too weak"):
         states([1e110 * v for v in GEN[:3]] + list(GEN[3:]), 0.1, [1])
-
-
-@pytest.mark.slow
-def test_threads_do_not_share_the_precision_of_mpmath() -> None:
-    """Set-ups at the same time give the bits of set-ups one after the other, and leave mpmath's precision alone."""
-    starts = [random_state(seed)[0] for seed in range(40, 46)]
-    n = np.arange(0, 10**6, 99_991)
-    with ThreadPoolExecutor(6) as pool:
-        together = list(pool.map(lambda y: states(y, 0.5, n), starts))
-    assert mpmath.mp.dps == 15
-    _motions.cache_clear()
-    for y, found in zip(starts, together, strict=True):
-        np.testing.assert_array_equal(found, states(y, 0.5, n))
-
-
-def test_what_the_closed_form_refuses_ends_the_run() -> None:
-    with pytest.raises(RunError, match="too weak"):
-        orbit(Kowalevski(c0=1e-300), built("exact"), GEN, 0.1, 5)

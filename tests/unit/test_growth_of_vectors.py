@@ -23,18 +23,6 @@ from topcli.tops import TOPS
 RK4 = find_scheme("rk4", "heavy")
 
 
-class Lorenz(Top):
-    """Lorenz's system."""
-
-    kind: ClassVar[str] = "lorenz"
-    components: ClassVar[tuple[str, ...]] = ("x", "y", "z")
-
-    @staticmethod
-    def field(s, p):
-        x, y, z = s
-        return (10.0 * (y - x), 28.0 * x - y - x * z, x * y - 8.0 / 3.0 * z)
-
-
 def henon_step(s, h, p):
     """Henon's map with a = 1.4 and b = 0.3."""
     return (1.0 - 1.4 * s[0] * s[0] + s[1], 0.3 * s[0])
@@ -59,23 +47,6 @@ def test_exponents_of_henons_map() -> None:
     assert growth.verdicts[0] is Verdict.CHAOTIC
     largest = growth_of(Plane(), RK4, Stepper(henon_step, 2), 1.0, 1_000_000, np.array([[0.1, 0.1]]))
     assert abs(largest.exponents[0] - 0.41922) < 4.0 * largest.errors[0] + 1e-4
-
-
-def test_spectrum_of_lorenz() -> None:
-    """0.9056, 0 and -14.572; the sum is the divergence."""
-    top = Lorenz()
-    growth = spectrum_of(top, RK4, RK4.build(top, RK4.options()), 0.005, 1_000_000, (1.0, 2.0, 20.0))
-    assert growth.exponents == pytest.approx([0.9056, 0.0, -14.572], abs=6e-3)
-    assert growth.exponents.sum() == pytest.approx(-(10.0 + 1.0 + 8.0 / 3.0), rel=1e-6)
-
-
-@pytest.mark.parametrize(("name", "form"), [("hk", "euler"), ("bs", "lagrange/inertial"), ("midpoint", "clebsch")])
-def test_the_spectrum_of_an_integrable_motion_is_zero(name: str, form: str) -> None:
-    """Within ln(t)/t, the growth of vectors in proportion to t."""
-    top, h, N = TOPS[form].new(), 0.1, 200_000
-    y = (0.7, -0.4, 0.9, 0.3, 0.8, -0.5)[: len(top.components)]
-    growth = spectrum_of(top, find_scheme(name, form), built(name, top), h, N, y)
-    assert np.abs(growth.exponents).max() < 1.5 * math.log(growth.t[-1]) / growth.t[-1]
 
 
 def test_exponents_of_a_canonical_map_come_in_pairs() -> None:
@@ -106,18 +77,6 @@ def test_orbits_of_integrable_maps_are_never_called_chaotic() -> None:
         verdicts[form] = growth_of(top, find_scheme("hk", form), built("hk", top), 0.3, 20_000, y).verdicts
     assert verdicts["lagrange"] == [Verdict.REGULAR] * 128
     assert 15 <= verdicts["kowalevski"].count(Verdict.CHAOTIC) <= 35
-
-
-def test_verdicts_do_not_depend_on_the_unit_of_time() -> None:
-    """omega times 1024, gravity times 1024², h over 1024: the same numbers, but for a power of two."""
-    y, s = states(64), 1024.0
-    kowalevski = TOPS["kowalevski"]
-    slow, fast = kowalevski(c0=1.0), kowalevski(c0=s * s)
-    scheme = find_scheme("hk", "kowalevski")
-    first = growth_of(slow, scheme, built("hk", slow), 0.3, 20_000, y)
-    other = growth_of(fast, scheme, built("hk", fast), 0.3 / s, 20_000, y * [s, s, s, 1, 1, 1])
-    assert first.verdicts == other.verdicts
-    assert other.excess == pytest.approx(first.excess, abs=1e-6)
 
 
 def test_an_orbit_that_breaks_off_has_no_exponent() -> None:
@@ -190,22 +149,6 @@ def test_intervals_cover_the_exponent() -> None:
     assert np.mean(shares) >= 0.94
 
 
-def test_an_interval_covers_the_exponent_of_lorenz() -> None:
-    growth = growth_along(of_field(LORENZ, (1, 2, 20), "rk4", 0.01, 20_000), scattered((1, 2, 20), 1.0))
-    assert (np.abs(growth.exponents - 0.9056) <= growth.errors).sum() >= 58
-    assert np.median(growth.errors) < 8.0 * growth.exponents.std()
-
-
-def test_the_interval_of_a_curve() -> None:
-    """Parts written down: Student's factor times the standard error of four or eight parts, and two e-foldings."""
-    steps = np.random.default_rng(2).normal(size=256)
-    g = np.append(0.0, np.cumsum(0.3 + steps))
-    growth = curves(lambda u: np.interp(u, np.linspace(0.0, 1.0, 257), g), T=500.0)
-    sizes = [np.diff(g[:: 256 // count]).std(ddof=1) * math.sqrt(count) for count in (4, 8)]
-    assert growth.exponents[0] == pytest.approx(g[-1] / 500.0, rel=2e-2)
-    assert growth.errors[0] == pytest.approx(math.hypot(3.2 * max(sizes), 2.0) / 500.0, rel=2e-2)
-
-
 @pytest.mark.parametrize(("begin", "skipped"), [(2.5, 3), (0.1, 0), (7.5, 8), (9.5, 0)])
 def test_exponents_leave_out_a_transient(begin: float, skipped: int) -> None:
     """Parts of 16 in which nothing grows, within the first half; a tenth of a part counts for nothing."""
@@ -216,25 +159,6 @@ def test_exponents_leave_out_a_transient(begin: float, skipped: int) -> None:
     assert growth.errors[0] <= whole.errors[0]
     if skipped:
         assert growth.errors[0] < 0.03 < 0.1 < whole.errors[0]
-
-
-def test_a_regular_orbit_has_no_transient() -> None:
-    """Although its growth is fastest at the beginning; zero lies within its interval."""
-    growth = curves(lambda u: np.log1p(1000.0 * u))
-    assert growth.transients.tolist() == [0]
-    assert growth.exponents[0] == pytest.approx(math.log(1001.0) / 1000.0)
-    assert growth.exponents[0] < growth.errors[0]
-
-
-def test_what_is_discarded_does_not_count() -> None:
-    """Growth after some steps is that of the rest of the orbit, and nothing more is left out."""
-    lorenz = of_field(LORENZ, (0.0, 10.0, 0.0), "rk4", 0.01, 20_000)
-    whole, late = growth_along(lorenz, discard=0), growth_along(lorenz, discard=5000)
-    assert late.n[-1] == 15_000
-    assert (whole.transients[0] > 0, whole.skipped[0], late.skipped[0]) == (True, 0, 0)
-    assert growth_along(lorenz).skipped[0] == whole.transients[0]
-    assert whole.even[-1, 0] - whole.even[64, 0] == pytest.approx(late.even[-1, 0], abs=2.0)
-    assert late.exponents[0] == pytest.approx(0.9056, abs=late.errors[0])
 
 
 def test_the_growth_along_an_orbit_does_not_depend_on_the_others() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from topcli.analysis import recurrence
-from topcli.analysis.recurrence import COVERED, LEFT, PASSAGES, STILL, at_rest, mismatch, passages
+from topcli.analysis.recurrence import LEFT, PASSAGES, STILL, at_rest
 
 T = np.linspace(0.0, 1.0, 257)
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -58,41 +58,6 @@ def test_orbits_of_a_known_kind(name: str) -> None:
     states, kind = CASES[name]
     assert recurrence_of(states) == kind
     assert at_rest(states[:, None]).tolist() == [kind == "at rest"]
-
-
-def test_the_kind_depends_on_no_unit_of_a_component() -> None:
-    """Within what a component may move without counting as moving."""
-    for name in ("noise", "a torus", "a spiral away from a point"):
-        states, kind = CASES[name]
-        assert recurrence_of(states * np.geomspace(1e-3, 1e3, states.shape[1])) == kind
-
-
-def test_mismatch_of_a_shifted_orbit() -> None:
-    """Written as sums over the states; of independent states it is one, within their scatter."""
-    states = CASES["rare bursts"][0]
-    x = (states - states.mean(axis=0)) / states.std(axis=0)
-    m = len(x)
-    each = [max(((x[s:] - x[: m - s]) ** 2).mean(axis=0)) / 2.0 for s in range(1, m // 2 + 1)]
-    assert mismatch(states) == pytest.approx(min(each), rel=1e-12)
-    assert 0.6 < mismatch(orbit(*noise(9))) < 1.0
-    assert mismatch(orbit(*turning(16.0))) < 1e-12
-
-
-def test_a_phase_that_strays_ends_the_repetition() -> None:
-    """A circle that is traversed unevenly: the mismatch is about half the variance of the phase over a turn."""
-    steps = np.random.default_rng(3).normal(size=len(T))
-    kinds = []
-    for size in (0.02, 0.2):
-        phase = 2.0 * math.pi * 20.3 * T + size * np.cumsum(steps)
-        states = orbit(np.cos(phase), np.sin(phase))
-        kinds.append((mismatch(states[64:]) < COVERED, recurrence_of(states)))
-    assert kinds == [(True, "repeats"), (False, "wanders")]
-
-
-def test_passages_between_two_levels() -> None:
-    values = np.array([0.0, 3.0, 1.0, 3.0, 0.0, 1.0, 0.0, 3.0])
-    assert passages(values, 0.5, 2.0) == 3
-    assert passages(values, -1.0, 2.0) == 0
 
 
 @pytest.mark.parametrize(("turns", "kind"), [(5.0, "too short"), (9.0, "wanders")])

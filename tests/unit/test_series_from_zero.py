@@ -18,7 +18,6 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Outcome, Top
 from topcli.engine.collect import orbit
 from topcli.field.polynomial import Field, Polynomial
-from topcli.field.units import NOTHING, NaturalUnits
 from topcli.schemes.any_top.taylor import Tolerance, build
 
 Solution = Callable[[Top, list[float], float, int], np.ndarray]
@@ -73,16 +72,6 @@ def test_a_polynomial_in_time_is_its_own_series(solution: Solution, start: float
     assert (np.abs(states - exact.T) <= 1e-15 * size.T).all()
 
 
-@pytest.mark.parametrize("degree", [1, 12, 24])
-def test_a_clock_and_its_power_from_zero(degree: int) -> None:
-    """s' = 1, x' = s^degree: only the first and the last coefficient of the series are not zero."""
-    top, N = top_of(system({(): 1}, {(0,) * degree: 1})), 30
-    for solution in (by_taylor, by_reference):
-        states = solution(top, [0.0, 0.0], 0.1, N)
-        exact = np.array([(0.1 * k) ** (degree + 1) / (degree + 1) for k in range(N + 1)])
-        assert np.abs(states[1:, 1] / exact[1:] - 1.0).max() < 1e-14
-
-
 def gap_motion(n: int, t: float) -> list[float]:
     """x and x' of x'' = t^n x with x = 1, x' = 0 at 0: hypergeometric series of z = t^g/g^2, g = n + 2."""
     with mpmath.workdps(40):
@@ -100,13 +89,3 @@ def test_series_with_gaps_are_summed_in_safe_steps(solution: Solution, n: int) -
     states = solution(top, [0.0, 1.0, 0.0], h, N)
     exact = np.array([gap_motion(n, h * k) for k in range(1, N + 1)])
     assert (np.abs(states[1:, 1:] - exact).max(axis=1) / np.abs(exact).max(axis=1)).max() < 1e-14  # seen: 5e-15
-
-
-def test_units_tell_a_component_at_rest_from_one_of_size_one() -> None:
-    """Euler's top: states with equal units have equal scaled fields."""
-    natural = NaturalUnits(system({(1, 2): 1}, {(0, 2): -2}, {(0, 1): 1}), 28)
-    fields = {}
-    for y in ((0.0, 0.0, 0.0), (0.6, 0.0, 0.0), (0.6, 0.8, 0.0), (0.0, 0.0, 0.9), (0.3, 0.0, 0.0)):
-        field, k, units = natural.at(y)
-        assert fields.setdefault((k, *units), field) == field
-        assert all((unit == NOTHING) == (not any(y)) for unit in units)

@@ -18,7 +18,6 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topcli.arithmetic.elimination import linear_solution
 from topcli.engine.numbers import ROOM, longest
@@ -135,20 +134,20 @@ def degrees(step: RationalMap, seed: int = 1, most: int = MOST_TERMS) -> list[in
 
     Raises ZeroDivisionError in special position: try another seed.
     """
-    line, found = Line(step, seed), list[int]()
+    line, degrees = Line(step, seed), list[int]()
     t = np.arange(1, FEW_POINTS + 1)
     state = line.states(t, 0)
-    while len(found) < most:
+    while len(degrees) < most:
         state = step.step(state)
         while (degree := line.degree(state, t)) is None:
             if len(t) >= MOST_POINTS:
-                return found
+                return degrees
             t = np.arange(1, min(2 * len(t), MOST_POINTS) + 1)
-            state = line.states(t, len(found) + 1)
-        found.append(degree)
-        if degree_growth(found, SURPLUS * (2 if degree < SHORT else 1)).law:
+            state = line.states(t, len(degrees) + 1)
+        degrees.append(degree)
+        if degree_growth(degrees, SURPLUS * (2 if degree < SHORT else 1)).law:
             break
-    return found
+    return degrees
 
 
 HEIGHT_BITS, HEIGHT_STEPS = 5_000, 40
@@ -161,12 +160,12 @@ def heights(step: RationalMap) -> list[int]:
 
     ``step`` is in rational numbers of at most ``LONGEST_HEIGHT`` bits. The orbit ends before a step that fails.
     """
-    state, found = step.enter([step.number(Fraction(2 * i + 3, i + 5)) for i in range(step.d)]), list[int]()
+    state, bits = step.enter([step.number(Fraction(2 * i + 3, i + 5)) for i in range(step.d)]), list[int]()
     with suppress(ArithmeticError):
-        while len(found) <= HEIGHT_STEPS and not (found and found[-1] > HEIGHT_BITS):
-            found.append(longest(step.leave(state)))
+        while len(bits) <= HEIGHT_STEPS and not (bits and bits[-1] > HEIGHT_BITS):
+            bits.append(longest(step.leave(state)))
             state = step.step(state)
-    return found
+    return bits
 
 
 FACTOR, AGREEMENT = 2.0, 0.15
@@ -191,47 +190,31 @@ def confirmed_growth(degrees: Sequence[int], bits: Sequence[int]) -> DegreeGrowt
 
 def _fitted_factor(first: int, sizes: Sequence[int]) -> float | None:
     """Factor of the exponential law that fits sizes at steps from ``first``; None for another law or a small factor."""
-    fit = digit_growth(np.arange(first, first + len(sizes)), np.array(sizes))
-    return fit.factor if fit and fit.factor and fit.factor > FACTOR else None
+    law, factor = fitted_law(first, sizes)
+    return factor if law == EXPONENTIAL and factor > FACTOR else None
 
 
 FEWEST = 4
-"""Fewest rows from which a law is fitted."""
+"""Fewest steps from which a law is fitted."""
 
 
-@dataclass(frozen=True)
-class DigitGrowth:
-    """Growth of the binary digits of the longest number of a state.
+def fitted_law(first: int, sizes: Sequence[int]) -> tuple[str | None, float]:
+    """Law that fits sizes at steps from ``first`` best, in the later half of the steps, and its power or factor.
 
-    ``law`` is "polynomial", with its ``power``, or "exponential", with the ``factor`` per step; None if there are too
-    few rows.
+    None for too few steps.
     """
-
-    bits: int
-    step: int
-    law: str | None = None
-    power: float | None = None
-    factor: float | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data, ready for JSON."""
-        return asdict(self)
-
-
-def digit_growth(n: NDArray[np.int64], bits: NDArray[np.int64]) -> DigitGrowth | None:
-    """Return the law that fits ``bits`` (m,) at the steps ``n`` (m,) best, in the later half of the rows."""
+    bits, n = np.array(sizes), np.arange(first, first + len(sizes))
     if not len(n):
-        return None
-    last = DigitGrowth(int(bits[-1]), int(n[-1]))
+        return None, math.nan
     late = (n >= n[-1] // 2) & (n > 0) & (bits > 0)
     if late.sum() < FEWEST:
         late = (n > 0) & (bits > 0)
     if late.sum() < FEWEST:
-        return last
+        return None, math.nan
     steps, size = n[late].astype(float), np.log(bits[late].astype(float))
     power, factor = (np.polyfit(x, size, 1) for x in (np.log(steps), steps))
     off_power = float(np.abs(np.polyval(power, np.log(steps)) - size).max())
     off_factor = float(np.abs(np.polyval(factor, steps) - size).max())
     if off_power <= off_factor:
-        return DigitGrowth(last.bits, last.step, POLYNOMIAL, power=float(power[0]))
-    return DigitGrowth(last.bits, last.step, EXPONENTIAL, factor=float(np.exp(factor[0])))
+        return POLYNOMIAL, float(power[0])
+    return EXPONENTIAL, float(np.exp(factor[0]))

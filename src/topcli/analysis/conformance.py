@@ -42,8 +42,8 @@ def deviation(states: Array, invariants: Sequence[Invariant], steps: int) -> flo
     """
     unit = ULPS * np.finfo(float).eps * math.sqrt(steps)
     deviations = [
-        np.abs(one.value(states) - one.value(states[:1])).max() / (unit * one.scale(states).max() or 1.0)
-        for one in invariants
+        np.abs(each.value(states) - each.value(states[:1])).max() / (unit * each.scale(states).max() or 1.0)
+        for each in invariants
     ]
     return float(max(deviations, default=0.0))
 
@@ -86,14 +86,14 @@ def rate_along(top: Top, value: Callable[[Array], Array], states: Array) -> floa
     Differences of order four with steps of 1e-3 have errors of about 1e-11; a function that is not an integral has
     rates of size one at most of the ``states`` (n, d).
     """
-    p, found = top.constants(), []
+    p, cosines = top.constants(), []
     for y in states:
         rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
         step = 1e-3 * max(1.0, float(np.abs(y).max()))
         moved = [value(y + k * step * np.eye(len(y))) for k in (-2, -1, 1, 2)]
         gradient = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * step)
-        found.append(abs(gradient @ rates) / (np.linalg.norm(gradient) * np.linalg.norm(rates) or 1.0))
-    return float(max(found))
+        cosines.append(abs(gradient @ rates) / (np.linalg.norm(gradient) * np.linalg.norm(rates) or 1.0))
+    return float(max(cosines))
 
 
 def is_vector_of(rates: Any, top: Top) -> bool:

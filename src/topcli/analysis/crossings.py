@@ -72,28 +72,25 @@ class CrossingSearch:
         self.parts = part_steps_of(method, top, h)
         self.last = y0.copy()
 
-    def add(
-        self, n: NDArray[np.int64], states: Array, first: int = 0, kept: NDArray[np.int64] | None = None
-    ) -> Crossings:
+    def add(self, n: NDArray[np.int64], states: Array, first: int, lengths: NDArray[np.int64]) -> Crossings:
         """Crossings within the next states (c, m, d) of the orbits from ``first`` on, after ``n`` (m,) steps in a row.
 
-        Only the first ``kept[i]`` states of each count. The initial states are no crossings.
+        Only the first ``lengths[i]`` states of each count. The initial states are no crossings.
         """
         count, rows, d = states.shape
-        kept = np.full(count, rows) if kept is None else kept
         values = self.function(np.tile(n, count), states.reshape(-1, d)).reshape(count, rows)
         here = slice(first, first + count)
         if continues := rows > 0 and n[0] > 0:
             before = self.function(np.full(count, n[0] - 1), self.last[here])
             values = np.concatenate([before[:, None], values], axis=1)
         changes = self._changes(values)
-        changes &= np.arange(1, changes.shape[1] + 1) < kept[:, None] + continues
+        changes &= np.arange(1, changes.shape[1] + 1) < lengths[:, None] + continues
         orbit, row = np.divmod(np.flatnonzero(changes), max(changes.shape[1], 1))
         beginning = states[orbit, row - continues]
         if continues:
             beginning[row == 0] = self.last[here][orbit[row == 0]]
-        ended = np.flatnonzero(kept)
-        self.last[first + ended] = states[ended, kept[ended] - 1]
+        ended = np.flatnonzero(lengths)
+        self.last[first + ended] = states[ended, lengths[ended] - 1]
         begun = n[0] - continues + row if rows else row
         return self._located(first + orbit, begun, beginning, values[orbit, row], values[orbit, row + 1])
 
@@ -112,11 +109,11 @@ class CrossingSearch:
             return self.function(n[i] + theta, self.parts(y0[i], n[i], before[i], theta))
 
         y0 = self.y0[which]
-        theta, found = roots(value, g0, g1)
+        theta, remainder = roots(value, g0, g1)
         ends = np.maximum(np.abs(g0), np.abs(g1))
-        kept = np.isfinite(ends) & (np.abs(found) <= ZERO * ends)
-        states = self.parts(y0[kept], n[kept], before[kept], theta[kept])
-        return Crossings(which[kept], n[kept], theta[kept], states)
+        zero = np.isfinite(ends) & (np.abs(remainder) <= ZERO * ends)
+        states = self.parts(y0[zero], n[zero], before[zero], theta[zero])
+        return Crossings(which[zero], n[zero], theta[zero], states)
 
 
 def roots(function: Callable[[NDArray[np.int64], Array], Array], at_zero: Array, at_one: Array) -> tuple[Array, Array]:

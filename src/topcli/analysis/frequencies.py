@@ -25,7 +25,7 @@ LEAST_ROWS = 16
 MOST_DIGITS = 16.0
 """Digits of averages that agree exactly."""
 NEWTON_STEPS = 12
-SETTLED = 1e-15
+NEWTON_TOLERANCE = 1e-15
 """Step of Newton's method, in cycles per row times the rows, at which it ends."""
 QUIET = 1e-13
 """Amplitude of the strongest line, relative to the largest value, below which a column is constant."""
@@ -132,7 +132,7 @@ def _maximum(windowed: Array, u: Array, f: float) -> float:
             break
         step = -slope / bend
         f += max(-0.25, min(0.25, step))
-        if abs(step) < SETTLED * max(1.0, abs(f)):
+        if abs(step) < NEWTON_TOLERANCE * max(1.0, abs(f)):
             break
     return f
 

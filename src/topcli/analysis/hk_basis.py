@@ -33,10 +33,10 @@ def monomials(d: int, degree: int) -> list[Monomial]:
 
 def values_of(states: Sequence[Jet], degree: int) -> Residues:
     """Monomials of a state up to a degree with their derivatives, (rows of a jet, points, monomials)."""
-    known: dict[Monomial, Jet] = {(): Jet(np.zeros_like(states[0].a)) + 1}
+    values: dict[Monomial, Jet] = {(): Jet(np.zeros_like(states[0].a)) + 1}
     for m in monomials(len(states), degree)[1:]:
-        known[m] = known[m[:-1]] * states[m[-1]]
-    return np.stack([jet.a for jet in known.values()], axis=-1)
+        values[m] = values[m[:-1]] * states[m[-1]]
+    return np.stack([jet.a for jet in values.values()], axis=-1)
 
 
 def reduced(matrix: Residues) -> tuple[Residues, list[int]]:
@@ -112,11 +112,11 @@ class HKBasis:
 
 def orbit(step: RationalMap, points: int, seed: int) -> list[Jet]:
     """States of an orbit from a random one, one a step, with derivatives along the initial components."""
-    state, found = step.enter(random_state(step, 1, seed)), list[Sequence[Jet]]()
+    state, states = step.enter(random_state(step, 1, seed)), list[Sequence[Jet]]()
     for _ in range(points):
-        found.append(step.leave(state))
+        states.append(step.leave(state))
         state = step.step(state)
-    return [Jet(np.concatenate([y[i].a for y in found], axis=1)) for i in range(step.d)]
+    return [Jet(np.concatenate([y[i].a for y in states], axis=1)) for i in range(step.d)]
 
 
 def hk_bases(step: RationalMap, degrees: Sequence[int], seed: int = 1) -> Iterator[HKBasis]:
@@ -133,8 +133,8 @@ def hk_bases(step: RationalMap, degrees: Sequence[int], seed: int = 1) -> Iterat
             continue
         # on r rows, A_p X = A_f for the free columns f and the pivots p, so that A_p dX = dA_f - dA_p X
         rest = [(slope[:r, free] - product(slope[:r][:, pivots], left[:, free])) % PRIME for slope in slopes]
-        solved, found = reduced(np.concatenate([values[:r][:, pivots], *rest], axis=1))
-        if found != list(range(r)):
+        solved, leading = reduced(np.concatenate([values[:r][:, pivots], *rest], axis=1))
+        if leading != list(range(r)):
             raise ZeroDivisionError("the first rows are dependent")
         gradients = solved[:, r:].reshape(r, step.d, len(free)).transpose(0, 2, 1).reshape(-1, step.d)
         yield HKBasis(degree, m, len(free), len(reduced(gradients)[1]))
@@ -157,14 +157,15 @@ class Density:
 
     def polynomials(self, d: int) -> list[Polynomial] | None:
         """Basis with rational coefficients, the first one 1; None if they are not simple enough to be recognised."""
-        found: list[Polynomial] = []
+        polynomials: list[Polynomial] = []
         for vector in self.basis:
             scale = inverse(vector[np.flatnonzero(vector)[:1]])
             coefficients = [recognised(int(c)) for c in vector * scale % PRIME]
             if None in coefficients:
                 return None
-            found.append(Polynomial({m: c for m, c in zip(monomials(d, self.degree), coefficients, strict=True) if c}))
-        return found
+            terms = zip(monomials(d, self.degree), coefficients, strict=True)
+            polynomials.append(Polynomial({m: c for m, c in terms if c}))
+        return polynomials
 
 
 def recognised(value: int) -> Fraction | None:

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.recurrence import Recurrence, at_rest, recurrence_of
-from topcli.contracts import Array, Floats, Method, Scheme, Top, check_stop, stop_asked
+from topcli.contracts import Array, Floats, Method, Scheme, Top, check_stop, stop_asked, stopping_when
 from topcli.engine.drive import default_threads
 from topcli.engine.machine import lanes_of
-from topcli.engine.tangent import TangentCode, TangentRun, tangent_code
+from topcli.engine.tangent import TangentRun, tangent_code
 from topcli.errors import UsageError
 
 MOST_STEPS = 64
@@ -274,14 +274,12 @@ def _rates(top: Top, states: Array, units: Array) -> Array:
         return _mean(np.linalg.norm(slopes / units, axis=2) / np.linalg.norm(states / units, axis=2))
 
 
-def _advanced(run: TangentRun, steps: int, stop: Callable[[], bool]) -> bool:
-    """Take ``steps`` steps; False if asked to stop."""
+def _advance(run: TangentRun, steps: int) -> None:
+    """Take ``steps`` steps. Raises StopAsked if asked to stop."""
     most = CALL_STEPS // run.code.lanes
     for done in range(0, steps, most):
-        if stop():
-            return False
+        check_stop()
         run.advance(min(most, steps - done))
-    return True
 
 
 STATES = 8
@@ -290,57 +288,24 @@ SMALLEST = 1e-8
 """Size of a component relative to that of all below which it is not a unit of its own."""
 
 
-def _even_rows(points: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Rows of the start and of evenly spread points, the start first."""
-    return np.searchsorted(points, even_points(int(points[-1])), side="right")
+def _growth(top: Top, h: float, points: NDArray[np.int64], logs: Array, states: Array, discard: int | None) -> Growth:
+    """Growth ``logs`` (k + 1, m) at the start and the ``points``, with ``states`` (k + 1, orbits, d).
 
-
-def _growth(top: Top, h: float, points: NDArray[np.int64], logs: Array, states: Array, transient: bool) -> Growth:
-    """Growth ``logs`` (k, m) at the ``points``, from even ``states`` (PARTS + 1, orbits, d), with its recurrences.
-
-    Each vector is on an orbit of its own, or all are on a single one. The exponents leave out a ``transient``.
+    Each vector is on an orbit of its own, or all are on a single one. Unless steps were discarded, the exponents leave
+    out a transient.
     """
-    m, orbits = logs.shape[1], states.shape[1]
-    units = _units(top, states[:: PARTS // STATES])
-    rate = np.repeat(_rates(top, states[:: PARTS // STATES], units), m // orbits)
+    m, orbits, n = logs.shape[1], states.shape[1], even_points(int(points[-1]))
+    even, logs = states[np.searchsorted(points, n, side="right")], logs[1:] - logs[0]
+    units = _units(top, even[:: PARTS // STATES])
+    rate = np.repeat(_rates(top, even[:: PARTS // STATES], units), m // orbits)
     growth = Growth(points, h, logs, rate, np.zeros(m, dtype=np.int64), [None] * m)
-    if transient:  # the same time for all of an orbit, so that the exponents add up to the mean divergence
+    if discard is None:  # the same time for all of an orbit, so that the exponents add up to the mean divergence
         growth = replace(growth, skipped=np.repeat(growth.transients[:orbits], m // orbits))
-    n = even_points(int(points[-1]))
     with np.errstate(all="ignore"):
-        scaled = states / units
+        scaled = even / units
         looked = at_rest(scaled) | growth.grows[:orbits]
         kinds = [recurrence_of(scaled[:, i], n) if look else None for i, look in enumerate(looked.tolist())]
     return replace(growth, recurrences=kinds * (m // orbits))
-
-
-def _tile_growth(
-    code: TangentCode,
-    top: Top,
-    h: float,
-    N: int,
-    y: Array,
-    discard: int | None,
-    stop: Callable[[], bool],
-) -> Growth:
-    """Growth along the orbits of a tile from ``y`` (m, d)."""
-    points, done = checkpoints(N - (discard or 0)), 0
-    # the same vector for all orbits, each in its own units, so that its growth does not depend on the others
-    run = code.run(h, y, np.random.default_rng(SEED).normal(size=y.shape[1]) * _units(top, y[None]))
-    _advanced(run, discard or 0, stop)
-    shape = (len(points) + 1, *y.shape)
-    logs, vectors, states = np.full(shape[:2], np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
-    for k, n in enumerate([0, *points.tolist()]):
-        if not _advanced(run, n - done, stop):
-            break
-        logs[k], vectors[k], states[k], done = run.scales, run.vectors, run.states, n
-    even = states[_even_rows(points)]
-    with np.errstate(all="ignore"):
-        # all powers of 2 go into the scales, since those of a vector depend on when the others were scaled
-        sizes, powers = np.frexp(np.linalg.norm(vectors / _units(top, even[:: PARTS // STATES]), axis=2))
-        logs = (logs + powers) * math.log(2.0) + np.log(sizes)
-        logs = logs[1:] - logs[0]
-    return _growth(top, h, points, logs, even, discard is None)
 
 
 def growth_of(
@@ -359,20 +324,31 @@ def growth_of(
     orbits run side by side, on all processors; the growth along each does not depend on the others. Raises UsageError
     for a method without a tangent map, StopAsked if the work is to stop.
     """
-    stop = stop_asked.get()
+    stop, points = stop_asked.get(), checkpoints(N - (discard or 0))
     code = tangent_code(scheme, top, method, 1 if len(y0) == 1 else lanes_of(len(y0)))
+    logs, (vectors, states) = np.zeros((len(points) + 1, len(y0))), np.zeros((2, len(points) + 1, *y0.shape))
+
+    def follow(first: int) -> None:
+        """Fill in the columns of a tile."""
+        here, done = slice(first, first + code.lanes), 0
+        # the same vector for all orbits, each in its own units, so that its growth does not depend on the others
+        start = np.random.default_rng(SEED).normal(size=y0.shape[1]) * _units(top, y0[None, here])
+        run = code.run(h, y0[here], start)
+        with stopping_when(stop):
+            _advance(run, discard or 0)
+            for k, n in enumerate([0, *points.tolist()]):
+                _advance(run, n - done)
+                logs[k, here], vectors[k, here], states[k, here], done = run.scales, run.vectors, run.states, n
+
     starts = range(0, len(y0), code.lanes)
-
-    def tile(first: int) -> Growth:
-        return _tile_growth(code, top, h, N, y0[first : first + code.lanes], discard, stop)
-
     with ThreadPoolExecutor(min(default_threads(), len(starts))) as pool:
-        tiles = list(pool.map(tile, starts))
-    check_stop()
-    logs, rate, skipped = (
-        np.concatenate([getattr(tile, name) for tile in tiles], axis=-1) for name in ("logs", "rate", "skipped")
-    )
-    return Growth(tiles[0].n, h, logs, rate, skipped, [kind for tile in tiles for kind in tile.recurrences])
+        list(pool.map(follow, starts))
+    even = states[np.searchsorted(points, even_points(int(points[-1])), side="right")]
+    with np.errstate(all="ignore"):
+        # all powers of 2 go into the scales, since those of a vector depend on when the others were scaled
+        sizes, powers = np.frexp(np.linalg.norm(vectors / _units(top, even[:: PARTS // STATES]), axis=2))
+        logs = (logs + powers) * math.log(2.0) + np.log(sizes)
+    return _growth(top, h, points, logs, states, discard)
 
 
 WIDEST = 16.0
@@ -416,7 +392,7 @@ def spectrum_of(
                 every = steps // 2
                 continue
             if not np.isfinite(run.images).all():
-                return Growth(points, h, logs[1:], np.zeros(d), np.zeros(d, dtype=np.int64), [None] * d)
+                return _growth(top, h, points, logs, states, discard)
             if difference > WIDEST:
                 raise UsageError(
                     f"after one step at t = {done * h:g}, the growths of tangent vectors differ by a factor "
@@ -427,6 +403,4 @@ def spectrum_of(
             y, vectors, total, done = run.states[0], q.T, total + grown, done + steps
         logs[k], states[k, 0] = total, y
         watch(done, N)
-    logs = logs[1:]
-    logs = logs[:, np.argsort(-logs[-1], kind="stable")]
-    return _growth(top, h, points, logs, states[_even_rows(points)], discard is None)
+    return _growth(top, h, points, logs[:, np.argsort(-logs[-1], kind="stable")], states, discard)

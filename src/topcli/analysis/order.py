@@ -268,17 +268,6 @@ def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: flo
     return _back_and_forth(interpreted(method, len(y), len(p)), p, np.array(y, dtype=np.float64), h)
 
 
-def precise_back_and_forth(run: PreciseRun, y: Array, factor: float) -> float:
-    """Defect of a step of ``factor`` times |h| of ``run`` and one back, computed in the arithmetic of the run.
-
-    ``y`` and ``factor`` are taken as exact numbers.
-    """
-    arithmetic = run.arithmetic
-    with arithmetic.active():
-        start = np.array([arithmetic.number(Fraction(float(x))) for x in y], dtype=np.object_)
-        return _back_and_forth(run.loop, None, start, abs(run.h) * arithmetic.number(Fraction(factor)))
-
-
 def _back_and_forth(loop: Loop, p: Array | None, start: NDArray[Any], h: Any) -> float:
     """Largest component of the difference after one step with h and one with -h; infinite if one of them fails."""
     there = state_after(loop, start, p, h)
@@ -308,9 +297,12 @@ def reversal(top: Top, method: Method, states: Array, h: float, precise: Precise
         factors.insert(0, 0.5 * factors[0])
 
     def defect(y: Array, factor: float) -> float:
-        if precise is not None:
-            return precise_back_and_forth(precise, y, factor)
-        return one_step_back_and_forth(top, method, y.tolist(), factor * abs(h))
+        if precise is None:
+            return one_step_back_and_forth(top, method, y.tolist(), factor * abs(h))
+        number = precise.arithmetic.number
+        with precise.arithmetic.active():
+            start = np.array([number(Fraction(x)) for x in y.tolist()], dtype=np.object_)
+            return _back_and_forth(precise.loop, None, start, abs(precise.h) * number(Fraction(factor)))
 
     sizes = [factor * abs(h) for factor in factors]
     defects = [max(defect(y, factor) for y in states) for factor in factors]

@@ -43,9 +43,9 @@ class Quantity:
 
 def quantity_names(cls: type[Top]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names that change along a run and those that do not, in the order of the arguments of ``Quantity.function``."""
-    own = {*cls.components, *cls.model_fields}
+    taken = {*cls.components, *cls.model_fields}
     # one that the top uses itself is given a name that no formula can hold
-    time, step = (name if name not in own else f"({name})" for name in (TIME, STEP))
+    time, step = (name if name not in taken else f"({name})" for name in (TIME, STEP))
     return (*cls.components, time), (*cls.model_fields, step)
 
 

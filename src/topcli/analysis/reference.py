@@ -255,21 +255,6 @@ def reference_obstacle(top: Top) -> str:
     return ""
 
 
-def _checked(top: Top, y0: Sequence[float], times: Array) -> tuple[Field, Array, Array]:
-    """The exact field, the initial state (d,), and the times (m,), all checked."""
-    field = required_field(top, NAME, exact=Fraction)
-    d = len(top.components)
-    if len(y0) != d:
-        raise ValueError(f"reference: the state has {len(y0)} components; expected {d}")
-    y = np.array(y0, dtype=np.float64)
-    t = np.ascontiguousarray(times, dtype=np.float64)
-    if t.ndim != 1 or not np.isfinite(t).all() or not np.isfinite(y).all():
-        raise ValueError("reference: initial state and times must be finite, times of one dimension")
-    if ((t < 0.0).any() and (t > 0.0).any()) or (np.diff(np.abs(t)) < 0.0).any():
-        raise ValueError("reference: times must lead away from zero, all forward or all backward")
-    return field, y, t
-
-
 def distances(states: Array, reference: Array) -> Array:
     """Euclidean distances (...,) of ``states`` from ``reference``, both (..., d); infinite beyond double precision."""
     with np.errstate(all="ignore"):
@@ -305,13 +290,15 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
 
     Raises
     ------
+    ValueError
+        If the times have different signs or are not ordered by magnitude.
     RunError
         If the motion leaves the range of a double, if the steps become too short for the resolution of time, or if the
         motion needs too many steps.
-    ValueError
-        If the times have different signs or are not ordered by magnitude.
     """
-    field, y, t = _checked(top, y0, times)
+    field, y, t = required_field(top, NAME, exact=Fraction), np.array(y0, dtype=float), np.array(times, dtype=float)
+    if ((t < 0.0).any() and (t > 0.0).any()) or not (np.diff(np.abs(t)) >= 0.0).all():
+        raise ValueError("reference: times must lead away from zero, all forward or all backward")
     d = len(y)
     scaled, k, units = NaturalUnits(field, ORDER).at(y.tolist())
     state, out = np.zeros(2 * d + 4), np.zeros((t.size, d))

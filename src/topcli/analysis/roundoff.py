@@ -34,7 +34,7 @@ _EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
-class Growth:
+class RoundOffGrowth:
     """Growth of one invariant's round-off; dimensionless, and None where there is no fit.
 
     ``rms[i]`` is the root mean square of the drift over ``steps[i]`` steps. ``bias`` is the mean drift per step. The
@@ -50,7 +50,7 @@ class Growth:
     verdict: str
 
 
-def growth(means: Array, block_steps: int, scale: float) -> Growth:
+def growth(means: Array, block_steps: int, scale: float) -> RoundOffGrowth:
     """Growth estimated from block means of the deviation, (copies, blocks), of ``block_steps`` steps per block.
 
     ``scale`` is the size of the terms that make up the invariant. Raises ValueError for fewer than 16 blocks or two
@@ -71,7 +71,7 @@ def growth(means: Array, block_steps: int, scale: float) -> Growth:
         scatter = 0.5 * np.polyfit(np.log(lags), np.log(others).T, 1)[0]
         error = quantile * math.sqrt(copies - 1) * float(scatter.std())
     drifts = (means[:, -1] - means[:, 0]) / (blocks - 1) / block_steps
-    return Growth(
+    return RoundOffGrowth(
         steps=(lags * block_steps).tolist(),
         rms=rms.tolist(),
         exponent=exponent,

@@ -199,7 +199,8 @@ class Trajectory:
         """Return the report on a single trajectory, with one ``InvariantRow`` for each invariant of top and scheme."""
         rows, plan = self.rows, self.rows.plan
         if rows.n.dtype.kind == "f" and len(rows) > 1:  # crossings of a section
-            return uneven_report(plan.top, plan.invariants, self.t, self.states, int(self.last_n))[0]
+            span = float(self.t[-1] - self.t[0])
+            return uneven_report(plan.top, plan.invariants, self.states, int(self.last_n), span)[0]
         return tally_of(Rows(plan, rows.n, rows.recorded[None])).report() if len(rows) else []
 
     def trajectories(self) -> pd.DataFrame:

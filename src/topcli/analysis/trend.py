@@ -100,39 +100,24 @@ def _line(t: Array, weight: Array) -> tuple[Array, Array]:
     return weight, weight * s / (weight @ s**2)
 
 
-def trend(t: Array, values: Array, lengths: Array | None = None) -> Trend | None:
-    """Hann-weighted line through ``values`` (m,) at times ``t`` (m,), rising or falling; None for too few points.
-
-    Points are evenly spaced, unless the ``lengths`` (m,) of time that they represent are given: the weights are then
-    proportional to them, and the increments of a random walk have variances proportional to the spacing. Fewer than
-    eight points, or weights that are worth fewer, are too few.
-    """
-    m = len(t)
-    line, gaps, count = hann_line(t), None, float(m)
+def trend(t: Array, values: Array) -> Trend | None:
+    """Hann-weighted line through ``values`` (m,) at evenly spaced times ``t`` (m,); None for fewer than 8 points."""
+    m, line = len(t), hann_line(t)
     if line is None:
         return None
-    if lengths is not None:
-        weight, gaps = _uneven_weights(t, lengths)
-        line = _line(t, weight)
-        count = min(1.5 / float(line[0] @ line[0]), count)  # of m Hann weights the squares add up to 1.5 / m
-        if not count >= 8:  # nan included
-            return None
     weight, influence = line
     s = t - weight @ t
     slope = float(influence @ values)
     residual = values - (weight @ values) - slope * s
-    walks = _walks(residual, gaps)
+    walks = _walks(residual)
     if walks:
         reach = np.cumsum(influence[::-1])[-2::-1]  # of each increment into the slope
-        increments = np.diff(residual)
-        if gaps is not None:
-            reach, increments = reach * np.sqrt(gaps), increments / np.sqrt(gaps)
-        variance = _long_run(increments, WALK_LAGS) / (m - 2.0 - WALK_LAGS) * float(reach @ reach)
+        variance = _long_run(np.diff(residual), WALK_LAGS) / (m - 2.0 - WALK_LAGS) * float(reach @ reach)
     else:
-        lags = min(LAGS, int(count) // 4)
+        lags = min(LAGS, m // 4)
         variance = _long_run(influence * residual, lags)
-        variance *= count / (count - 2.0 * (lags + 1))  # residuals of a fit are smaller than the noise
-    between = _disagreement(slope, t, values, np.full(m, abs(t[1] - t[0])) if lengths is None else lengths)
+        variance *= m / (m - 2.0 * (lags + 1))  # residuals of a fit are smaller than the noise
+    between = _disagreement(slope, t, values)
     return Trend(slope, math.sqrt(max(variance, 0.0)), between, WALK if walks else LINEAR)
 
 
@@ -146,7 +131,7 @@ def with_ends(
     fit : Trend or None
         Line fitted to the block means.
     t, means, weights, lows, highs : ndarray, shape (m,)
-        Times of the blocks, means over them, numbers of rows (or times) that they represent, and their smallest and
+        Times of the blocks, means over them, numbers of rows that they represent, and their smallest and
         largest values.
     """
     if fit is None:
@@ -173,31 +158,21 @@ def _changes_of_level(lows: Array, highs: Array, edge: int) -> Array:
     return np.minimum(EXCESS * excess, UNSEEN * np.maximum(highs[ends] - low, high - lows[ends]))
 
 
-def _disagreement(slope: float, t: Array, values: Array, lengths: Array) -> float:
+def _disagreement(slope: float, t: Array, values: Array) -> float:
     """Largest difference between the slope and those of the parts, each with a Hann window of its own.
 
     It is scaled to the length of the run by the power -3/2, with which the standard error of the slope of white noise
     goes.
     """
-    differences = []
+    differences, gap = [], abs(float(t[1] - t[0]))
     for count in PARTS:
         edges = [part * len(t) // count for part in range(count + 1)]
         for part in map(slice, edges, edges[1:]):
-            weight, _ = _uneven_weights(t[part], lengths[part])
+            since = np.abs(t[part] - t[part][0])  # the last block may be shorter than the others
+            weight = gap * np.sin(np.pi * (since + 0.5 * gap) / (since[-1] + 0.5 * gap + 0.5 * gap)) ** 2
             of_part = float(_line(t[part], weight)[1] @ values[part])
             differences.append(abs(of_part - slope) / count**1.5)
     return max(differences)
-
-
-def _uneven_weights(t: Array, lengths: Array) -> tuple[Array, Array]:
-    """Weights (m,) of points at times ``t`` (m,) that represent ``lengths`` of time (m,), by a Hann window in time.
-
-    Also their spacings (m - 1,) in units of the mean.
-    """
-    since = np.abs(t - t[0])
-    before, after = 0.5 * lengths[0], 0.5 * lengths[-1]
-    weight = lengths * np.sin(np.pi * (since + before) / (since[-1] + before + after)) ** 2
-    return weight, np.diff(since) * ((len(t) - 1) / since[-1])
 
 
 def _long_run(values: Array, lags: int) -> float:
@@ -208,38 +183,26 @@ def _long_run(values: Array, lags: int) -> float:
     return variance
 
 
-def _slow_components(m: int, q: int, gaps: Array | None = None) -> tuple[Array, Array, float]:
+@cache
+def _slow_components(m: int, q: int) -> tuple[Array, Array, float]:
     """The q slowest polynomials (m, q) orthonormal to each other and to all lines, and a random walk's weights of them.
 
-    The weights are the inverse of the covariance of the walk's components (q, q), and half the logarithm of the
-    determinant of the covariance. The points are evenly spaced and the increments of unit variance, unless spacings are
-    given, ``gaps`` (m - 1,), which are also the variances.
+    The weights are the inverse of the covariance (q, q) of the components of a walk with increments of unit variance,
+    and half the logarithm of the determinant of the covariance.
     """
     x = np.linspace(-1.0, 1.0, m)
-    if gaps is not None:
-        since = np.append(0.0, np.cumsum(gaps))
-        x = 2.0 * since / since[-1] - 1.0
     legendre = [np.ones(m), x]  # by their recurrence, without importing numpy.polynomial
     for k in range(1, q + 1):
         legendre.append(((2 * k + 1) * x * legendre[k] - k * legendre[k - 1]) / (k + 1))
     slow = np.linalg.qr(np.stack(legendre, axis=1))[0][:, 2:]
     tails = np.cumsum(slow[::-1], axis=0)[::-1]
-    if gaps is not None:
-        tails[1:] *= np.sqrt(gaps)[:, None]  # tails[0] is zero: the columns are orthogonal to a constant
     covariance = tails.T @ tails
     return slow, np.linalg.inv(covariance), 0.5 * float(np.linalg.slogdet(covariance)[1])
 
 
-@cache
-def _even_components(m: int, q: int) -> tuple[Array, Array, float]:
-    """The slow components of m evenly spaced points."""
-    return _slow_components(m, q)
-
-
-def _sizes_in_slow(residual: Array, q: int, gaps: Array | None) -> tuple[float, float, float]:
+def _sizes_in_slow(residual: Array, q: int) -> tuple[float, float, float]:
     """Squared sizes of the q slowest components of the residual (m,) as white noise and as a walk, and half the log."""
-    m = len(residual)
-    slow, inverse, half_log = _even_components(m, q) if gaps is None else _slow_components(m, q, gaps)
+    slow, inverse, half_log = _slow_components(len(residual), q)
     z = slow.T @ residual
     return float(z @ z), float(z @ inverse @ z), half_log
 
@@ -261,7 +224,7 @@ def sizes_in_all(residual: Array) -> tuple[float, float, float]:
     return float(off_line @ off_line), float(increments @ increments), 0.5 * math.log(12.0 / (m * m * (m + 1.0)))
 
 
-def _walks(residual: Array, gaps: Array | None) -> bool:
+def _walks(residual: Array) -> bool:
     """True unless the residual (m,) of a line is ``EVIDENCE`` times as likely from white noise as from a random walk.
 
     The test uses the slow components, then all of them. Both likelihoods are those of the components' direction,
@@ -272,8 +235,7 @@ def _walks(residual: Array, gaps: Array | None) -> bool:
         return False
     few = min(LOW, m // 3)
     for q in (few, m - 2):
-        closed = q != few and gaps is None
-        white, walk, half_log = sizes_in_all(residual / size) if closed else _sizes_in_slow(residual / size, q, gaps)
+        white, walk, half_log = _sizes_in_slow(residual / size, q) if q == few else sizes_in_all(residual / size)
         if not (white > 0.0 and walk > 0.0):
             return False
         if half_log + 0.5 * q * math.log(walk / white) > math.log(EVIDENCE):

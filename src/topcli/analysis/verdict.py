@@ -40,6 +40,8 @@ OSCILLATIONS = 2.0
 PART = 1.0 / 3.0
 LOST = 0.25
 TERMS = 0.1
+NEEDS_EVEN_TIMES = "a drift needs rows at even times"
+"""Reason why deviations at uneven times have no slope."""
 ULP = float(np.finfo(np.float64).eps)
 
 
@@ -106,7 +108,8 @@ def judged(
         return "exact", f"exact (deviation {deviation:.1e} is round-off)", reason
     beyond = f"max deviation {deviation:.1e} exceeds the round-off bound {bound:.1e}"
     if fit is None:
-        return "undecided", "undecided: too few rows for a slope", f"{beyond}; too few rows for a slope"
+        why = NEEDS_EVEN_TIMES if short == NEEDS_EVEN_TIMES else "too few rows for a slope"
+        return "undecided", f"undecided: {why}", f"{beyond}; {why}"
     if short:
         return "undecided", f"undecided: {short}", f"{beyond}; the run {short}"
     ratio = abs(fit.slope) / fit.error if fit.error else math.inf

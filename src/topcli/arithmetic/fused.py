@@ -21,6 +21,7 @@ import math
 import sys
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any
 
 
 def fma(a: float, b: float, c: float) -> float:
@@ -52,6 +53,12 @@ def double_of(x: Fraction) -> float:
         return float(x)
     except OverflowError:
         return math.inf if x > 0 else -math.inf
+
+
+def defined(text: str, label: str, **names: Any) -> dict[str, Any]:
+    """Functions that a text defines, by name; it may use the ``names``, among them the name of its module."""
+    exec(compile(text, f"<{label}>", "exec"), names)
+    return names
 
 
 def unlikely(condition: bool) -> bool:
@@ -152,15 +159,15 @@ def is_cap(module: str, name: str, value: object) -> bool:
 
 def power_of(module: str, name: str, value: object) -> float | None:
     """Power of the rounding error that the global ``name`` of ``module`` follows; None for any other constant."""
-    found = _declared(_POWERS, module, name, value)
-    return None if found is None else _POWERS[found]
+    key = _declared(_POWERS, module, name, value)
+    return None if key is None else _POWERS[key]
 
 
 def _declared(
-    known: dict[tuple[str, str], float] | set[tuple[str, str]], module: str, name: str, value: object
+    declared: dict[tuple[str, str], float] | set[tuple[str, str]], module: str, name: str, value: object
 ) -> tuple[str, str] | None:
-    if (module, name) in known:
+    if (module, name) in declared:
         return (module, name)
     # an imported constant has the name that it was declared by, and is the same object
-    same = (key for key in known if key[1] == name and getattr(sys.modules.get(key[0]), name, None) is value)
+    same = (key for key in declared if key[1] == name and getattr(sys.modules.get(key[0]), name, None) is value)
     return next(same, None)

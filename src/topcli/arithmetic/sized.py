@@ -12,7 +12,28 @@ from typing import Any
 import numpy as np
 
 
-class Sized:
+class Operators:
+    """Operators that follow from the sum, the product and the negative."""
+
+    __slots__ = ()
+
+    def __radd__(self, other: Any) -> Any:
+        return self + other
+
+    def __rmul__(self, other: Any) -> Any:
+        return self * other
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __sub__(self, other: Any) -> Any:
+        return self + -other
+
+    def __rsub__(self, other: Any) -> Any:
+        return -self + other  # pyright: ignore[reportOperatorIssue]
+
+
+class Sized(Operators):
     """A number or array ``value`` with the ``size`` of its terms; it has the arithmetic of numbers."""
 
     __slots__ = ("size", "value")
@@ -34,19 +55,8 @@ class Sized:
         factor = Sized.of(other)
         return Sized(self.value * factor.value, self.size * factor.size)
 
-    __radd__, __rmul__ = __add__, __mul__
-
     def __neg__(self) -> Sized:
         return Sized(-self.value, self.size)
-
-    def __pos__(self) -> Sized:
-        return self
-
-    def __sub__(self, other: Any) -> Sized:
-        return self + -Sized.of(other)
-
-    def __rsub__(self, other: Any) -> Sized:
-        return Sized.of(other) - self
 
     def __truediv__(self, other: Any) -> Sized:
         divisor = Sized.of(other).value

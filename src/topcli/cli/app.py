@@ -1,12 +1,11 @@
-"""The typer application: all commands, imported when needed, and one style for errors of usage."""
+"""The command line: all commands, imported when needed, and one style for errors of usage."""
 
 from __future__ import annotations
 
 import difflib
 import platform
 import re
-from collections.abc import Iterator, Mapping, MutableMapping
-from functools import cache
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,152 +15,61 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from topcli import STUDIES, __version__
-from topcli.cli.commands import COMMANDS, GONE, GROUPS, STUDY
-from topcli.cli.output import emit, print_error, print_message, print_message_text
-from topcli.errors import ExitCode, TopcliError, clipped
+from topcli.cli import options
+from topcli.cli.output import Screen, emit, print_document, print_error, print_lines, print_message
+from topcli.errors import ExitCode, TopcliError, UsageError, shortened
 from topcli.studies import find_study
 
-_TYPE = re.compile(r" <[^>]*>$")
-_IN_WORDS = (
-    (re.compile(r"\[default: \((.*)\)(?=[];])"), r"[default: \1"),
-    (re.compile(r"([\d.]+)<=x<=([\d.]+)(?=\]$)"), r"\1 to \2"),
-    (re.compile(r"x>=([\d.]+)(?=\]$)"), r"at least \1"),
-)
-"""Defaults in words without parentheses, and bounds in words."""
+FIRST = ("compare", "order", "bench", "analyse")
+"""Studies among the commands that most users need."""
+GROUPS = {
+    "Run and compare": {
+        "run": ("topcli.cli.run", "Run experiments and report on their conservation laws."),
+        "sweep": ("topcli.cli.run", "Run all combinations of the values in a sweep file."),
+        **{name: STUDIES[name] for name in FIRST},
+    },
+    "Studies": {name: place for name, place in STUDIES.items() if name not in FIRST},
+    "Look at results": {
+        "report": ("topcli.cli.results", "Write a self-contained HTML page about stored results."),
+        "plot": ("topcli.cli.results", "Draw figures as PNG and PDF, with their data as Parquet."),
+        "animate": ("topcli.cli.results", "Animate the body of a run, with the trace of its axis."),
+        "table": ("topcli.cli.results", "Show tables of a result as text, CSV or LaTeX."),
+        "verify": ("topcli.cli.results", "Verify stored results by their checksums."),
+    },
+    "Reference": {
+        "list": ("topcli.cli.reference", "List tops, schemes, scenes, figures, runs and more."),
+        "show": ("topcli.cli.reference", "Show a config, a scheme, a top, or a row of a sweep."),
+        "cite": ("topcli.cli.reference", "Print the BibTeX of a scheme, a top, or topcli itself."),
+        "init": ("topcli.cli.reference", "Copy a packaged scene as a config to start from."),
+        "schema": ("topcli.cli.reference", "Print the JSON Schema of the config."),
+    },
+}
+"""Module and first line of the help of each command, by the group in which the help lists them; the function in the
+module has the name of the command."""
+COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
+GONE = Path(__file__).with_name("gone.toml")
+"""File of the replacements of commands and options of earlier versions."""
 
 
-def _load_plugins(paths: list[Path] | None) -> None:
-    """Register what the files given by ``--plugin`` define."""
-    for path in paths or ():
-        from topcli.schemes.plugins import load_plugin_file
-
-        load_plugin_file(path)
-
-
-def _with_plugins(
-    plugins: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--plugin",
-            "--scheme-file",
-            metavar="FILE",
-            help="Load tops, schemes, measures, figures and hard cases from a Python file.",
-            callback=_load_plugins,
-            expose_value=False,
-            is_eager=True,  # the completion of other options knows them
-        ),
-    ] = None,
-) -> None:
-    pass
-
-
-@cache
-def _plugin_option() -> Any:
-    """The option ``--plugin``, which all commands share."""
-    single = typer.Typer(add_completion=False, rich_markup_mode=None)
-    single.command()(_with_plugins)
-    return get_command(single).params[0]
+def function_of(name: str) -> Callable[..., Any]:
+    """Function of the command called ``name``."""
+    if name in STUDIES:
+        return find_study(name)
+    return getattr(import_module(COMMANDS[name][0]), "list_" if name == "list" else name)
 
 
 class Command(TyperCommand):
-    """A command with the option ``--plugin``; its help marks repeatable options and shows no types of Python."""
-
-    def __init__(self, name: str | None, **attributes: Any) -> None:
-        super().__init__(name, **attributes)
-        self.params.append(_plugin_option())
-
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Pieces of the usage, without braces around required arguments."""
-        return [piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)]
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments and the options."""
-        for title, rows in parameter_rows(self, ctx).items():
-            if rows:
-                with formatter.section(title):
-                    formatter.write_dl(rows)
-
-
-def parameter_rows(command: Any, ctx: Any) -> dict[str, list[tuple[str, str]]]:
-    """Names and help texts of the arguments and of the options of a command, as its help lists them."""
-    rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-    for parameter in command.get_params(ctx):
-        record = parameter.get_help_record(ctx)
-        if record is None:
-            continue
-        name, text = record
-        for pattern, words in _IN_WORDS:
-            text = pattern.sub(words, text)
-        option = parameter.param_type_name == "option"
-        if option and parameter.multiple:
-            text = f"{text[:-1]}; repeatable]" if text.endswith("]") else f"{text}  [repeatable]"
-        rows["Options" if option else "Arguments"].append((_TYPE.sub("", name), text))
-    return rows
-
-
-class Commands(MutableMapping[str, Any]):
-    """Commands by name, given as ``module.function`` or ``module.group`` and imported when they are first needed.
-
-    A command imports its own module only; the help, a completion and an unknown name import what they list.
-    """
-
-    def __init__(self, places: Mapping[str, str]) -> None:
-        self._commands: dict[str, Any] = dict(places)
-
-    def __getitem__(self, name: str) -> Any:
-        command = self._commands[name]
-        if isinstance(command, str):
-            command = self._commands[name] = _imported(name, command)
-        return command
-
-    def __setitem__(self, name: str, command: Any) -> None:
-        self._commands[name] = command
-
-    def __delitem__(self, name: str) -> None:
-        del self._commands[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._commands)
-
-    def __len__(self) -> int:
-        return len(self._commands)
-
-
-class StudyCommand(TyperCommand):
-    """Command of a study that is imported when it is used; its place in the help of all commands needs no import."""
+    """A command that is imported when it is used; its place in the help of all commands needs no import."""
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        """Context of the command itself."""
+        """Context of the command with its options."""
         return self.whole().make_context(info_name, args, parent, **extra)
 
     def whole(self) -> Any:
-        """The command itself, with all options."""
-        from topcli.cli import study
-
-        function = find_study(str(self.name))
-        command = _typer_command(study.options_of(function), str(self.name))
-        read = command.callback
-        command.callback = lambda **values: study.run(function, read(**values))
-        return command
-
-
-def _imported(name: str, place: str) -> Any:
-    """The command called ``name``, from ``module.function`` or ``module.group`` in this package, or that of a study."""
-    if place == STUDY:
-        return StudyCommand(name=name, callback=None, help=STUDIES[name][1])
-    module, attribute = place.split(".")
-    return _typer_command(getattr(import_module(f"topcli.cli.{module}"), attribute), name)
-
-
-def _typer_command(function: Any, name: str) -> Any:
-    """Command of typer from a function or a group of commands."""
-    if not isinstance(function, typer.Typer):
-        single = typer.Typer(add_completion=False, rich_markup_mode=None)
-        single.command(name, cls=Command)(function)
-        function = single
-    command = get_command(function)
-    command.name = name
-    return command
+        """The command with its options."""
+        name = str(self.name)
+        function = function_of(name)
+        return options.command_of(function, name, lambda values: perform(name, function, vars(values)))
 
 
 class _Topcli(TyperGroup):
@@ -169,16 +77,14 @@ class _Topcli(TyperGroup):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = Commands(COMMANDS)
+        self.commands = {name: Command(name=name, callback=None, help=text) for name, (_, text) in COMMANDS.items()}
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands in their groups."""
-        width = max(map(len, self.commands))
-        for title, entries in GROUPS.items():
+        width = max(map(len, COMMANDS))
+        for title, group in GROUPS.items():
             with formatter.section(title):
-                formatter.write_dl(
-                    [(name.ljust(width), self.commands[name].get_short_help_str(formatter.width)) for name in entries]
-                )
+                formatter.write_dl([(name.ljust(width), text) for name, (_, text) in group.items()])
 
 
 app = typer.Typer(
@@ -196,17 +102,62 @@ app = typer.Typer(
 
 
 def all_commands() -> dict[str, Any]:
-    """Contexts of all commands, also those of ``topcli list``, by their words after ``topcli``."""
+    """Contexts of all commands by name."""
     root = get_command(app)
     top = root.context_class(root, info_name="topcli")
-    contexts: dict[str, Any] = {}
-    for name in COMMANDS:
-        command = root.commands[name]  # pyright: ignore[reportAttributeAccessIssue]
-        command = command.whole() if isinstance(command, StudyCommand) else command
-        inner = contexts[name] = command.context_class(command, info_name=name, parent=top)
-        for sub, listed in getattr(command, "commands", {}).items():
-            contexts[f"{name} {sub}"] = listed.context_class(listed, info_name=sub, parent=inner)
-    return contexts
+    commands = {name: Command(name=name, callback=None).whole() for name in COMMANDS}
+    return {name: command.context_class(command, info_name=name, parent=top) for name, command in commands.items()}
+
+
+def perform(name: str, function: Callable[..., Any], values: dict[str, Any]) -> None:
+    """Call the function of a command, print its result, and exit with its code."""
+    as_json, quiet, _ = (values.pop(parameter) for parameter in ("as_json", "quiet", "plugin"))
+    screen = Screen(as_json, quiet)
+    try:
+        if options.is_study(function):
+            code = perform_study(function, values, screen)
+        else:
+            outcome = options.call_with(function, values, screen)
+            code = outcome.code
+            if as_json:
+                print_document({"schema_version": 1, "command": name, **outcome.data})
+    finally:
+        screen.close()
+    if code:
+        raise typer.Exit(code)
+
+
+def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Screen) -> int:
+    """Call a study, print its report, write files, and return the code of the report."""
+    from topcli.cli.results import require_new
+    from topcli.schemes.plugins import FAILURES
+    from topcli.studies.report import PICTURES, TABLES
+
+    plot, save, force, verbose = (values.pop(parameter) for parameter in ("plot", "save", "force", "verbose"))
+    for name, path, endings in (("--plot", plot, PICTURES), ("--save", save, (".json", *TABLES))):
+        if path is not None and path.suffix not in endings:
+            last = f"{', '.join(endings[:-1])} or {endings[-1]}"
+            raise UsageError(f"{name} {path}: unknown type of file; use a name ending in {last}")
+        if path is not None:
+            require_new(path, force, name)
+    report = options.call_with(study, values, screen)
+    if screen.as_json:
+        print_document(report.as_dict())
+    screen.show(*filter(None, (report.title, report.answer)))
+    for table in report.tables:
+        if table.rows and (verbose or table.detail is not True):
+            screen.show("", table.cells(verbose))
+    for path in (plot, save):
+        if path is not None:
+            screen.say(f"wrote {report.save(path)}")
+    for line in report.notes:
+        screen.say(line)
+    for line in report.errors:
+        print_message(f"error: {line}")
+    for failure in FAILURES:
+        if not any(str(failure) in line for line in report.errors):
+            print_message(str(failure))
+    return report.code
 
 
 def call() -> int | str | None:
@@ -221,27 +172,37 @@ def call() -> int | str | None:
         code = getattr(error, "exit_code", None)
         if code is None or not hasattr(error, "format_message"):
             raise
-        _say_usage(error)
+        print_usage_error(error)
         return code
 
 
-def _say_usage(error: Any) -> None:
-    """Report an error found by typer in the style of all other errors."""
+def print_usage_error(error: Any) -> None:
+    """Report an error of typer in the style of all other errors, with the nearest name."""
     message = error.format_message().strip()
     if "\n" in message:  # the help, of a command without arguments
-        print_message_text(message)
+        print_lines(message)
         return
     ctx = getattr(error, "ctx", None)
-    hint = f" (see {ctx.command_path} --help)" if ctx is not None else ""
+    path = ctx.command_path if ctx is not None else "topcli"
     unknown = re.match(r"No such (?:command|option):? '?([\w-]+)'?", message)
-    if unknown and ctx is not None and (instead := GONE.get(" ".join([*ctx.command_path.split()[1:], unknown[1]]))):
+    if unknown and (instead := replacement(" ".join([*path.split()[1:], unknown[1]]))):
         print_message(f"error: n{unknown[0][1:]}; {instead}")
         return
-    message = clipped(message, 240).removesuffix(".").replace(". Did you mean", "; did you mean")
-    message = message.replace("', '", "' or '")
-    near = difflib.get_close_matches(getattr(error, "option_name", ""), getattr(error, "possibilities", None) or [], 1)
-    message = re.sub(r" \(Possible options: .*\)$", lambda _: f"; did you mean {near[0]}?" if near else "", message)
-    print_message(f"error: {message[:1].lower()}{message[1:]}{hint}")
+    message = re.sub(r"(?: \(Possible options: .*\)|\. Did you mean .*\?)$", "", message).removesuffix(".")
+    choice = re.search(r"(?:Value error, )?'(\S*)' is not one of (.*)$", message)
+    names = re.findall(r"'(\S+)'", choice[2]) if choice else getattr(error, "possibilities", None) or COMMANDS
+    near = difflib.get_close_matches(choice[1] if choice else unknown[1] if unknown else "", names, 1)
+    if choice:
+        message = f"{message[: choice.start()]}'{choice[1]}' is not one of {', '.join(names)}"
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    print_message(f"error: {shortened(message[:1].lower() + message[1:], 240)}{hint} (see {path} --help)")
+
+
+def replacement(name: str) -> str:
+    """What to use instead of a command or option of an earlier version; empty for an unknown one."""
+    import tomllib
+
+    return tomllib.loads(GONE.read_text(encoding="utf-8")).get(name, "")
 
 
 def _print_version(asked: bool) -> None:

@@ -1,216 +1,257 @@
-"""Options shared by several commands, completion of names, hints for misplaced ones, and files that a user names."""
+"""Options, arguments and help of a command, read from the signature and the NumPy docstring of its function.
+
+A command is a function. Its positional parameters are arguments, its keyword-only ones options: ``max_steps`` becomes
+``--max-steps``. The type, the default and the number of values follow from the annotation, and the help is the first
+sentence about the parameter in the docstring. A parameter of ``HELP`` means the same in all commands and is described
+there.
+"""
 
 from __future__ import annotations
 
-import os
-from contextlib import contextmanager
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
-from typer.models import OptionInfo
+from typer.core import TyperCommand
+from typer.main import get_command
 
-from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.errors import shortened
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-
-def complete_scheme(incomplete: str) -> list[str]:
-    """Names of schemes that begin with ``incomplete``; after a +, names of compositions of the scheme."""
-    from topcli.schemes.registry import all_schemes
-
-    base, plus, _ = incomplete.lower().partition("+")
-    if plus:
-        from topcli.schemes.compose import COMPOSITIONS, obstacle
-
-        fits = any(scheme.name == base and not obstacle(scheme) for scheme in all_schemes())
-        names = [f"{base}+{name}" for name in COMPOSITIONS if fits]
-    else:
-        names = sorted({scheme.name for scheme in all_schemes()})
-    return [name for name in names if name.startswith(incomplete.lower())]
-
-
-def complete_top(incomplete: str) -> list[str]:
-    """Names of tops that begin with ``incomplete``."""
-    from topcli.schemes.own_tops import top_names
-
-    return [name for name in sorted(top_names()) if name.startswith(incomplete.lower())]
-
-
-def complete_figure(incomplete: str) -> list[str]:
-    """Names of figures that begin with ``incomplete``."""
-    from topcli.figures.catalogue import FIGURES
-
-    return [name for name in FIGURES if name.startswith(incomplete.lower())]
-
-
-def complete_config(incomplete: str) -> list[str]:
-    """Config files in the working folder's ``configs`` and the packaged scenes that begin with ``incomplete``."""
-    from topcli.config.files import scene_files
-
-    own_files = [str(path) for path in sorted(Path("configs").glob("*.*"))]
-    return [name for name in [*own_files, *scene_files()] if name.startswith(incomplete)]
-
-
-HELP = {
-    "--config": "Read the experiment from a config or scene.",
-    "--dry-run": "Print the plan and run nothing.",
-    "--force": "Replace existing results or files.",
-    "--format": "Write files in this format.",
-    "--json": "Print the result as one JSON document.",
-    "--out": "Write the result here.",
-    "--plot": "Also draw to a .png, .pdf or .svg file.",
-    "--quiet": "Print only errors.",
-    "--results": "Look for stored results in this folder.",
-    "--save": "Also write the result to a .json, .csv, .md or .tex file.",
-    "--set": "Set a config key, e.g. h=0.01, T=20 or scheme.branch=sign.",
-    "--steps": "Set the number of steps of a run, e.g. 1e6.",
-    "--table": "Show only this table of the result.",
-    "--threads": "Compute with this number of threads.",
-    "--top": "Choose a top.",
-    "--verbose": "Print all columns and tables of the result.",
+NAMES = {
+    "as_json": ("--json",),
+    "every": ("--all",),
+    "form": ("--format",),
+    "overrides": ("--set",),
+    "quiet": ("--quiet", "-q"),
+    "sizes": ("--h",),
+    "verbose": ("--verbose", "-v"),
 }
-"""Help of each option that several commands have, which is the same for all of them."""
+"""Options that have another name than their parameter."""
+METAVARS = {
+    "CONFIG": "config configs",
+    "CONFIG|SCHEME|TOP|FOLDER": "subject",
+    "FIGURE": "figures",
+    "FILE": "file path plot plugin save",
+    "FORMAT": "form",
+    "KEY": "by columns rows x",
+    "KEY=VALUE": "overrides where",
+    "LIST": "items",
+    "MEASURE": "colour value y",
+    "PATH": "out",
+    "RUN": "result runs",
+    "SCHEME": "scheme schemes",
+    "SCHEME[:KEY=VALUE,...]": "entries",
+    "SCHEME|TOP": "cited",
+    "SWEEP": "sweep",
+    "TOP": "top",
+}
+"""Parameters by the word for their values in the help; whole numbers are N, others X, folders DIR, and texts NAME."""
+HELP = {
+    "as_json": "Print the result as one JSON document.",
+    "config": "Read the experiment from a config or scene.",
+    "dry_run": "Print the plan and run nothing.",
+    "force": "Replace existing results or files.",
+    "form": "Write tables as text, csv, markdown or latex, or figures as png, pdf or svg.",
+    "out": "Write the result here.",
+    "overrides": "Set a config key, e.g. h=0.01, T=20 or scheme.branch=sign.",
+    "plot": "Also draw to a .png, .pdf or .svg file.",
+    "plugin": "Load tops, schemes, measures, figures and hard cases from a Python file.",
+    "quiet": "Print only errors.",
+    "results": "Look for stored results in this folder.",
+    "save": "Also write the result to a .json, .csv, .md or .tex file.",
+    "steps": "Set the number of steps of a run, e.g. 1e6.",
+    "threads": "Compute with this number of threads; by default all CPUs.",
+    "top": "Choose a top.",
+    "verbose": "Print all columns and tables of the result.",
+}
+"""Help of the options that several commands have."""
 
 
-def option(*names: str, **attributes: Any) -> OptionInfo:
-    """The option ``names[0]`` with its shared help; ``default`` says in words what its absence means."""
-    if default := attributes.pop("default", ""):
-        attributes["show_default"] = default
-    return typer.Option(*names, help=HELP[names[0]], **attributes)
+def load_plugins(paths: list[Path] | None) -> None:
+    """Register what the files given by ``--plugin`` define."""
+    for path in paths or ():
+        from topcli.schemes.plugins import load_plugin_file
+
+        load_plugin_file(path)
 
 
-def config_option(default: str = "") -> OptionInfo:
-    """Option ``--config``."""
-    return option("--config", metavar="CONFIG", default=default, autocompletion=complete_config)
+def common(*, as_json: bool = False, quiet: bool = False, plugin: Sequence[Path] = ()) -> None:
+    """Options of every command."""
 
 
-def top_option(default: str = "") -> OptionInfo:
-    """Option ``--top``."""
-    return option("--top", metavar="TOP", default=default, autocompletion=complete_top)
+def of_studies(
+    *, plot: Path | None = None, save: Path | None = None, force: bool = False, verbose: bool = False
+) -> None:
+    """Further options of a study."""
 
 
-def format_option(*formats: str, default: str = "") -> OptionInfo:
-    """Option ``--format`` of a command that writes one of the ``formats``."""
-    return option("--format", metavar="|".join(formats), default=default)
+def complete(kinds: str, beginning: str) -> list[str]:
+    """Names of some kinds, such as ``CONFIG|SCHEME``, that begin with ``beginning``."""
+    names = [name for kind in kinds.split("|") for name in names_of(kind, beginning.lower())]
+    return [name for name in names if name.lower().startswith(beginning.lower())]
 
 
-Sets = Annotated[list[str] | None, option("--set", metavar="KEY=VALUE")]
-Json = Annotated[bool, option("--json")]
-Quiet = Annotated[bool, option("--quiet", "-q")]
-Verbose = Annotated[bool, option("--verbose", "-v")]
-DryRun = Annotated[bool, option("--dry-run")]
-Threads = Annotated[int | None, option("--threads", metavar="COUNT", min=1, default="all CPUs")]
-Out = Annotated[Path, option("--out", metavar="DIR")]
-OutFile = Annotated[Path, option("--out", metavar="FILE")]
-Results = Annotated[Path, option("--results", metavar="DIR")]
-Force = Annotated[bool, option("--force")]
-Save = Annotated[Path | None, option("--save", metavar="FILE")]
-Plot = Annotated[Path | None, option("--plot", metavar="FILE")]
-PictureFormats = Annotated[list[str] | None, format_option("png", "pdf", "svg", default="png and pdf")]
+def names_of(kind: str, beginning: str) -> Sequence[str]:
+    """Names of a kind that may begin with ``beginning``; compositions of a scheme only after a +."""
+    if kind in ("SCHEME", "TOP"):
+        from topcli.schemes.compose import COMPOSITIONS, obstacle
+        from topcli.schemes.own_tops import top_names
+        from topcli.schemes.registry import all_schemes
+
+        if kind == "TOP":
+            return sorted(top_names())
+        base, plus, _ = beginning.partition("+")
+        composed = any(scheme.name == base and not obstacle(scheme) for scheme in all_schemes()) if plus else False
+        return [f"{base}+{name}" for name in COMPOSITIONS if composed] + sorted({each.name for each in all_schemes()})
+    if kind == "FIGURE":
+        from topcli.figures.catalogue import FIGURES
+
+        return list(FIGURES)
+    if kind in ("CONFIG", "SWEEP"):
+        from topcli.config.files import scene_files
+
+        files = [str(path) for path in sorted(Path("configs").glob("*.*"))] if kind == "CONFIG" else []
+        return [*files, *scene_files("" if kind == "CONFIG" else "sweeps")]
+    if kind == "RUN" and Path("results").is_dir():
+        return sorted(path.name for path in Path("results").iterdir() if path.is_dir())
+    return ()
 
 
-def picture_formats(formats: Sequence[str] | None) -> tuple[str, ...]:
-    """Formats of pictures, each once; the default ones for None. Raises UsageError."""
-    from topcli.figures.figure import DEFAULT_FORMATS, IMAGE_FORMATS
-
-    for name in formats or ():
-        if name not in IMAGE_FORMATS:
-            raise UsageError(f"--format {quoted(name)}: unknown format; use png, pdf or svg")
-    return tuple(dict.fromkeys(formats or DEFAULT_FORMATS))
-
-
-def place_of(name: str | Path, results: Path) -> Path:
-    """Path that ``name`` is, or the path of the stored result of this name in the folder ``results``."""
-    inside = results / name
-    return inside if not os.path.lexists(name) and os.path.lexists(inside) else Path(name)
-
-
-def stored_place(name: str | Path, results: Path) -> Path:
-    """Return ``place_of`` a stored result, finished or not. Raises UsageError if there is nothing."""
-    from topcli.sweeps.store import missing_result
-
-    place = place_of(name, results)
-    if not os.path.lexists(place):
-        raise missing_result(str(name), results)
-    return place
-
-
-def require_new(path: Path, force: bool, option: str = "--out") -> None:
-    """Raise UsageError if ``path`` exists and may not be overwritten, or is a folder."""
-    from topcli.store import files
-
-    if os.path.isdir(path):
-        raise UsageError(f"{option} {path}: is a folder; name a file")
-    if not force:
-        files.require_new([path], option)
-
-
-def write_text(text: str, path: Path, option: str = "--out") -> None:
-    """Write a file whole or not at all, and its folder if there is none. Raises UsageError."""
-    from topcli.store import files
-
+def whole_number(text: str) -> int:
+    """Whole number, also written as 1e6."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        files.write_text(path, text)
-    except OSError as error:
-        raise UsageError(f"{option} {path}".lstrip() + f": cannot be written ({error.strerror})") from None
+        if (value := float(text)) == int(value):
+            return int(value)
+    except (ValueError, OverflowError):
+        pass
+    raise typer.BadParameter(f"{shortened(text)} is not a whole number, such as 1000 or 1e6")
 
 
-@contextmanager
-def hint_instead(names: Sequence[str], hint: Callable[[str], str]) -> Iterator[None]:
-    """Replace an error about one of ``names`` by its hint; an error about another name remains."""
-    try:
-        yield
-    except UnknownNameError as error:
-        message = next((text for name in names if quoted(name) in str(error) and (text := hint(name))), "")
-        if not message:
-            raise
-        raise UsageError(message) from error
+def is_study(function: Callable[..., Any]) -> bool:
+    """True for a study, whose progress is watched; other commands print by themselves."""
+    return "watch" in inspect.signature(function).parameters
 
 
-def stored_folder(name: str, results: Path) -> Path | None:
-    """Folder of a run or sweep that ``name`` is the path of, or its name in ``results``; None if there is none."""
-    from topcli.store.results import read_result
-    from topcli.sweeps.store import is_sweep
+def command_of(function: Callable[..., Any], name: str, perform: Callable[[Any], None]) -> Any:
+    """Command of typer for a function; ``perform`` gets the values of the parameters as attributes."""
+    doc = inspect.cleandoc(function.__doc__ or "").partition("Parameters\n")[0]
+    helps = parameter_helps(function.__doc__)
+    fields = [
+        option_of(parameter, helps.get(parameter.name, ""))
+        for each in (function, *((of_studies,) if is_study(function) else ()), common)
+        for parameter in inspect.signature(each, eval_str=True).parameters.values()
+        if parameter.kind is not parameter.VAR_KEYWORD and parameter.name not in ("watch", "screen")
+    ]
+    values = make_dataclass(function.__name__, fields, kw_only=True, namespace={"__doc__": doc})
+    single = typer.Typer(add_completion=False, rich_markup_mode=None)
+    single.command(name, cls=PlainCommand)(values)
+    command = get_command(single)
+    read: Any = command.callback
+    command.name, command.callback = name, lambda **options: perform(read(**options))
+    return command
 
-    folders = (Path(name), results / name) if name else ()
-    return next(
-        (folder for folder in folders if os.path.isdir(folder) and (is_sweep(folder) or read_result(folder))), None
-    )
+
+def takes_argument(parameter: inspect.Parameter) -> bool:
+    """True for a positional parameter other than the overrides, which is an argument of the command."""
+    return parameter.kind is not parameter.KEYWORD_ONLY and parameter.name not in NAMES
 
 
-def plot_hint(name: str, results: Path) -> str:
-    """Message about ``name`` given instead of a figure: the command that draws it; empty if it is unknown."""
-    from topcli.config.files import is_config
-    from topcli.sweeps.store import is_sweep
+def option_of(parameter: inspect.Parameter, text: str) -> tuple[str, Any, Any]:
+    """Field of the options for a ``parameter``: name, type with the option, and default."""
+    kind, several = value_type(parameter.annotation)
+    several = several or parameter.kind is parameter.VAR_POSITIONAL
+    word = {int: "N", float: "X", str: "NAME", Path: "DIR"}.get(kind) or "|".join(get_args(kind))
+    metavar = next((word for word, names in METAVARS.items() if parameter.name in names.split()), word)
+    text = text if takes_argument(parameter) else HELP.get(parameter.name, text)
+    details: dict[str, Any] = {"help": text, "metavar": metavar or None}
+    if kind is int:
+        details |= {"min": 1} if parameter.name == "threads" else {"parser": whole_number}
+    if not get_args(kind):
+        kinds = metavar.partition("[")[0]
 
-    folder = stored_folder(name, results)
-    if folder is not None and is_sweep(folder):
-        return f"{quoted(name)} is a sweep, not a figure; draw it with: topcli plot sweep {folder} --x KEY --y MEASURE"
-    if is_config(name):
-        draw = "topcli plot NAME"
-        return (
-            f"{quoted(name)} is a config, not a figure; run it with `topcli run {name}` and draw the run with `{draw}`"
+        def names(incomplete: str) -> list[str]:
+            return complete(kinds, incomplete)
+
+        details["autocompletion"] = names
+    if parameter.name == "plugin":  # before all others, whose completion knows what a plugin defines
+        details |= {"callback": load_plugins, "is_eager": True}
+    required = parameter.default is parameter.empty and parameter.kind is not parameter.VAR_POSITIONAL
+    default = None if parameter.default in (parameter.empty, ()) else parameter.default
+    if takes_argument(parameter):
+        declared = typer.Argument(**details)
+    else:
+        spelt = NAMES.get(parameter.name, ("--" + parameter.name.replace("_", "-"),))
+        declared = typer.Option(*spelt, **details)
+    annotation = list[kind] if several else kind
+    annotated = Annotated[annotation if required or default is not None else annotation | None, declared]
+    return parameter.name, annotated, field() if required else field(default=default)
+
+
+def value_type(annotation: Any) -> tuple[Any, bool]:
+    """Type of a value on the command line, and True if there may be several."""
+    kinds = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
+    for kind in kinds:
+        if get_origin(kind) in (Sequence, list, tuple):
+            return value_type(get_args(kind)[0])[0], True
+    plain = [kind for kind in kinds if kind in (bool, int, float) or get_origin(kind) is Literal]
+    plain += [Path] if kinds[0] is Path and not plain else []
+    return (plain or [str])[0], False
+
+
+def parameter_helps(doc: str | None) -> dict[str, str]:
+    """First sentence on each parameter of a NumPy docstring."""
+    section = (doc or "").partition("Parameters\n")[2]
+    section = re.split(r"\n *\n *\w+\n *-{3,}", section)[0]
+    entries = re.split(r"^ {4}\*{0,2}([\w, *]+)(?: : .*)?\n", section, flags=re.MULTILINE)[1:]
+    texts = (" ".join(text.split()) for text in entries[1::2])
+    return dict(zip(entries[::2], (re.split(r"(?<=\.) (?=[A-Z])", text)[0] for text in texts), strict=True))
+
+
+def call_with(function: Callable[..., Any], values: Mapping[str, Any], screen: Any) -> Any:
+    """Call the function of a command with the values that its user gave, and the ``screen`` if it takes one."""
+    values = {name: value for name, value in values.items() if value is not None}
+    positional: list[Any] = []
+    parameters = inspect.signature(function).parameters
+    values |= {name: screen for name in ("watch", "screen") if name in parameters}
+    for parameter in parameters.values():
+        if takes_argument(parameter) and parameter.name in values:
+            value = values.pop(parameter.name)
+            positional += value if parameter.kind is parameter.VAR_POSITIONAL else [value]
+    return function(*positional, **values)
+
+
+class PlainCommand(TyperCommand):
+    """A command whose help marks repeatable options and shows no types of Python."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Pieces of the usage, without braces around required arguments."""
+        return [piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments and the options."""
+        for title, rows in parameter_rows(self, ctx).items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+def parameter_rows(command: Any, ctx: Any) -> dict[str, list[tuple[str, str]]]:
+    """Names and help texts of the arguments and of the options of a command, as its help lists them."""
+    rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+    for parameter in command.get_params(ctx):
+        if (record := parameter.get_help_record(ctx)) is None:
+            continue
+        name, text = (
+            re.sub(r" <[^>]*>$", "", record[0]),
+            re.sub(r"\[default: \((.*)\)(?=[];])", r"[default: \1", record[1]),
         )
-    return ""
-
-
-def show_hint(name: str) -> str:
-    """Message about ``name`` given instead of a config or scheme; empty if it is unknown."""
-    from topcli.config.files import is_config, scene_files
-    from topcli.figures.catalogue import FIGURES
-    from topcli.schemes.registry import all_schemes
-
-    if is_config(name):  # the error is about another name
-        return ""
-    folder = stored_folder(name, Path("results"))
-    if folder is not None:
-        return f"{quoted(name)} is a stored run or sweep; show its config with: topcli show {folder}"
-    if name.lower() in FIGURES:
-        return f"{quoted(name)} is a figure; draw it with: topcli plot {name.lower()}"
-    hint = nearest(name, {*scene_files(), *(scheme.name for scheme in all_schemes())}, "topcli list")
-    if not hint.startswith("did you mean"):
-        hint = "see `topcli list scenes` and `topcli list schemes`"
-    return f"no packaged scene and no scheme is called {quoted(name)} (configs end in .yaml, .yml or .toml); {hint}"
+        option = parameter.param_type_name == "option"
+        if option and parameter.multiple:
+            text = f"{text[:-1]}; repeatable]" if text.endswith("]") else f"{text}  [repeatable]"
+        rows["Options" if option else "Arguments"].append((name, text))
+    return rows

@@ -1,215 +1,128 @@
-"""Commands on stored results: ``topcli verify``, ``table``, ``report`` and ``animate``."""
+"""Commands on stored results: ``topcli verify``, ``table``, ``report``, ``plot`` and ``animate``."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
-import typer
-
-from topcli.cli.options import (
-    Force,
-    Json,
-    OutFile,
-    Quiet,
-    Results,
-    format_option,
-    option,
-    require_new,
-    stored_place,
-    write_text,
-)
-from topcli.cli.output import (
-    ProgressDisplay,
-    emit,
-    emit_text,
-    messages,
-    print_cells,
-    print_json,
-    print_message,
-    table_lines,
-)
-from topcli.errors import ExitCode, counted
+from topcli.cli.output import CommandResult, Screen, print_message
+from topcli.errors import ExitCode, TopcliError, UsageError, counted, nearest, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from topcli.figures.figure import Figure
+    from topcli.table import Table
 
-    from topcli.table import Cells
-
-
-def complete_result(incomplete: str) -> list[str]:
-    """Names of the results in ``results`` that begin with ``incomplete``."""
-    folder = Path("results")
-    try:
-        folders = [path.name for path in sorted(folder.iterdir()) if path.is_dir()]
-    except OSError:
-        return []
-    return [name for name in folders if name.startswith(incomplete)]
+FPS = 25.0
+"""Frames of an animation in a second."""
+WIDTHS = (240, 3840)
+"""Smallest and largest width of an animation in pixels."""
 
 
-Stored = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="RUN",
-        help="Folders or names of runs and sweeps, or JSON files.",
-        autocompletion=complete_result,
-    ),
-]
+def stored_place(name: str, results: Path) -> Path:
+    """Path that ``name`` is, or that of the stored result of this name. Raises UsageError if there is nothing."""
+    from topcli.sweeps.store import missing_result
+
+    for place in (Path(name), results / name):
+        if os.path.lexists(place):
+            return place
+    raise missing_result(name, results)
 
 
-def verify(
-    runs: Stored,
-    results: Results = Path("results"),
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+def require_new(path: Path, force: bool, option: str = "--out") -> None:
+    """Raise UsageError if ``path`` exists and may not be overwritten, or is a folder."""
+    from topcli.store import files
+
+    if os.path.isdir(path):
+        raise UsageError(f"{option} {path}: is a folder; name a file")
+    if not force:
+        files.require_new([path], option)
+
+
+def verify(runs: Sequence[str], *, results: Path = Path("results"), screen: Screen) -> CommandResult:
     """Verify stored results by their checksums.
 
     Of an unfinished run, the command verifies the checkpoint and the rows before it. The rows of
     an unfinished sweep are verified when it continues. The command exits with code 1 if a file is damaged.
+
+    Parameters
+    ----------
+    runs : sequence of str
+        Folders or names of runs and sweeps, or JSON files.
     """
     from topcli.studies.health import check_all
 
     checked = [check_all(run, results) for run in runs]
-    if as_json:
-        print_json("verify", {"runs": [result.data() for result in checked]})
     for result in checked:
         for name, fault in result.damage.items():
             print_message(f"error: {result.folder / name}: damaged: {fault}")
-        if not (as_json or quiet or result.damage):
-            kind = "finished" if result.finished else "unfinished"
-            emit(f"{result.folder}: {kind}, {counted(len(result.files), 'file')} intact")
-    if any(result.damage for result in checked):
-        raise typer.Exit(ExitCode.FAILED)
-
-
-Place = Annotated[Path, typer.Argument(metavar="RUN", help="Folder or name of a result, or the file of a study.")]
-Where = Annotated[
-    list[str] | None,
-    typer.Option("--where", metavar="KEY=VALUE", help="Use only the rows of the sweep in which KEY has this value."),
-]
-Aggregate = Annotated[
-    str | None,
-    typer.Option(
-        "--aggregate",
-        metavar="NAME",
-        help="One value for all rows of a cell or point: their median, mean, max or order (the observed order in h).",
-        show_default="none",
-    ),
-]
-RowKeys = Annotated[
-    list[str] | None, typer.Option("--rows", metavar="KEY", help="Make a table row for each value of this key.")
-]
-ColumnKey = Annotated[
-    str | None,
-    typer.Option(
-        "--columns", metavar="KEY", help="Make a table column for each value of this key.", show_default="the measures"
-    ),
-]
-Values = Annotated[
-    list[str] | None,
-    typer.Option("--value", metavar="MEASURE", help="Show this measure; several are possible without --columns."),
-]
-TableName = Annotated[str | None, option("--table", metavar="NAME", default="all; in CSV, the main table")]
-Format = Annotated[str, format_option("text", "csv", "markdown", "latex")]
-TableFile = Annotated[Path | None, option("--out", metavar="FILE", default="stdout")]
-
-
-class _Shown(NamedTuple):
-    """Tables of a stored result: their data, their cells, the text in a format, and notes."""
-
-    data: dict[str, Any]
-    cells: list[Cells]
-    text: Callable[[str], str]
-    notes: list[str]
+        if not result.damage:
+            state = "finished" if result.finished else "unfinished"
+            screen.show(f"{result.folder}: {state}, {counted(len(result.files), 'file')} intact")
+    code = ExitCode.FAILED if any(result.damage for result in checked) else ExitCode.SUCCESS
+    return CommandResult({"runs": [result.data() for result in checked]}, code)
 
 
 def table(
-    place: Place,
-    row_keys: RowKeys = None,
-    values: Values = None,
-    column_key: ColumnKey = None,
-    aggregate: Aggregate = None,
-    where: Where = None,
-    name: TableName = None,
-    form: Format = "text",
-    out: TableFile = None,
-    results: Results = Path("results"),
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+    result: str,
+    *,
+    rows: Sequence[str] = (),
+    value: Sequence[str] = (),
+    columns: str | None = None,
+    aggregate: str | None = None,
+    where: Sequence[str] = (),
+    table: str | None = None,
+    form: Literal["text", "csv", "markdown", "latex"] = "text",
+    results: Path = Path("results"),
+    screen: Screen,
+) -> CommandResult:
     """Show tables of a result as text, CSV or LaTeX.
 
     For a run or the file of a study, the command shows the tables of its report. For a sweep, --rows and
     --value define a table of measures. Each cell contains one value, or with --aggregate the median with its quartiles,
-    the mean with its standard error, the maximum, or the observed order in h. A note counts rows that did not complete.
+    the mean with its standard error, or the maximum. A note counts rows that did not complete.
     In CSV and JSON, numbers have all digits.
+
+    Parameters
+    ----------
+    result : str
+        Folder or name of a result, or the file of a study.
+    rows : sequence of str, optional
+        Make a table row for each value of this key.
+    value : sequence of str, optional
+        Show this measure; several are possible without --columns.
+    columns : str, optional
+        Make a table column for each value of this key; by default one for each measure.
+    aggregate : str, optional
+        One value for all rows of a cell or point: their median, mean or max.
+    where : sequence of str, optional
+        Use only the rows of the sweep in which KEY has this value.
+    table : str, optional
+        Show only this table of the result; by default all, in CSV the main table.
     """
-    from topcli.errors import UsageError, nearest, quoted
     from topcli.sweeps.store import is_sweep
-    from topcli.sweeps.table import FORMATS
 
-    if form not in FORMATS:
-        raise UsageError(f"--format {quoted(form)}: unknown format; {nearest(form, FORMATS)}")
-    folder = stored_place(place, results)
-    if is_sweep(folder) or row_keys or values or column_key or aggregate or where:
-        shown = _shown_sweep(folder, row_keys or [], column_key, values or [], aggregate, where or [])
-    else:
-        shown = _shown_tables(folder, name, form)
-    if form == "text":
-        tables = (
-            "\n".join([each.title, *table_lines(each.header, each.lines, each.right, keys=each.keys), ""])
-            for each in shown.cells
-        )
-        text = "\n".join(tables)
-    else:
-        text = shown.text(form)
-    if out is not None:
-        require_new(out, force)
-        write_text(text, out)
-        messages(quiet)(f"wrote {out}")
-    elif as_json:
-        print_json("table", shown.data)
-    elif form != "text":
-        emit_text(text)
-    else:
-        for i, cells in enumerate(shown.cells):
-            if i:
-                emit()
-            print_cells(cells, cells.title)
-    for note in shown.notes:
-        print_message(note)
+    folder = stored_place(result, results)
+    if is_sweep(folder) or rows or value or columns or aggregate or where:
+        return table_of_sweep(folder, rows, columns, value, aggregate, where, form, screen)
+    data, tables = tables_of(folder)
+    names = [each.name for each in tables]
+    if table is not None and table not in names:
+        raise UsageError(f"--table {quoted(table)}: no such table; {nearest(table, names)}")
+    tables = [each for each in tables if table in (None, each.name)]
+    filled = [each for each in tables if each.rows]
+    if form == "csv":
+        screen.show(tables[0].text(form).removesuffix("\n"))
+        if len(tables) > 1:
+            screen.say(f"this is the main table; choose another with --table: {', '.join(names)}")
+    for number, each in enumerate(filled if form != "csv" else ()):
+        screen.show(*([""] if number else []), each.cells() if form == "text" else each.text(form).removesuffix("\n"))
+    return CommandResult({"result": data})
 
 
-def _shown_sweep(
-    folder: Path,
-    row_keys: list[str],
-    column_key: str | None,
-    values: list[str],
-    aggregate: str | None,
-    where: list[str],
-) -> _Shown:
-    """Table of measures of a sweep. Raises UsageError."""
-    from topcli.errors import UsageError
-    from topcli.sweeps.table import names_of, read_rows, sweep_table
-    from topcli.table import Cells
-
-    rows = read_rows(folder, where)
-    if not (row_keys and values):
-        raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", names_of(rows))
-    table, keys = sweep_table(rows, row_keys, column_key, values, aggregate), len(row_keys)
-    header, *lines = table.lines()
-    cells = Cells(table.title, header, lines, keys=keys, numbers=range(keys, len(header)))
-    return _Shown(table.as_dict(), [cells], table.text, table.notes)
-
-
-def _shown_tables(place: Path, name: str | None, form: str) -> _Shown:
-    """Tables of a run, an ensemble or the file of a study; all, or the one called ``name``.
-
-    Raises UsageError and RunError.
-    """
-    from topcli.errors import UsageError, nearest, quoted
+def tables_of(place: Path) -> tuple[dict[str, Any], list[Table]]:
+    """Report of a run, an ensemble or the file of a study, and its tables. Raises UsageError and RunError."""
     from topcli.runs.report import report_tables
     from topcli.store.results import read_result
     from topcli.studies.report import read_record
@@ -219,134 +132,238 @@ def _shown_tables(place: Path, name: str | None, form: str) -> _Shown:
         run = read_result(place)
         if run is None or run.outcome is None:
             raise UsageError(f"{place}: no run or sweep is stored here")
-        data = run.report()
-        tables = report_tables(data)
-    else:
-        data = read_record(place)
-        tables = [Table(table["heading"], table["rows"], stored=stored_cells(table)) for table in data["tables"]]
-    names = [table.name for table in tables]
-    if name is not None and name not in names:
-        raise UsageError(f"--table {quoted(name)}: no such table; {nearest(name, names)}")
-    tables = [table for table in tables if name in (None, table.name)]
-    filled = [table for table in tables if table.rows]
-    several = form == "csv" and len(tables) > 1
-    notes = [f"this is the main table; choose another with --table: {', '.join(names)}"] if several else []
-
-    def text(form: str) -> str:
-        return tables[0].text(form) if form == "csv" else "\n".join(table.text(form) for table in filled)
-
-    return _Shown({"result": data}, [table.cells() for table in filled], text, notes)
+        return run.report(), report_tables(run.report())
+    data = read_record(place)
+    return data, [Table(each["heading"], each["rows"], stored=stored_cells(each)) for each in data["tables"]]
 
 
-Title = Annotated[
-    str | None,
-    typer.Option("--title", metavar="TEXT", help="Give the page this title.", show_default="the names of the results"),
-]
+def table_of_sweep(
+    folder: Path,
+    rows: Sequence[str],
+    columns: str | None,
+    value: Sequence[str],
+    aggregate: str | None,
+    where: Sequence[str],
+    form: str,
+    screen: Screen,
+) -> CommandResult:
+    """Table of measures of a sweep. Raises UsageError."""
+    from topcli.sweeps.table import names_of, read_rows, sweep_table
+
+    frame = read_rows(folder, where)
+    if not (rows and value):
+        raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", names_of(frame))
+    table = sweep_table(frame, list(rows), columns, list(value), aggregate)
+    screen.show(table.cells if form == "text" else table.text(form).removesuffix("\n"))
+    for note in table.notes:
+        screen.warn(note)
+    return CommandResult(table.as_dict())
 
 
 def report(
-    places: Stored,
-    out: OutFile,
-    results: Results = Path("results"),
-    title: Title = None,
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+    runs: Sequence[str], *, out: Path, results: Path = Path("results"), force: bool = False, screen: Screen
+) -> CommandResult:
     """Write a self-contained HTML page about stored results.
 
-    Results are runs, ensembles, sweeps, and JSON files that studies write with --save. Runs of the same top
-    are compared in a table. Unfinished and damaged results are refused.
+    Results are runs, ensembles, sweeps, and JSON files that studies write with --save. Unfinished and damaged results
+    are refused.
+
+    Parameters
+    ----------
+    runs : sequence of str
+        Folders or names of runs and sweeps, or JSON files.
     """
-    from topcli.errors import UsageError
-    from topcli.pages.page import report_page
+    from topcli.pages.page import page_of
+    from topcli.pages.stored import stored_chapter
+    from topcli.store.files import write_by_ending
 
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise UsageError(f"--out {out}: unknown type of page; use a name ending in .html")
     require_new(out, force)
-    page = report_page(places, results, title)
-    write_text(page.text, out)
-    if as_json:
-        keys = {"name": "title", "kind": "kind", "state": "state"}
-        results_data = [{key: getattr(chapter, name) for key, name in keys.items()} for chapter in page.chapters]
-        print_json("report", {"file": str(out), "results": results_data})
-    if as_json or quiet:
-        return
-    print_message(f"wrote {out}")
+    chapters = [stored_chapter(place) for place in dict.fromkeys(stored_place(run, results) for run in runs)]
+    write_by_ending(out, {".html": lambda: page_of(chapters)})
+    screen.say(f"wrote {out}")
+    return CommandResult(
+        {"file": str(out), "results": [{"name": each.title, "answer": each.answer} for each in chapters]}
+    )
 
 
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="Folder or name of a run.", autocompletion=complete_result)]
-Fps = Annotated[
-    float, typer.Option("--fps", metavar="RATE", min=1.0, max=120.0, help="Show this many frames per second.")
-]
-Seconds = Annotated[
-    float,
-    typer.Option("--seconds", metavar="SECONDS", min=0.1, max=600.0, help="Make the animation this many seconds long."),
-]
-Size = Annotated[
-    int,
-    typer.Option(
-        "--size", metavar="PIXELS", min=240, max=3840, help="Set the width in pixels; the height is 2/3 of the width."
-    ),
-]
-Start = Annotated[
-    float | None,
-    typer.Option("--start", metavar="T", help="Begin at this time of the run.", show_default="its beginning"),
-]
-Stop = Annotated[
-    float | None,
-    typer.Option(
-        "--stop",
-        metavar="T",
-        help="End at this time of the run.",
-        show_default="a time up to which the animation looks smooth",
-    ),
-]
+def plot(
+    figures: Sequence[str] = (),
+    *,
+    every: bool = False,
+    form: Sequence[str] = (),
+    out: Path = Path("results/figures"),
+    results: Path = Path("results"),
+    x: str | None = None,
+    y: str | None = None,
+    by: str | None = None,
+    colour: str | None = None,
+    aggregate: str | None = None,
+    where: Sequence[str] = (),
+    force: bool = False,
+    screen: Screen,
+) -> CommandResult:
+    """Draw figures as PNG and PDF, with their data as Parquet.
+
+    The data of a figure are computed if they are not stored beside it, or by an older version of the code.
+
+    Three other forms of this command draw results that you have stored. One draws the columns of a run over time:
+    topcli plot RUN. Another draws measures of a sweep: topcli plot sweep NAME --x KEY --y MEASURE --by KEY. The third
+    draws the Poincaré section of a run: topcli plot section NAME --colour verdict.
+
+    Parameters
+    ----------
+    figures : sequence of str, optional
+        Names of figures or stored runs, or the word sweep and a stored sweep, or section and a stored run.
+    every : bool, optional
+        Draw all figures, but measure nothing that takes minutes.
+    x : str, optional
+        Put this key of a sweep, or column of a section, on the x axis.
+    y : str, optional
+        Put this measure of a sweep, or column of a section, on the y axis; with --colour, a key.
+    by : str, optional
+        Draw one curve of a sweep for each value of this key.
+    colour : str, optional
+        Colour a map of a sweep by this measure, or a section by verdict.
+    aggregate : str, optional
+        One value for all rows of a cell or point: their median, mean or max.
+    where : sequence of str, optional
+        Use only the rows of the sweep in which KEY has this value.
+    """
+    from topcli.figures.catalogue import FIGURES
+    from topcli.figures.figure import DEFAULT_FORMATS, IMAGE_FORMATS, NothingMeasuredError
+    from topcli.schemes.plugins import plugin_failures
+
+    if bool(figures) == every:
+        raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
+    if unknown := [name for name in form if name not in IMAGE_FORMATS]:
+        raise UsageError(f"--format {quoted(unknown[0])}: unknown format; use png, pdf or svg")
+    word, places = (figures[0].lower(), figures[1:]) if figures else ("", ())
+    axes = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate, "where": where}
+    if word == "sweep":
+        chosen = [figure_of_sweep(places, axes, results)]
+    elif word == "section" and not (by or aggregate or where):
+        from topcli.figures.section import section_figure
+
+        if len(places) != 1:
+            raise UsageError("plot section: name one run, as in: topcli plot section DIR/NAME --colour verdict")
+        chosen = [section_figure(stored_place(places[0], results), x, y, colour)]
+    elif option := next((name for name, choice in axes.items() if choice), ""):
+        raise UsageError(f"--{option} is only for sweeps: topcli plot sweep DIR/NAME --x KEY --y MEASURE")
+    else:
+        for failure in plugin_failures() if every else ():
+            print_message(str(failure))
+        chosen = [figure_called(name, results) for name in figures] or list(FIGURES.values())
+
+    # figures of stored measurements are left out of --all where there are none
+    files: dict[str, list[str]] = {}
+    failures: list[TopcliError] = []
+    screen.begin("plot", unit="figures")
+    for number, figure in enumerate(chosen):
+        screen(number, len(chosen))
+        try:
+            files[figure.name] = list(map(str, figure.make(out, tuple(dict.fromkeys(form)) or DEFAULT_FORMATS, force)))
+        except TopcliError as error:
+            if every and isinstance(error, NothingMeasuredError):
+                print_message(f"{figure.name}: skipped: {error}")
+                continue
+            if len(chosen) == 1:
+                raise
+            failures.append(error)
+            print_message(f"error: {figure.name}: {error}")
+        else:
+            screen.show(f"{figure.name}: drawn: {', '.join(files[figure.name])}")
+    data = {"figures": [{"name": name, "files": paths} for name, paths in files.items()]}
+    if not failures:
+        return CommandResult(data)
+    print_message(f"{len(failures)} of {len(chosen)} figures failed")
+    return CommandResult(data, ExitCode.PARTLY_FAILED if files else failures[0].exit_code)
+
+
+def figure_called(name: str, results: Path) -> Figure:
+    """Figure of the catalogue, or of a stored run."""
+    from topcli.figures.catalogue import FIGURES, find_figure
+    from topcli.store.results import read_result
+    from topcli.sweeps.store import is_sweep
+
+    for place in () if name.lower() in FIGURES else (Path(name), results / name):
+        if os.path.isdir(place) and is_sweep(place):
+            raise UsageError(f"{place} is a sweep; draw it with: topcli plot sweep {place} --x KEY --y MEASURE")
+        if os.path.isdir(place) and (run := read_result(place)) and run.outcome:
+            from topcli.figures.run import run_figure
+
+            return run_figure(run)
+    return find_figure(name)
+
+
+def figure_of_sweep(places: Sequence[str], axes: dict[str, Any], results: Path) -> Figure:
+    """The figure of a sweep that the options describe."""
+    from topcli.figures.sweep import Choice, sweep_figure
+    from topcli.store.files import sha256_of
+    from topcli.sweeps.table import names_of, read_rows
+
+    if len(places) != 1:
+        raise UsageError(
+            "plot sweep: name one folder, as in: topcli plot sweep DIR/NAME --x h --y max_error --by scheme"
+        )
+    where = axes.pop("where")
+    rows = read_rows(stored_place(places[0], results), where)
+    if axes["x"] is None or axes["y"] is None:
+        hint = "plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE"
+        raise UsageError(hint, names_of(rows))
+    takes = f"{sha256_of(Path(rows.attrs['path']))} {where}"
+    return sweep_figure(rows, Choice(**axes), ", ".join([rows.attrs["name"], *where]), takes)
 
 
 def animate(
-    run: Run,
-    out: OutFile,
-    fps: Fps = 25.0,
-    seconds: Seconds = 10.0,
-    size: Size = 720,
-    start: Start = None,
-    stop: Stop = None,
-    results: Results = Path("results"),
-    force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
+    result: str,
+    *,
+    out: Path,
+    seconds: float = 10.0,
+    size: int = 720,
+    start: float | None = None,
+    stop: float | None = None,
+    results: Path = Path("results"),
+    force: bool = False,
+    screen: Screen,
+) -> CommandResult:
     """Animate the body of a run, with the trace of its axis.
 
-    If the run recorded the attitude of the body (output.attitude), the attitude is read from the run. Otherwise it is
-    reconstructed from the recorded rows, which must then be close in time. The file name must end in .gif or .mp4; an
+    The run must have recorded the attitude of the body (output.attitude). The file name must end in .gif or .mp4; an
     .mp4 file needs pip install 'topcli[video]'.
+
+    Parameters
+    ----------
+    result : str
+        Folder or name of a run.
+    seconds : float, optional
+        Make the animation this many seconds long.
+    size : int, optional
+        Set the width in pixels; the height is 2/3 of the width.
+    start : float, optional
+        Begin at this time of the run; by default at its beginning.
+    stop : float, optional
+        End at this time of the run; by default, a time up to which the animation looks smooth.
     """
     from topcli.figures.animation import animate as draw
     from topcli.figures.animation import frame_times, require_format, stored_body_motion
 
-    require_format(out, fps, seconds)  # before anything is read or drawn
+    if not WIDTHS[0] <= size <= WIDTHS[1]:
+        raise UsageError(f"--size {size}: must be {WIDTHS[0]} to {WIDTHS[1]} pixels")
+    if not 0.1 <= seconds <= 600.0:
+        raise UsageError(f"--seconds {seconds:g}: must be 0.1 to 600 seconds")
+    require_format(out, FPS, seconds)  # before anything is read or drawn
     require_new(out, force)
-    folder = stored_place(run, results)
-    motion = stored_body_motion(folder)
-    say = messages(quiet)
-    for note in motion.notes:
-        say(note)
-    times = frame_times(motion, max(2, round(fps * seconds)), start, stop)
-    begin, end, last = float(times[0]), float(times[-1]), float(motion.t[-1])
+    motion = stored_body_motion(stored_place(result, results))
+    if motion.note:
+        screen.warn(motion.note)
+    times = frame_times(motion, max(2, round(FPS * seconds)), start, stop)
+    name, begin, end, last = motion.experiment.name, float(times[0]), float(times[-1]), float(motion.t[-1])
     if stop is None and end != last:
-        shown = f"{begin:g} to {end:.4g} of {last:g}"
-        say(f"{motion.experiment.name}: shows t = {shown}; --stop {last:g} shows the whole run faster")
-    display = ProgressDisplay(1, as_json or quiet, unit="frames")
-    display.begin(str(out))
-    try:
-        draw(motion, times, out, fps, size, display)
-    finally:
-        display.close()
+        interval = f"{begin:g} to {end:.4g} of {last:g}"
+        screen.warn(f"{name}: shows t = {interval}; --stop {last:g} shows the whole run faster")
+    screen.begin(str(out), unit="frames")
+    draw(motion, times, out, FPS, size, screen)
     frames, width, height = len(times), 2 * (size // 2), 2 * round(size / 3.0)
-    if as_json:
-        content = {"file": str(out), "frames": frames, "fps": fps, "width": width, "height": height}
-        print_json("animate", {"run": motion.experiment.name, **content, "t_first": begin, "t_last": end})
-    elif not quiet:
-        emit(f"{motion.experiment.name}: {frames} frames, {width} x {height} -> {out}")
+    screen.show(f"{name}: {frames} frames, {width} x {height} -> {out}")
+    content = {"file": str(out), "frames": frames, "fps": FPS, "width": width, "height": height}
+    return CommandResult({"run": name, **content, "t_first": begin, "t_last": end})

@@ -1,44 +1,27 @@
-"""``topcli run``: run experiments into run folders."""
+"""``topcli run`` and ``topcli sweep``: compute experiments and sweeps into folders."""
 
 from __future__ import annotations
 
-import os
+import itertools
 import signal
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from topcli.cli.options import (
-    DryRun,
-    Force,
-    Json,
-    Out,
-    Quiet,
-    Sets,
-    Threads,
-    Verbose,
-    complete_config,
-)
-from topcli.cli.output import (
-    ProgressDisplay,
-    emit,
-    emit_prose,
-    messages,
-    print_cells,
-    print_error,
-    print_json,
-    print_message,
-    print_warnings,
-)
-from topcli.errors import ExitCode, TopcliError, UsageError, counted, quoted
+from topcli.cli.output import CommandResult, Screen, print_error, print_message
+from topcli.errors import ExitCode, TopcliError, UsageError, counted, shortened
+from topcli.table import Cells
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from topcli.config.models import Experiment
+    from topcli.config.sweep import Sweep
     from topcli.runs.run import RunOptions, RunResult
+    from topcli.sweeps.run import SweepResult
+
+PRINTED_FAILURES = PRINTED_ROWS = 20
+LISTED_ROWS = 1000
+"""Rows that the JSON document of a dry run lists."""
 
 
 class Interruption:
@@ -52,10 +35,9 @@ class Interruption:
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:
-        hang_up = getattr(signal, "SIGHUP", None)
-        hung_up = [] if hang_up is None or signal.getsignal(hang_up) == signal.SIG_IGN else [hang_up]
-        for number in (signal.SIGINT, signal.SIGTERM, *hung_up):
-            self._previous[number] = signal.signal(number, self._ask)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                self._previous[number] = signal.signal(number, self._ask)
         return self
 
     def _ask(self, number: int, frame: object) -> None:
@@ -72,187 +54,17 @@ class Interruption:
             signal.signal(number, handler)
 
 
-@dataclass(frozen=True)
-class _Request:
-    """Options of ``topcli run`` besides those of each run."""
-
-    out: Path
-    overrides: tuple[str, ...]
-    dry_run: bool
-    quiet: bool
-    as_json: bool
-    verbose: bool
-    labelled: bool
-
-
-def _print_result(result: RunResult, own: Collection[str], request: _Request) -> None:
-    """Print the message and the table of a run; without ``--verbose`` only of the invariants of the top, ``own``."""
-    from topcli.runs.report import (
-        brief_ensemble_table,
-        brief_table,
-        modified_line,
-        open_lines,
-        precision_note,
-        report_tables,
-        warning_of,
-    )
-
-    report, warning, notes, title = result.report, "", [], result.report["name"] if request.labelled else ""
-    if report.get("kind") != "ensemble":
-        warning = warning_of(report)
-        notes = [precision_note(report)]
-    if result.set_aside:
-        print_message(f"renamed the earlier result to {result.set_aside}")
-    status = result.status
-    if status == "up to date" and result.outcome.value != "completed":
-        status = f"not run again, because it ended as {result.outcome.value} before; --force runs it again"
-    print_message(f"{report['name']}: {report['message']} -> {result.stored.folder} ({status})")
-    for note in filter(None, notes):
-        print_message(f"{report['name']}: {note}")
-    if warning:
-        print_message(f"warning: {report['name']}: {warning}")
-    if request.verbose:
-        _print_all(report, title)
-    else:
-        physical = [row for row in report["invariants"] if row["name"] in own]
-        modified = [row for row in report["invariants"] if row["name"] not in own]
-        brief = brief_ensemble_table if report.get("kind") == "ensemble" else brief_table
-        print_cells(brief(physical).cells(), title)
-        for line in (*open_lines([(row["symbol"], row) for row in physical]), modified_line(modified)):
-            if line:
-                emit_prose(line)
-    for table in report_tables(report)[1:]:
-        print_cells(table.cells())
-
-
-def _print_all(report: dict[str, Any], title: str) -> None:
-    """Print all figures on the invariants, and a sentence on each that can be quoted."""
-    from topcli.runs.report import report_tables
-
-    print_cells(report_tables(report)[0].cells(), title)
-    for row in () if report.get("kind") == "ensemble" else report["invariants"]:
-        emit_prose(f"{row['symbol']}: {row['statement']}")
-
-
-def _plan_data(experiment: Experiment, out: Path, options: RunOptions) -> dict[str, Any]:
-    """Plan of a run: its config and digest, folder, action and number of rows."""
-    from topcli.runs.run import outlook
-
-    identity, action = outlook(experiment, out, options.force)
-    return {
-        "config": identity.config,
-        "digest": identity.digest,
-        "folder": str(out / experiment.name),
-        "action": action,
-        "rows": experiment.rows,
-    }
-
-
-def _code(result: RunResult) -> ExitCode:
-    """Exit code of one run; an ensemble in which some trajectories completed failed in part."""
-    if result.outcome.value == "completed":
-        return ExitCode.SUCCESS
-    if result.outcome.value == "interrupted":
-        return ExitCode.INTERRUPTED
-    return ExitCode.PARTLY_FAILED if result.report.get("outcomes", {}).get("completed") else ExitCode.FAILED
-
-
-def _exit_code(codes: list[ExitCode]) -> ExitCode:
-    """Exit code of the command from those of its runs: the largest of all, unless only a part failed."""
-    if ExitCode.INTERRUPTED not in codes and ExitCode.SUCCESS in codes and any(codes):
-        return ExitCode.PARTLY_FAILED
-    return max(codes)
-
-
-def _say_failure(name: str, result: RunResult, code: ExitCode) -> None:
-    """Print how a run failed and what is kept of it."""
-    failure = "some trajectories failed" if code is ExitCode.PARTLY_FAILED else result.outcome.value
-    kept = "all rows" if result.outcome.value == "left_motion" else "the rows before"
-    more = "; run it again to continue" if code is ExitCode.INTERRUPTED and "precision" not in result.report else ""
-    print_message(f"error: {name}: {failure}; {kept} are kept{more}")
-
-
-def _experiment(config: str, request: _Request) -> Experiment:
-    """Experiment of a config or scene. Raises UsageError for the name or the folder of a stored run."""
-    from topcli.config.files import is_config
-    from topcli.config.load import load
-
-    if not is_config(config):
-        from topcli.store.results import MANIFEST
-
-        for folder in (Path(config), request.out / config):
-            if os.path.exists(folder / MANIFEST):
-                raise UsageError(f"{quoted(config)} is a stored run; its config is {folder / 'config.yaml'}")
-    return load(config, request.overrides, rename=True)
-
-
-def _run_config(
-    config: str, request: _Request, options: RunOptions, display: ProgressDisplay
-) -> tuple[ExitCode, dict[str, Any]]:
-    """Run one config, print its result or error, and return its exit code and its entry in the JSON document."""
-    from topcli.runs.run import run_experiment
-
-    try:
-        experiment = _experiment(config, request)
-        if not request.quiet:
-            print_warnings(experiment)
-        if request.dry_run:
-            plan = _plan_data(experiment, request.out, options)
-            if not (request.as_json or request.quiet):
-                rows = "the crossings" if plan["rows"] is None else counted(plan["rows"], "row")
-                emit(f"{experiment.name}: {plan['action']}: {rows} in {plan['folder']}")
-            return ExitCode.SUCCESS, plan
-        display.begin(experiment.name)
-        try:
-            result = run_experiment(experiment, request.out, options)
-        finally:
-            display.close()
-    except Exception as error:
-        from topcli.schemes.plugins import users_error
-
-        failure = error if isinstance(error, TopcliError) else users_error(error)
-        if failure is None:
-            raise
-        print_error(failure)
-        return failure.exit_code, {"config": config, "error": str(failure), "exit_code": failure.exit_code}
-    if not (request.quiet or request.as_json):
-        own = {invariant.name for invariant in experiment.top.invariants()}
-        _print_result(result, own, request)
-    if code := _code(result):
-        _say_failure(experiment.name, result, code)
-    return code, {"folder": str(result.stored.folder), "status": result.status, **result.report}
-
-
-Configs = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="CONFIG",
-        help="Config files or names of packaged scenes.",
-        autocompletion=complete_config,
-    ),
-]
-CheckpointEvery = Annotated[
-    float,
-    typer.Option(
-        "--checkpoint-every",
-        metavar="SECONDS",
-        help="Set the seconds between checkpoints; with 0, checkpoints are written as often as possible.",
-    ),
-]
-
-
 def run(
-    configs: Configs,
-    sets: Sets = None,
-    out: Out = Path("results"),
-    force: Force = False,
-    checkpoint_every: CheckpointEvery = 10.0,
-    dry_run: DryRun = False,
-    as_json: Json = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
+    configs: Sequence[str],
+    *,
+    overrides: Sequence[str] = (),
+    out: Path = Path("results"),
+    force: bool = False,
+    dry_run: bool = False,
+    threads: int | None = None,
+    verbose: bool = False,
+    screen: Screen,
+) -> CommandResult:
     """Run experiments and report on their conservation laws.
 
     Each experiment or ensemble is stored in a folder of its own, with its time series and its report. The folder has
@@ -263,29 +75,198 @@ def run(
     far. To continue an interrupted or killed run, run it again; the result is the same as without the interruption.
     --force repeats a run that exists already; the earlier result is renamed, not overwritten. A result of the same name
     that is of a different experiment is refused without --force.
-    """
-    if not checkpoint_every >= 0.0:
-        raise UsageError(f"--checkpoint-every {checkpoint_every:g}: must be a number of seconds, at least 0")
-    from topcli.runs.run import RunOptions
 
-    request = _Request(out, tuple(sets or ()), dry_run, quiet, as_json, verbose, len(configs) > 1)
-    reports: list[dict[str, Any]] = []
+    Parameters
+    ----------
+    configs : sequence of str
+        Config files or names of packaged scenes.
+    """
+    from topcli.config.load import load
+    from topcli.runs.run import RunOptions
+    from topcli.schemes.plugins import users_error
+
+    entries: list[dict[str, Any]] = []
     codes: list[ExitCode] = []
-    display = ProgressDisplay(len(configs), quiet)
-    on_message = messages(quiet)
-    with Interruption() as interruption:
-        options = RunOptions(force, checkpoint_every, threads, interruption, display, on_message)
-        for config in configs:
-            code, report = _run_config(config, request, options, display)
+    with Interruption() as stop:
+        options = RunOptions(force, threads=threads, stop=stop, on_progress=screen, on_message=screen.warn)
+        for number, config in enumerate(configs, 1):
+            try:
+                experiment = load(config, overrides, rename=True)
+                label = f"[{number}/{len(configs)}] " if len(configs) > 1 else ""
+                screen.begin(label + experiment.name, experiment)
+                if dry_run:
+                    code, entry = ExitCode.SUCCESS, plan_of(experiment, out, options, screen)
+                else:
+                    code, entry = run_one(experiment, out, options, verbose, len(configs) > 1, screen)
+            except Exception as error:
+                failure = error if isinstance(error, TopcliError) else users_error(error)
+                if failure is None:
+                    raise
+                screen.close()
+                print_error(failure)
+                code = failure.exit_code
+                entry = {"config": config, "error": str(failure), "exit_code": code}
             codes.append(code)
-            reports.append(report)
+            entries.append(entry)
             if code is ExitCode.INTERRUPTED:
                 break
-    if as_json:
-        print_json("run", {"runs": reports})
-    elif len(configs) > 1 and not quiet:
-        succeeded, skipped = codes.count(ExitCode.SUCCESS), len(configs) - len(codes)
-        more = f"; {skipped} not run" if skipped else ""
-        print_message(f"{succeeded} of {len(configs)} runs succeeded; {len(codes) - succeeded} failed{more}")
-    if code := _exit_code(codes):
-        raise typer.Exit(code)
+    if len(configs) > 1:
+        succeeded, left = codes.count(ExitCode.SUCCESS), len(configs) - len(codes)
+        more = f"; {left} not run" if left else ""
+        screen.say(f"{succeeded} of {len(configs)} runs succeeded; {len(codes) - succeeded} failed{more}")
+    partly = ExitCode.INTERRUPTED not in codes and ExitCode.SUCCESS in codes and any(codes)
+    return CommandResult({"runs": entries}, ExitCode.PARTLY_FAILED if partly else max(codes))
+
+
+def plan_of(experiment: Experiment, out: Path, options: RunOptions, screen: Screen) -> dict[str, Any]:
+    """Plan of a run: its config and digest, folder, action and number of rows."""
+    from topcli.runs.run import outlook
+
+    identity, action = outlook(experiment, out, options.force)
+    folder = out / experiment.name
+    rows = "the crossings" if experiment.rows is None else counted(experiment.rows, "row")
+    screen.show(f"{experiment.name}: {action}: {rows} in {folder}")
+    plan = {"config": identity.config, "digest": identity.digest, "folder": str(folder)}
+    return {**plan, "action": action, "rows": experiment.rows}
+
+
+def run_one(
+    experiment: Experiment, out: Path, options: RunOptions, verbose: bool, titled: bool, screen: Screen
+) -> tuple[ExitCode, dict[str, Any]]:
+    """Run one experiment and print its result; return its exit code and its entry in the document of JSON."""
+    from topcli.runs.run import run_experiment
+
+    result = run_experiment(experiment, out, options)
+    print_result(result, experiment, verbose, titled, screen)
+    code = code_of(result)
+    if code:
+        failure = "some trajectories failed" if code is ExitCode.PARTLY_FAILED else result.outcome.value
+        rows = "all rows" if result.outcome.value == "left_motion" else "the rows before"
+        more = "; run it again to continue" if code is ExitCode.INTERRUPTED and "precision" not in result.report else ""
+        print_message(f"error: {experiment.name}: {failure}; {rows} are kept{more}")
+    return code, {"folder": str(result.stored.folder), "status": result.status, **result.report}
+
+
+def code_of(result: RunResult) -> ExitCode:
+    """Exit code of one run; an ensemble in which some trajectories completed failed in part."""
+    if result.outcome.value in ("completed", "interrupted"):
+        return ExitCode.SUCCESS if result.outcome.value == "completed" else ExitCode.INTERRUPTED
+    return ExitCode.PARTLY_FAILED if result.report.get("outcomes", {}).get("completed") else ExitCode.FAILED
+
+
+def print_result(result: RunResult, experiment: Experiment, verbose: bool, titled: bool, screen: Screen) -> None:
+    """Print the message and the tables of a run; without ``verbose`` only of the invariants of its top."""
+    from topcli.runs import report as texts
+
+    report, status = result.report, result.status
+    name, many = report["name"], report.get("kind") == "ensemble"
+    if result.set_aside:
+        screen.say(f"renamed the earlier result to {result.set_aside}")
+    if status == "up to date" and result.outcome.value != "completed":
+        status = f"not run again, because it ended as {result.outcome.value} before; --force runs it again"
+    screen.say(f"{name}: {report['message']} -> {result.stored.folder} ({status})")
+    if not many:
+        for prefix, line in (("", texts.precision_note(report)), ("warning: ", texts.warning_of(report))):
+            if line:
+                screen.say(f"{prefix}{name}: {line}")
+    title = name if titled else ""
+    invariants, *others = texts.report_tables(report)
+    rows = report["invariants"]
+    if verbose:
+        statements = [] if many else [f"{row['symbol']}: {row['statement']}" for row in rows]
+        screen.show(replace(invariants.cells(), title=title), *statements)
+    else:
+        names = {invariant.name for invariant in experiment.top.invariants()}
+        physical = [row for row in rows if row["name"] in names]
+        modified = texts.modified_line([row for row in rows if row["name"] not in names])
+        brief = texts.brief_ensemble_table if many else texts.brief_table
+        screen.show(replace(brief(physical).cells(), title=title))
+        screen.show(*texts.open_lines([(row["symbol"], row) for row in physical]), *filter(None, [modified]))
+    screen.show(*(replace(table.cells(), title="") for table in others))
+
+
+def sweep(
+    sweep: str,
+    *,
+    overrides: Sequence[str] = (),
+    out: Path = Path("results"),
+    dry_run: bool = False,
+    force: bool = False,
+    threads: int | None = None,
+    dask: str | None = None,
+    screen: Screen,
+) -> CommandResult:
+    """Run all combinations of the values in a sweep file.
+
+    The result is a table with one row for each run. It is stored as NAME/rows.parquet in the folder of --out, where
+    NAME is the name of the sweep. Finished rows are not run again. To continue an interrupted or killed sweep, give the
+    same command again. After a change of the sweep file, only new rows are run; with --force all rows are run, and the
+    earlier folder is renamed. In this command, --set sets a key of the sweep file, such as base.T=20 or name=other.
+
+    Parameters
+    ----------
+    sweep : str
+        Sweep file or name of a packaged sweep.
+    dask : str, optional
+        Use a Dask cluster: tcp://host:port, or local:4 (4 workers).
+    """
+    from topcli.config.sweep import load_sweep
+    from topcli.sweeps.run import SweepOptions, run_sweep
+
+    if dask is not None and threads is not None:
+        raise UsageError("--threads cannot be used with --dask; each worker has its own number of threads")
+    loaded = load_sweep(sweep, overrides)
+    if dry_run:
+        return plan_of_sweep(loaded, out, screen)
+    count = itertools.count(1)
+
+    def on_failure(row: int, message: str) -> None:
+        """Print the first failures when they happen; all are in the table."""
+        if (number := next(count)) <= PRINTED_FAILURES:
+            print_message(f"error: row {row}: {shortened(message, 300)}")
+        elif number == PRINTED_FAILURES + 1:
+            print_message("further failures are only counted; the messages of all are in the table")
+
+    screen.begin(loaded.name, unit="rows")
+    with Interruption() as stop:
+        result = run_sweep(loaded, out, SweepOptions(force, threads, dask, stop, screen, on_failure, screen.warn))
+    state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
+    failed = f"; {result.failed} failed" if result.failed else ""
+    place = result.folder / "rows.parquet"
+    screen.say(f"{loaded.name}: {result.finished} of {result.rows} rows finished{failed} -> {place} ({state})")
+    outcomes = dict(sorted(result.outcomes.items()))
+    screen.show(Cells("", ["outcome", "rows"], [[outcome, str(rows)] for outcome, rows in outcomes.items()]))
+    data = {"dry_run": False, "name": loaded.name, "digest": loaded.digest, "folder": str(result.folder)}
+    data |= {"rows": result.rows, "finished": result.finished, "ran": result.ran, "failed": result.failed}
+    data |= {"outcomes": outcomes, "varied": list(loaded.keys), "interrupted": result.interrupted}
+    return CommandResult(data | {"seconds": result.seconds}, code_of_sweep(result))
+
+
+def plan_of_sweep(sweep: Sweep, out: Path, screen: Screen) -> CommandResult:
+    """Rows that would be run, the first of them with their keys."""
+    from topcli.sweeps.run import planned
+
+    plan, waiting = planned(sweep, out)
+    rows, to_run, folder = len(plan.digests), int(waiting.sum()), out / sweep.name
+    listed: list[dict[str, Any]] = []
+    for group in plan.groups:
+        for i, number in enumerate(group.numbers.tolist()):
+            if waiting[number] and len(listed) < LISTED_ROWS:
+                listed.append({"row": number, "keys": {key: group.values[key][i] for key in sweep.keys}})
+    listed.sort(key=lambda row: row["row"])
+    screen.show(f"{sweep.name}: {to_run} of {rows} rows to run, in {folder}")
+    for row in listed[:PRINTED_ROWS]:
+        screen.show(f"row {row['row']}: {', '.join(f'{key} = {value}' for key, value in row['keys'].items())}")
+    if to_run > PRINTED_ROWS:
+        screen.show(f"... and {to_run - PRINTED_ROWS} more")
+    data = {"dry_run": True, "name": sweep.name, "rows": rows, "new": to_run, "varied": list(sweep.keys)}
+    return CommandResult({**data, "folder": str(folder), "to_run": listed})
+
+
+def code_of_sweep(result: SweepResult) -> ExitCode:
+    """Exit code of a sweep, by how many of its finished rows failed."""
+    if result.interrupted:
+        return ExitCode.INTERRUPTED
+    if not result.failed:
+        return ExitCode.SUCCESS
+    return ExitCode.FAILED if result.failed == result.finished else ExitCode.PARTLY_FAILED

@@ -16,7 +16,7 @@ RESULTS = Path("results")
 """Folder in which a run is found by its name."""
 
 
-def last_state(initial: Mapping[str, Any], top_of: Callable[[Any], Top | None]) -> dict[str, Any]:
+def last_state(initial: Mapping[str, Any], top_of: Callable[[Any], Top]) -> dict[str, Any]:
     """Section ``initial`` with the last state of the stored run that the given section names by ``from``.
 
     ``top_of(section)`` is the top of the config with this section; it must be that of the run. Raises UsageError.
@@ -32,8 +32,6 @@ def last_state(initial: Mapping[str, Any], top_of: Callable[[Any], Top | None]) 
     if fault := _unfit(run):
         raise UsageError(f"from: the run {run.folder} {fault}")
     top = top_of(config["initial"])
-    if top is None:
-        return {}
     missing = [component for component in top.components if component not in series_names(run.series)]
     if missing or config["top"] != top.section():
         fault = f"did not record {', '.join(missing)}" if missing else "has another top"

@@ -1,18 +1,21 @@
-"""Config as read from a file: plain data with the place of every key, and the faults found in it.
+"""Config as read from a file: plain data with the place of every key, which refusals name.
 
-Plain data holds only what JSON has: dicts with text keys, lists, text, numbers, booleans and None. Faults are
-gathered, so that several are reported at once, each with its place and key.
+Plain data holds only what JSON has: dicts with text keys, lists, text, numbers, booleans and None. The faults of a
+section are reported together; then the first one of those that depend on several sections.
 """
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, TypeVar, get_args
+from itertools import pairwise
+from typing import Any, NoReturn, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
@@ -23,8 +26,32 @@ from topcli.errors import ConfigError, UsageError, nearest, quoted, shortened
 
 Model = TypeVar("Model", bound=BaseModel)
 
-STRICT = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
-"""Models of sections: no other keys, no conversions between types, finite numbers."""
+
+@cache
+def _docstrings(model: type[BaseModel]) -> dict[str, str]:
+    """Docstrings of the fields of a model of this package, read from its source only for messages and schemas."""
+    texts: dict[str, str] = {}
+    for cls in (cls for cls in model.__mro__ if cls.__module__.startswith("topcli.config")):
+        for key, text in pairwise(cast(Any, ast.parse(inspect.getsource(cls)).body[0]).body):
+            if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr):
+                texts[ast.unparse(key.target)] = " ".join(ast.literal_eval(text.value).split())
+    return texts
+
+
+def description_of(model: type[BaseModel], key: str) -> str:
+    """Description of a key of a section."""
+    fields = {field.alias or name: name for name, field in model.model_fields.items()}
+    return model.model_fields[fields[key]].description or _docstrings(model).get(fields[key], "")
+
+
+def _describe(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Add descriptions to the JSON Schema of a model."""
+    for key in fields_of(model):
+        schema["properties"][key]["description"] = description_of(model, key)
+
+
+STRICT = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, json_schema_extra=_describe)
+"""Models of sections: no other keys, no conversions between types, finite numbers; docstrings describe their keys."""
 SHOWN_FAULTS = 3
 """Faults that one message shows."""
 canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
@@ -33,11 +60,10 @@ canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=Fa
 
 @dataclass
 class Document:
-    """Plain data with the place of its keys, ``file:line`` or the override that set them, and its faults."""
+    """Plain data with the place of its keys: ``file:line``, or the override that set them."""
 
     data: dict[str, Any]
     places: dict[KeyPath, str] = field(default_factory=dict)
-    faults: list[str] = field(default_factory=list)
 
     def place(self, path: KeyPath) -> str:
         """Place of ``path``, or of the section that holds it; empty for data without a file."""
@@ -48,46 +74,42 @@ class Document:
         """Return ``text`` after the place and the key of ``path``."""
         return ": ".join(part for part in (self.place(path), key_text(path), text) if part)
 
-    def fault(self, path: KeyPath, text: str) -> None:
-        """Add a fault at ``path``."""
-        message = self.message(path, text)
-        if message not in self.faults:
-            self.faults.append(message)
+    def fault(self, path: KeyPath, text: str) -> NoReturn:
+        """Refuse the config for a fault at ``path``. Raises ConfigError."""
+        raise ConfigError(self.message(path, text))
 
     @contextmanager
-    def at(self, *path: str | int, model: type[BaseModel] | None = None) -> Iterator[None]:
-        """Add what the body refuses, also by pydantic's errors for ``model``, as faults at ``path``."""
+    def at(self, *path: str | int) -> Iterator[None]:
+        """Refuse what the body refuses, with the place and the key of ``path``."""
         try:
             yield
-        except ValidationError as error:
-            for fault in error.errors(include_url=False):
-                self.fault((*path, *fault["loc"]), _words(fault, model))
+        except ConfigError:  # whose message has a place already
+            raise
         except (ValueError, UsageError) as error:
             self.fault(path, str(error))
 
-    def read(self, model: type[Model], data: object, *path: str | int, beside: Iterable[str] = ()) -> Model | None:
-        """Return an instance of ``model`` from plain data, without conversions between types; None if it does not fit.
+    def read(self, model: type[Model], data: object, *path: str | int, beside: Iterable[str] = ()) -> Model:
+        """Return an instance of ``model`` from plain data, without conversions between types.
 
-        Unknown keys are refused even by a model that allows them; ``beside`` lists further keys of the section.
+        Unknown keys are refused even by a model that allows them; ``beside`` lists further keys of the section. Raises
+        ConfigError with the first faults of the section.
         """
         fields = fields_of(model)
         keys = [*beside, *fields]
         if not isinstance(data, dict):
-            return self.fault(path, f"must be a section with {', '.join(keys)}, not {describe(data)}")
-        unknown = [key for key in data if key not in keys]
-        for key in unknown:
-            self.fault((*path, key), unknown_key(key, keys))
-        with self.at(*path, model=model):
+            self.fault(path, f"must be a section with {', '.join(keys)}, not {describe(data)}")
+        faults = [self.message((*path, key), unknown_key(key, keys)) for key in data if key not in keys]
+        try:
             instance = read_model(model, {key: value for key, value in data.items() if key in fields})
-            return None if unknown else instance
-        return None
-
-    def check(self) -> None:
-        """Raise ConfigError with the first faults, if there are any."""
-        if self.faults:
-            *lines, last = self.faults[:SHOWN_FAULTS]
-            more = len(self.faults) - SHOWN_FAULTS
-            raise ConfigError(*lines, f"{last} (and {more} more)" if more > 0 else last)
+        except ValidationError as error:
+            errors = error.errors(include_url=False)
+            faults += [self.message((*path, *fault["loc"]), _words(fault, model)) for fault in errors]
+        else:
+            if not faults:
+                return instance
+        *lines, last = faults[:SHOWN_FAULTS]
+        more = len(faults) - SHOWN_FAULTS
+        raise ConfigError(*lines, f"{last} (and {more} more)" if more > 0 else last)
 
 
 def key_text(path: KeyPath) -> str:
@@ -158,9 +180,9 @@ SUCCESSORS = {
 """Replacements of keys that do not exist any more, for messages."""
 
 
-def unknown_key(key: str, known: Iterable[str]) -> str:
+def unknown_key(key: str, keys: Iterable[str]) -> str:
     """Message about a key that does not exist."""
-    names = list(known)
+    names = list(keys)
     same = next((name for name in names if name.lower() == key.lower()), None)
     near = f"did you mean {same!r}?" if same else nearest(key, names) if names else "none is allowed here"
     return f"unknown key; {SUCCESSORS.get(key) or near}"
@@ -190,32 +212,35 @@ _WORDS = {
 """Words of pydantic, each with that of a config."""
 
 
-def _words(fault: Any, model: type[BaseModel] | None) -> str:
+def _words(fault: Any, model: type[BaseModel]) -> str:
     """Message for one of pydantic's errors about data for ``model``."""
-    given = describe(fault["input"])
-    *section, key = fault["loc"] or ("",)
-    fields = _fields_at(model, section)
+    wrong = describe(fault["input"])
+    *path, key = fault["loc"] or ("",)
     match fault["type"]:
         case "value_error":
             return str(fault["ctx"]["error"])
         case "missing":
-            return f"missing; give {fields[key].description}" if key in fields else "missing"
+            section = _section_at(model, path)
+            text = description_of(section, str(key)) if section else ""
+            return f"missing; give {text}" if text else "missing"
         case "extra_forbidden":
-            return unknown_key(str(key), fields)
+            section = _section_at(model, path)
+            return unknown_key(str(key), fields_of(section) if section else ())
         case "model_type":
-            return f"must be a section with {', '.join(_fields_at(model, fault['loc']))}, not {given}"
+            section = _section_at(model, fault["loc"])
+            return f"must be a section with {', '.join(fields_of(section) if section else ())}, not {wrong}"
         case "too_short" | "too_long":
             return fault["msg"]
     text = fault["msg"]
     for word, ours in _WORDS.items():
         text = text.replace(word, ours)
-    return f"{text}, not {given}"
+    return f"{text}, not {wrong}"
 
 
-def _fields_at(model: type[BaseModel] | None, path: Iterable[str | int]) -> dict[str, FieldInfo]:
-    """Fields of the section ``path`` inside ``model``; none if the section has no model."""
+def _section_at(model: type[BaseModel] | None, path: Iterable[str | int]) -> type[BaseModel] | None:
+    """Model of the section ``path`` inside ``model``; None if the section has none."""
     for part in path:
         field = fields_of(model).get(str(part)) if model else None
         kinds = (field.annotation, *get_args(field.annotation)) if field else ()
         model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
-    return fields_of(model) if model else {}
+    return model

@@ -33,25 +33,16 @@ class EnsembleSection(BaseModel):
 
     model_config = STRICT
 
-    states: list[dict[str, Any]] | None = Field(
-        default=None,
-        min_length=1,
-        description="a list of initial states; a vector that a state omits is taken from initial",
-    )
-    grid: dict[str, Any] | None = Field(
-        default=None,
-        min_length=1,
-        description="a list of values or a range (from, to, count) for components of the state and for parameters "
-        "(top.NAME); every combination is a trajectory",
-    )
-    random: dict[str, Any] | None = Field(
-        default=None, description="random initial states: their count, a seed, and how each vector is drawn"
-    )
-    store: Literal["trajectories", "final", "statistics"] = Field(
-        default="trajectories",
-        description="what to store: every recorded row (trajectories), the last state of each trajectory (final), or "
-        "neither (statistics); statistics of the invariants are always stored",
-    )
+    states: list[dict[str, Any]] | None = Field(default=None, min_length=1)
+    """a list of initial states; a vector that a state omits is taken from initial"""
+    grid: dict[str, Any] | None = Field(default=None, min_length=1)
+    """a list of values or a range (from, to, count) for components of the state and for parameters (top.NAME); every
+    combination is a trajectory"""
+    random: dict[str, Any] | None = None
+    """random initial states: their count, a seed, and how each vector is drawn"""
+    store: Literal["trajectories", "final", "statistics"] = "trajectories"
+    """what to store: every recorded row (trajectories), the last state of each trajectory (final), or neither
+    (statistics); statistics of the invariants are always stored"""
 
     @model_validator(mode="after")
     def check_one(self) -> Self:
@@ -92,14 +83,14 @@ class Ensemble:
 
 def read_ensemble(
     section: EnsembleSection, initial: object, top: Top, parameters: Mapping[str, Any], document: Document
-) -> Ensemble | None:
-    """Return the initial states of an ensemble of ``top``; None, with faults added, if something is wrong.
+) -> Ensemble:
+    """Return the initial states of an ensemble of ``top``.
 
     ``parameters`` are the parameters of the top as the config gives them, for a grid over some of them.
     """
-    cls, tops, before = type(top), [top], len(document.faults)
+    cls, tops = type(top), [top]
     if not isinstance(initial, dict):
-        return document.fault(("initial",), f"must be a section with {', '.join(cls.vectors)}, not {describe(initial)}")
+        document.fault(("initial",), f"must be a section with {', '.join(cls.vectors)}, not {describe(initial)}")
     if section.states:
         key, source = "states", floats(section.states)
         states = [
@@ -116,23 +107,19 @@ def read_ensemble(
         names = [name.removeprefix("top.") for name in varied]
         chosen = [dict(zip(names, values, strict=True)) for values in itertools.product(*varied.values())]
         if varied:
-            tops = [top_with(cls, {**parameters, **values}, document, path) or top for values in chosen]
+            tops = [top_with(cls, {**parameters, **values}, document, path) for values in chosen]
     else:
         key, path, raw = "random", ("ensemble", "random"), section.random or {}
         numbers = {name: value for name, value in raw.items() if name in Random.model_fields}
-        random, draws = document.read(Random, numbers, *path) or Random(), read_draws(cls, raw, document, path) or {}
+        random, draws = document.read(Random, numbers, *path), read_draws(cls, raw, document, path)
         if not raw.keys() - numbers.keys() or "count" not in raw:
             document.fault(path, NOTHING_DRAWN)
-        document.check()
         samples = np.arange(1, random.count + 1)
         states = [many_states(top, initial, document, random=raw, source=path, samples=samples, seed=random.seed)]
         source = random.model_dump() | {name: draw.model_dump(exclude_none=True) for name, draw in draws.items()}
-    arrays = [array for array in states if array is not None]
-    if len(document.faults) > before:
-        return None
     # numbers as floats, and components in their vectors, so that equal sections have equal digests
     return Ensemble(
-        tuple(tops), np.vstack(arrays), {key: source, "store": section.store}, floats(vectors_in(cls, initial))
+        tuple(tops), np.vstack(states), {key: source, "store": section.store}, floats(vectors_in(cls, initial))
     )
 
 
@@ -145,7 +132,7 @@ def _read_axes(
     for key in sorted(grid, key=lambda key: keys.index(key) if key in keys else 0):
         if key not in keys:
             document.fault((*path, key), unknown_key(key, keys))
-        axis = read_axis(grid[key], document, *path, key) or []
+        axis = read_axis(grid[key], document, *path, key)
         values = axis.spaced() if isinstance(axis, Range) else axis
         axes[key] = [number for value in values if (number := number_of(value)) is not None]
         if len(axes[key]) < len(values):
@@ -153,7 +140,6 @@ def _read_axes(
         source[key] = axis.model_dump(by_alias=True) if isinstance(axis, Range) else axes[key]
     if (total := math.prod(map(len, axes.values()))) > MAX_TRAJECTORIES:
         document.fault(path, f"{total} combinations; an ensemble has at most {MAX_TRAJECTORIES} trajectories")
-    document.check()
     return axes, source
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import re
 from pathlib import Path
 
 from topcli.config.document import Document, describe, plain
@@ -12,8 +11,6 @@ from topcli.config.text import parse_toml, parse_yaml
 from topcli.errors import ConfigError, UnknownNameError, nearest, quoted
 
 SUFFIXES = (".yaml", ".yml", ".toml")
-_CUT_NAME = re.compile(r"""^name: +[^\s'"#][^#\n]* #\S""", re.MULTILINE)
-"""A name in YAML whose end is read as a comment, such as ``name: run #1``."""
 
 
 def scene_files(folder: str = "") -> dict[str, Path]:
@@ -82,8 +79,5 @@ def read_document(path: Path) -> Document:
     if not isinstance(data, dict) or not data:
         fault = f"a config is a list of `key: value` lines, not {describe(data)}; `topcli init` writes one"
         raise ConfigError(f"{path}:1: {fault}")
-    if comment := _CUT_NAME.search(text):
-        fault = "the sign # begins a comment; write the whole name in quotes, or a space after #"
-        raise ConfigError(f"{path}:{text.count(chr(10), 0, comment.start()) + 1}: name: {fault}")
     places = {key: f"{path}:{line}" for key, line in lines.items()}
     return Document(plain(data, Document({}, places)), places)

@@ -12,8 +12,8 @@ from topcli.analysis.quantities import usable_names
 from topcli.config.document import STRICT, Document, describe
 from topcli.config.models import Output, PoincareSection
 from topcli.contracts import Invariant, Top
-from topcli.engine.columns import ATTITUDES, spellings
-from topcli.errors import ConfigError, nearest, quoted
+from topcli.engine.columns import ATTITUDES
+from topcli.errors import nearest, quoted
 from topcli.field.expression import parse
 from topcli.field.integrals import broken_hk_integral, broken_integral
 from topcli.tops import CUSTOM, TOPS, BodyTop
@@ -29,9 +29,12 @@ class Body(BaseModel):
 
     model_config = STRICT
 
-    moments: Three = Field(description="three formulas of the parameters: the moments of inertia")
-    gravity: Three = Field(description="three formulas of the parameters: weight times the centre of gravity")
-    rotor: Three | None = Field(default=None, description="three formulas: the angular momentum of rotors in the body")
+    moments: Three
+    """three formulas of the parameters: the moments of inertia"""
+    gravity: Three
+    """three formulas of the parameters: weight times the centre of gravity"""
+    rotor: Three | None = None
+    """three formulas: the angular momentum of rotors in the body"""
 
 
 class CustomSection(BaseModel):
@@ -39,31 +42,26 @@ class CustomSection(BaseModel):
 
     model_config = STRICT
 
-    components: list[str] = Field(default=[], description="names of the components of the state, in order")
-    vectors: dict[str, list[str]] = Field(
-        default={}, description="neighbouring components that initial and pictures take as a vector, by its name"
-    )
-    parameters: dict[str, float] = Field(default={}, description="names of the parameters, with their values")
-    body: Body | None = Field(
-        default=None,
-        description="a rigid body, instead of components and field; its state is omega1 to omega3, the angular "
-        "velocity, and gamma1 to gamma3, the vertical",
-    )
-    field: dict[str, Any] = Field(default={}, description="for each component, a formula of its time derivative")
-    invariants: dict[str, Any] = Field(
-        default={},
-        description="formulas of conserved quantities by name; {value: F, on: {NAME: X}} if F is conserved only "
-        "where the invariant NAME is X, {value: F, if: G} if F exists only where the formula G of the parameters is 0",
-    )
-    hk: dict[str, Any] = Field(
-        default={}, description="formulas, also of h, that the scheme hk conserves, by name; {value: F, if: G} as above"
-    )
-    angular_velocity: Three | None = Field(
-        default=None, description="three formulas: the angular velocity in the body; the attitude can then be recorded"
-    )
-    vertical: Three | None = Field(
-        default=None, description="three formulas: a vector fixed in space, in the body, which is drawn upright"
-    )
+    components: list[str] = []
+    """names of the components of the state, in order"""
+    vectors: dict[str, list[str]] = {}
+    """neighbouring components that initial and pictures take as a vector, by its name"""
+    parameters: dict[str, float] = {}
+    """names of the parameters, with their values"""
+    body: Body | None = None
+    """a rigid body, instead of components and field; its state is omega1 to omega3, the angular velocity, and gamma1 to
+    gamma3, the vertical"""
+    field: dict[str, Any] = {}
+    """for each component, a formula of its time derivative"""
+    invariants: dict[str, Any] = {}
+    """formulas of conserved quantities by name; {value: F, on: {NAME: X}} if F is conserved only where the invariant
+    NAME is X, {value: F, if: G} if F exists only where the formula G of the parameters is 0"""
+    hk: dict[str, Any] = {}
+    """formulas, also of h, that the scheme hk conserves, by name; {value: F, if: G} as above"""
+    angular_velocity: Three | None = None
+    """three formulas: the angular velocity in the body; the attitude can then be recorded"""
+    vertical: Three | None = None
+    """three formulas: a vector fixed in space, in the body, which is drawn upright"""
 
 
 class Relation(BaseModel):
@@ -71,20 +69,23 @@ class Relation(BaseModel):
 
     model_config = STRICT
 
-    value: Any = Field(description="the formula")
-    condition: Any = Field(default=None, alias="if", description="a formula of the parameters that must be 0")
-    on: dict[str, float] = Field(default={}, description="values of other invariants for which this one is conserved")
+    value: Any
+    """the formula"""
+    condition: Any = Field(default=None, alias="if")
+    """a formula of the parameters that must be 0"""
+    on: dict[str, float] = {}
+    """values of other invariants for which this one is conserved"""
 
 
-def read_custom(raw: dict[str, Any], document: Document) -> type[Top] | None:
-    """Return the class of a top that a config declares; None, with the faults added, if it cannot be read."""
-    before, given = len(document.faults), raw.get("parameters")
-    section = document.read(CustomSection, raw, "top", beside=("kind", *(given if isinstance(given, dict) else ())))
-    if section is None:
-        return None
+def read_custom(raw: dict[str, Any], document: Document) -> type[Top]:
+    """Return the class of a top that a config declares."""
+    parameters = raw.get("parameters")
+    names = parameters if isinstance(parameters, dict) else ()
+    section = document.read(CustomSection, raw, "top", beside=("kind", *names))
     _check_names(section, document)
-    declared = _with_texts(section, document) if len(document.faults) == before else {}
-    return declared_class({"kind": CUSTOM, **declared}) if len(document.faults) == before else None
+    cls = declared_class({"kind": CUSTOM, **_with_texts(section, document)})
+    assert cls is not None
+    return cls
 
 
 def declared_class(section: object) -> type[Top] | None:
@@ -97,16 +98,16 @@ def declared_class(section: object) -> type[Top] | None:
 
 
 def _check_names(section: CustomSection, document: Document) -> None:
-    """Add what is missing or given twice, the names that cannot be used, and vectors of unknown components."""
+    """Refuse what is missing or given twice, names that cannot be used, and vectors of unknown components."""
     components, earlier = section.components, {}
     if section.body:
         components = list(BodyTop.components)
         earlier = dict.fromkeys((*components, *BODY_SYMBOLS), "quantity of the body")
     for key in ("components", "field", "vectors", *VECTORS):
-        given = bool(getattr(section, key))
-        if section.body and given:
+        present = bool(getattr(section, key))
+        if section.body and present:
             document.fault(("top", key), "is given by body; leave it out")
-        elif not section.body and not given and key in ("components", "field"):
+        elif not section.body and not present and key in ("components", "field"):
             document.fault(("top", key), "missing; give it, or body for a rigid body with a fixed point")
 
     # each name once, and none that has another meaning
@@ -131,7 +132,7 @@ def _check_names(section: CustomSection, document: Document) -> None:
 
 
 def _with_texts(section: CustomSection, document: Document) -> dict[str, Any]:
-    """The section as plain data, each formula as a text that has been parsed; mistakes are added."""
+    """The section as plain data, each formula as a text that has been parsed."""
     declared = section.model_dump(by_alias=True, exclude_none=True)
     parameters = (*section.parameters,)
     names = (*(BodyTop.components if section.body else section.components), *parameters)
@@ -144,7 +145,8 @@ def _with_texts(section: CustomSection, document: Document) -> dict[str, Any]:
             inside = (*path, name)
             if key not in ("invariants", "hk") or not isinstance(value, dict):
                 part[name] = read_formula(value, allowed, document, *inside)
-            elif relation := document.read(Relation, value, *inside):
+            else:
+                relation = document.read(Relation, value, *inside)
                 part[name] = {"value": read_formula(relation.value, allowed, document, *inside, "value")}
                 if relation.condition is not None:
                     part[name]["if"] = read_formula(relation.condition, parameters, document, *inside, "if")
@@ -156,17 +158,17 @@ def _with_texts(section: CustomSection, document: Document) -> dict[str, Any]:
 
 
 def read_formula(value: object, names: Sequence[str], document: Document, *path: str | int) -> str:
-    """Return a formula of these names as text; mistakes are added at ``path``."""
+    """Return a formula of these names, at ``path``, as text."""
     text = value.strip() if isinstance(value, str) else repr(value)
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        document.fault(path, f"must be a formula such as 2*{next(iter(names), 1)}, not {describe(value)}")
     with document.at(*path):
-        if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise ConfigError(f"must be a formula such as 2*{next(iter(names), 1)}, not {describe(value)}")
         parse(text, names)
     return text
 
 
 def check_numbers(top: Any, document: Document) -> None:
-    """Add an integral that the field, or the HK map, does not conserve with these parameters."""
+    """Refuse an integral that the field, or the HK map, does not conserve with these parameters."""
     for key, fault in (("invariants", broken_integral(top)), ("hk", broken_hk_integral(top))):
         if fault:  # which begins with the name of the integral
             document.fault(("top", key, fault.split("'")[1]), fault)
@@ -176,7 +178,7 @@ def check_numbers(top: Any, document: Document) -> None:
 
 
 def read_output(output: Output, cls: type[Top], integrals: Sequence[Invariant], document: Document) -> Output:
-    """Return the output with the names of its columns, each given by name or symbol, and the texts of its formulas."""
+    """Return the output with its columns checked, and the texts of its formulas."""
     earlier = dict.fromkeys(cls.model_fields, "parameter") | dict.fromkeys(cls.components, "component")
     earlier |= dict.fromkeys((integral.name for integral in integrals), "invariant")
     earlier |= dict.fromkeys(chain.from_iterable(ATTITUDES.values()), "column of the attitude")
@@ -185,12 +187,12 @@ def read_output(output: Output, cls: type[Top], integrals: Sequence[Invariant], 
         if fault := name_fault(name, "quantity", earlier):
             document.fault(("output", "quantities", name), fault)
         formulas[name] = read_formula(value, usable_names(cls), document, "output", "quantities", name)
-    names = {text: integral.name for integral in integrals for text in spellings(integral.name, integral.symbol)}
-    names |= {name: name for name in ("n", "t", *cls.components, *formulas, *output.attitude_columns)}
-    for text in output.columns or ():
-        if text not in names:
-            document.fault(("output", "columns"), f"unknown column {quoted(text)}; {nearest(text, names)}")
-    columns = tuple(names.get(text, text) for text in output.columns or ())
+    names = [integral.name for integral in integrals]
+    names += ["n", "t", *cls.components, *formulas, *output.attitude_columns]
+    columns = output.columns or ()
+    for name in columns:
+        if name not in names:
+            document.fault(("output", "columns"), f"unknown column {quoted(name)}; {nearest(name, names)}")
     if len(set(columns)) < len(columns):
         document.fault(("output", "columns"), "names a column twice")
     return output.model_copy(update={"columns": columns or None, "quantities": formulas or None})

@@ -28,7 +28,7 @@ from topcli.tops.bodies import checked_rotation
 Source = Path | str | Mapping[str, Any]
 """A config file (.yaml, .yml, .toml), the name of a packaged scene such as ``kowalevski_hk``, or a config as a dict."""
 
-Start = Callable[[Top, Any], Array | None]
+Start = Callable[[Top, Any], Array]
 """Reader of initial states (m, d) from a top and the section ``initial``."""
 
 
@@ -77,10 +77,10 @@ def load_experiment(
     if loaded.ensemble:
         fault = f"this is an ensemble of {loaded.ensemble.count} trajectories, but a single trajectory is needed here; "
         commands = "`topcli run` and topcli.simulate take ensembles; `topcli sweep` compares schemes on many states"
-        raise ConfigError(document.message(("ensemble",), fault + commands))
+        document.fault(("ensemble",), fault + commands)
     if loaded.precision != DOUBLE and not any_precision:
         commands = "`topcli run`, `topcli compare` and topcli.simulate take another precision"
-        raise ConfigError(document.message(("precision",), f"computed in doubles here; {commands}"))
+        document.fault(("precision",), f"computed in doubles here; {commands}")
     return loaded if crossings else loaded.of_all_steps()
 
 
@@ -122,10 +122,10 @@ def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]
 
     ``top`` restricts them to one top. Raises UnknownNameError for an unknown top.
     """
-    wanted = [form.form for form in forms(top)] if top else list(TOPS)
+    included = [form.form for form in forms(top)] if top else list(TOPS)
     for name, path in scene_files().items():
         scene = load(path)
-        if scene.top.form in wanted:
+        if scene.top.form in included:
             yield name, scene, scene.ensemble.count if scene.ensemble else 1, first_sentence(path)
 
 
@@ -138,8 +138,7 @@ def read_experiment(
     ``named``.
     """
     if "base" in document.data:
-        fault = "this is a sweep, but an experiment is needed here; `topcli sweep` takes sweeps"
-        raise ConfigError(document.message(("base",), fault))
+        document.fault(("base",), "this is a sweep, but an experiment is needed here; `topcli sweep` takes sweeps")
     data = {key: value for key, value in document.data.items() if value is not None or key not in Config.model_fields}
     if data.get("precision", DOUBLE) != DOUBLE:
         data |= {key: with_written_numbers(data[key]) for key in ("h", "top", "initial") if key in data}
@@ -150,28 +149,26 @@ def read_experiment(
         from topcli.config.continued import last_state  # with the store, which other configs spare
 
         with document.at("initial"):
-            initial = last_state(initial, lambda vectors: read_top(data.get("top"), vectors, document)[1])
-        document.check()
+            initial = last_state(initial, lambda vectors: read_top(data.get("top"), vectors, document))
 
     # the sections, each by itself
     config = _config(data, document)
     vectors = initial if isinstance(initial, dict) else ()
-    ensemble = config.ensemble.named if config and config.ensemble else ()
-    cls, top = read_top(data["top"], [*vectors, *ensemble, *named], document) if "top" in data else (None, None)
-    if cls and cls.form in TOPS.declared and (default_name or cls.form not in TOPS.names):  # a study derives configs
+    ensemble = config.ensemble.named if config.ensemble else ()
+    top = read_top(data["top"], [*vectors, *ensemble, *named], document)
+    cls = type(top)
+    if cls.form in TOPS.declared and (default_name or cls.form not in TOPS.names):  # a study derives configs
         TOPS.names[cls.form] = str(data.get("name", CUSTOM))
-    scheme = read_scheme(data["scheme"], cls, document) if cls and "scheme" in data else None
-    states = many = None
-    if top and start:
+    scheme = read_scheme(data["scheme"], cls, document)
+    many = None
+    if start:
         states = start(top, initial)
-    elif config and config.ensemble and top:
+    elif config.ensemble:
         many = read_ensemble(config.ensemble, initial, top, top.parameters_in(data["top"]), document)
-        states = many.states if many else None
-    elif cls and not data.get("ensemble"):
+        states = many.states
+    else:
         states = read_states(cls, initial, document)
-    document.check()
-    if not (config and config.N and top and scheme and states is not None):
-        raise AssertionError("what is missing has been refused")
+    assert config.N is not None
     state: tuple[float, ...] = tuple(states[0].tolist())
     experiment = Experiment(
         name=config.name or f"{top.kind}_{scheme[0].name}".replace("-", "_"),
@@ -191,11 +188,9 @@ def read_experiment(
     # the keys that depend on each other
     changes = _formulas(experiment, document)
     _check(experiment, config, document)
-    document.check()
     if config.precision != DOUBLE:
         sections = data | {"initial": vectors_in(type(top), initial)}
         changes["written"] = read_written(sections, top, state, config.precision, document)
-        document.check()
     return experiment.model_copy(update=changes) if changes else experiment
 
 
@@ -213,20 +208,21 @@ def _formulas(experiment: Experiment, document: Document) -> dict[str, Any]:
     }
 
 
-def _config(data: dict[str, Any], document: Document) -> Config | None:
-    """Return the keys of the top level, with N from T; None if one is wrong."""
+def _config(data: dict[str, Any], document: Document) -> Config:
+    """Return the keys of the top level, with N from T."""
     config = document.read(Config, data)
     if ("T" in data) == ("N" in data):
         document.fault(("N",), "give either the number of steps N or the duration T")
-    elif config and config.T:
+    if config.T:
         with document.at("T"):
             return config.model_copy(update={"N": steps_of(config.T, config.h)})
     return config
 
 
 def _check(experiment: Experiment, config: Config, document: Document) -> None:
-    """Add the faults of keys that exclude each other or depend on N."""
+    """Refuse keys that exclude each other, and those that do not fit N."""
     output, section, N, h = experiment.output, experiment.section, experiment.N, experiment.h
+    # features that the loop of a run has only one at a time
     features = {
         "ensemble": config.ensemble,
         "section": section,
@@ -236,6 +232,7 @@ def _check(experiment: Experiment, config: Config, document: Document) -> None:
     for first, second in combinations([key for key, value in features.items() if value], 2):
         if (first, second) != ("ensemble", "section"):
             document.fault(tuple(second.split(".")), f"cannot be combined with {first}; leave out one of them")
+    # values that are possible by themselves, but not for this run
     for key, wrong, text in (
         ("output.every", output.every > N, f"must be at most N = {N}, not {output.every}"),
         ("output.every", section and output.every > 1, "a section looks at every step; leave out output.every"),
@@ -249,8 +246,10 @@ def _check(experiment: Experiment, config: Config, document: Document) -> None:
     ):
         if wrong:
             document.fault(tuple(key.split(".")), text)
-    if output.attitude and not document.faults:
+    # the attitude needs a rotation of the body, and columns that are free
+    if output.attitude:
         with document.at("output", "attitude"):
             checked_rotation(experiment.top, "the attitude")
-            if taken := {*output.attitude_columns} & {*experiment.top.components}:
-                raise ConfigError(f"the top has a component {min(taken)!r} of its own; use another form")
+        if taken := {*output.attitude_columns} & {*experiment.top.components}:
+            text = f"the top has a component {min(taken)!r} of its own; use another form"
+            document.fault(("output", "attitude"), text)

@@ -77,17 +77,16 @@ class Output(BaseModel):
 
     model_config = STRICT
 
-    format: Literal["parquet", "csv"] = Field(default="parquet", description="the file format of the time series")
-    every: Count = Field(default=1, description="the number of steps from one recorded row to the next (1 to N)")
-    columns: tuple[str, ...] | None = Field(
-        default=None, min_length=1, description="the columns: n, t, components, invariants, by name or symbol; else all"
-    )
-    quantities: dict[str, Any] | None = Field(
-        default=None, description="further columns: for each a name and a formula of components, parameters, t and h"
-    )
-    attitude: Literal["quaternion", "euler-angles"] | None = Field(
-        default=None, description="also record the attitude: quaternion (q0 to q3) or euler-angles (psi, theta, phi)"
-    )
+    format: Literal["parquet", "csv"] = "parquet"
+    """the file format of the time series"""
+    every: Count = 1
+    """the number of steps from one recorded row to the next (1 to N)"""
+    columns: tuple[str, ...] | None = Field(default=None, min_length=1)
+    """the columns: n, t, components, invariants; by default all"""
+    quantities: dict[str, Any] | None = None
+    """further columns: for each a name and a formula of components, parameters, t and h"""
+    attitude: Literal["quaternion", "euler-angles"] | None = None
+    """also record the attitude: quaternion (q0 to q3) or euler-angles (psi, theta, phi)"""
 
     def resolved(self) -> dict[str, Any]:
         """Return the section as plain data; ``quantities`` and ``attitude`` only if they are given."""
@@ -105,12 +104,14 @@ class PoincareSection(BaseModel):
 
     model_config = STRICT
 
-    component: str | None = Field(default=None, description="the component that is constant on the section")
-    quantity: Any = Field(default=None, description="instead of component: a formula, as in output.quantities")
-    value: float = Field(default=0.0, description="the value of this component or quantity on the section")
-    direction: Literal["up", "down", "both"] = Field(
-        default="up", description="crossings with rising or falling values, or both"
-    )
+    component: str | None = None
+    """the component that is constant on the section"""
+    quantity: Any = None
+    """instead of component: a formula, as in output.quantities"""
+    value: float = 0.0
+    """the value of this component or quantity on the section"""
+    direction: Literal["up", "down", "both"] = "up"
+    """crossings with rising or falling values, or both"""
 
     @model_validator(mode="after")
     def check_one(self) -> Self:
@@ -143,29 +144,30 @@ class Config(BaseModel):
 
     model_config = STRICT
 
-    name: Name | None = Field(default=None, description="the name of the run folder; by default that of the file")
-    top: Any = Field(description="the top: its kind, or a section with its kind and parameters")
-    initial: Any = Field(
-        default={},
-        description="the initial state: the top's vectors, such as omega and gamma; or from: RUN, a stored run",
-    )
-    ensemble: EnsembleSection | None = Field(
-        default=None, description="many initial states: listed, on a grid, or drawn at random"
-    )
-    scheme: Any = Field(description="the scheme: its name, or a section with its name and options")
-    h: StepSize = Field(description="the step size, a number other than zero, such as 0.001")
-    N: Count | None = Field(default=None, description="the number of steps, from 1 to 1e12; or T instead")
-    T: StepSize | None = Field(default=None, description="the duration, instead of N; T/h must be a whole number")
-    precision: Precision = Field(default=DOUBLE, description="double, a number of decimal digits, or rational")
-    max_digits: Count | None = Field(
-        default=None, description=f"if rational: end the run when a number has more digits ({MAX_DIGITS} by default)"
-    )
-    section: PoincareSection | None = Field(default=None, description="record only the crossings of a Poincaré section")
-    output: Output = Field(default=Output(), description="what to record, and in which format")
-
-
-OUTSIDE_IDENTITY = ("name", "output.format")
-"""Keys of a resolved config that do not change what a run computes."""
+    name: Name | None = None
+    """the name of the run folder; by default that of the file"""
+    top: Any
+    """the top: its kind, or a section with its kind and parameters"""
+    initial: Any = {}
+    """the initial state: the top's vectors, such as omega and gamma; or from: RUN, a stored run"""
+    ensemble: EnsembleSection | None = None
+    """many initial states: listed, on a grid, or drawn at random"""
+    scheme: Any
+    """the scheme: its name, or a section with its name and options"""
+    h: StepSize
+    """the step size, a number other than zero, such as 0.001"""
+    N: Count | None = None
+    """the number of steps, from 1 to 1e12; or T instead"""
+    T: StepSize | None = None
+    """the duration, instead of N; T/h must be a whole number"""
+    precision: Precision = DOUBLE
+    """double, a number of decimal digits, or rational"""
+    max_digits: Count | None = None
+    """if rational: end the run when a number has more digits (10000 by default)"""
+    section: PoincareSection | None = None
+    """record only the crossings of a Poincaré section"""
+    output: Output = Output()
+    """what to record, and in which format"""
 
 
 def digest_of(resolved: Mapping[str, Any], own_code: str) -> str:

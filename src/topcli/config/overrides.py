@@ -37,10 +37,7 @@ def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
     label = label or override_label(text)
     if not value.strip() or not all(_KEY.fullmatch(part) for part in path):
         raise ConfigError(f"{label}: expected key=value, such as h=0.01 or top.c0=2")
-    data = parse_yaml(value, label)[0]
-    if " #" in value and " #" not in str(data):
-        raise ConfigError(f"{label}: the sign # begins a comment; write the value in quotes, as in name='run #1'")
-    return path, data
+    return path, parse_yaml(value, label)[0]
 
 
 def apply_overrides(document: Document, overrides: Sequence[str]) -> None:

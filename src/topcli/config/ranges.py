@@ -20,9 +20,12 @@ class Interval(BaseModel):
 
     model_config = STRICT
 
-    first: float = Field(alias="from", description="the first value")
-    last: float = Field(alias="to", description="the last value")
-    spacing: Literal["linear", "log"] = Field(default="linear", description="linear or logarithmic (log)")
+    first: float = Field(alias="from")
+    """the first value"""
+    last: float = Field(alias="to")
+    """the last value"""
+    spacing: Literal["linear", "log"] = "linear"
+    """linear or logarithmic (log)"""
 
     @model_validator(mode="after")
     def check_signs(self) -> Self:
@@ -48,9 +51,8 @@ class Interval(BaseModel):
 class Range(Interval):
     """Evenly spaced values, both ends included."""
 
-    count: Annotated[int, Field(ge=1, le=MAX_SWEEP_ROWS), BeforeValidator(as_integer)] = Field(
-        description="the number of values"
-    )
+    count: Annotated[int, Field(ge=1, le=MAX_SWEEP_ROWS), BeforeValidator(as_integer)]
+    """the number of values"""
 
     @model_validator(mode="after")
     def check_ends(self) -> Self:
@@ -74,13 +76,13 @@ def is_range(raw: object) -> bool:
     return isinstance(raw, dict) and not raw.keys().isdisjoint(("from", "to", "count", "spacing"))
 
 
-def read_axis(raw: object, document: Document, *path: str | int) -> list[Any] | Range | None:
-    """Return a list of values or a range; None, and a fault at ``path``, for anything else."""
+def read_axis(raw: object, document: Document, *path: str | int) -> list[Any] | Range:
+    """Return a list of values or a range, at ``path``."""
     if is_range(raw):
         return document.read(Range, raw, *path)
     if isinstance(raw, list) and raw:
         return raw
-    return document.fault(path, f"must be a list of values or a range, not {describe(raw)}; for example {EXAMPLE}")
+    document.fault(path, f"must be a list of values or a range, not {describe(raw)}; for example {EXAMPLE}")
 
 
 MAX_STEPS = 10**12

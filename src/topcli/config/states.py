@@ -75,16 +75,17 @@ def _vectors(cls: type[Top]) -> list[tuple[str, tuple[str, ...]]]:
 
 def read_states(
     cls: type[Top], initial: object, document: Document, columns: Columns | None = None, path: KeyPath = ("initial",)
-) -> Array | None:
-    """Return the states (m, d) of the section ``initial``, with unit vectors completed and checked.
+) -> Array:
+    """Return the states (m, d) of the section ``initial`` at ``path``, with unit vectors completed and checked.
 
-    ``columns`` (m,) replace components; without any, m is 1. None if something is wrong, which adds faults at ``path``.
+    ``columns`` (m,) replace components; without any, m is 1.
     """
-    before, columns = len(document.faults), columns or {}
+    columns = columns or {}
     if not isinstance(initial, dict):
-        return document.fault(path, f"must be a section with {', '.join(cls.vectors)}, not {describe(initial)}")
+        document.fault(path, f"must be a section with {', '.join(cls.vectors)}, not {describe(initial)}")
     keys = [*cls.vectors, *cls.components, "normalize"]
-    for key in dict.fromkeys([*(initial.keys() - {*keys}), *(columns.keys() - {*cls.components})]):
+    unknown = [key for key in initial if key not in keys] + [key for key in columns if key not in cls.components]
+    for key in unknown:
         vector = cls.components[slice(*cls.vectors.get(key, (0, 0)))]
         text = f"must be vectors, as in [[{', '.join(vector)}]]" if vector else unknown_key(key, keys)
         document.fault((*path, key), text)
@@ -99,17 +100,17 @@ def read_states(
                 raise ValueError(f"missing; give {form}{'; auto completes it to a unit vector' if unit else ''}")
             values, auto = _components(whole.get(name, [None] * len(names)), names, unit, columns)
             vectors.append(_unit(values, auto, name, normalize is True) if unit else values)
-    return np.hstack(vectors) if len(document.faults) == before else None
+    return np.hstack(vectors)
 
 
 def _components(raw: object, names: Sequence[str], unit: bool, columns: Columns) -> tuple[Array, dict[int, float]]:
     """Return a vector (m, k), and the places of ``auto`` with their signs. Raises ValueError."""
-    given = raw if isinstance(raw, list) or len(names) > 1 else [raw]
-    if not isinstance(given, list) or len(given) != len(names):
-        length = len(given) if isinstance(given, list) else describe(given)
+    vector = raw if isinstance(raw, list) or len(names) > 1 else [raw]
+    if not isinstance(vector, list) or len(vector) != len(names):
+        length = len(vector) if isinstance(vector, list) else describe(vector)
         raise ValueError(f"must be a list of {len(names)} numbers ({', '.join(names)}), not {length}")
     values, auto = np.zeros((len(next(iter(columns.values()), [0])), len(names))), {}
-    for i, (name, value) in enumerate(zip(names, given, strict=True)):
+    for i, (name, value) in enumerate(zip(names, vector, strict=True)):
         if name in columns:
             values[:, i] = columns[name]
         elif unit and isinstance(value, str) and value in AUTO:
@@ -171,13 +172,12 @@ class Draw(BaseModel):
 
     model_config = STRICT
 
-    sphere: float | None = Field(default=None, gt=0.0, description="uniform on the sphere of this radius")
-    near: float | None = Field(
-        default=None, gt=0.0, description="uniform within this distance, or angle, of the vector in initial"
-    )
-    energy: float | None = Field(
-        default=None, description="a direction uniform on the sphere, scaled to this energy of the state"
-    )
+    sphere: float | None = Field(default=None, gt=0.0)
+    """uniform on the sphere of this radius"""
+    near: float | None = Field(default=None, gt=0.0)
+    """uniform within this distance, or angle, of the vector in initial"""
+    energy: float | None = None
+    """a direction uniform on the sphere, scaled to this energy of the state"""
 
 
 Seed = Annotated[int, Field(ge=0, le=2**63 - 1), BeforeValidator(as_integer)]
@@ -188,26 +188,26 @@ class Random(BaseModel):
 
     model_config = STRICT
 
-    count: Annotated[int, Field(ge=1, le=MAX_TRAJECTORIES), BeforeValidator(as_integer)] = Field(
-        default=1, description="the number of draws, 1 to 1e6"
-    )
-    seed: Seed = Field(default=0, description="the seed of the random numbers")
-    version: Literal[2] = Field(default=2, description="the way of drawing, of which this one is known")
+    count: Annotated[int, Field(ge=1, le=MAX_TRAJECTORIES), BeforeValidator(as_integer)] = 1
+    """the number of draws, 1 to 1e6"""
+    seed: Seed = 0
+    """the seed of the random numbers"""
+    version: Literal[2] = 2
+    """the way of drawing, of which this one is known"""
 
 
-def read_draws(cls: type[Top], raw: Mapping[str, Any], document: Document, path: KeyPath) -> dict[str, Draw] | None:
-    """Read the distributions of vectors in a section ``random``; None, and faults at ``path``, if one is wrong."""
-    before, draws = len(document.faults), {}
+def read_draws(cls: type[Top], raw: Mapping[str, Any], document: Document, path: KeyPath) -> dict[str, Draw]:
+    """Read the distributions of vectors in a section ``random`` at ``path``."""
+    draws: dict[str, Draw] = {}
     drawable = [name for name, names in _vectors(cls) if len(names) in (1, 3)]
-    for key in raw.keys() - {*Random.model_fields}:
+    for key in (key for key in raw if key not in Random.model_fields):
         if key not in drawable:
             document.fault((*path, key), unknown_key(key, [*drawable, *Random.model_fields]))
-            continue
         rule = {"sphere": 1.0} if raw[key] == "sphere" and key in cls.unit_vectors else raw[key]
         draws[key] = draw = document.read(Draw, rule, *path, key)
-        if draw is not None and (fault := _draw_fault(cls, key, draw)):
+        if fault := _draw_fault(cls, key, draw):
             document.fault((*path, key), fault)
-    return draws if len(document.faults) == before else None
+    return draws
 
 
 def _example(cls: type[Top], vector: str) -> str:
@@ -218,9 +218,9 @@ def _draw_fault(cls: type[Top], name: str, draw: Draw) -> str:
     """Reason why the vector ``name`` cannot be drawn like this; empty if it can."""
     unit, (start, stop) = name in cls.unit_vectors, cls.vectors[name]
     ways = ["near"] if stop - start == 1 else ["sphere", "near"] if unit else ["sphere", "near", "energy"]
-    given = list(draw.model_fields_set)
-    if len(given) != 1 or given[0] not in ways:
-        return f"must have one of {', '.join(ways)}, not {' and '.join(given) or 'none'}; write {_example(cls, name)}"
+    chosen = list(draw.model_fields_set)
+    if len(chosen) != 1 or chosen[0] not in ways:
+        return f"must have one of {', '.join(ways)}, not {' and '.join(chosen) or 'none'}; write {_example(cls, name)}"
     if unit and (draw.sphere not in (None, 1.0) or not (draw.near or 0.0) <= math.pi):
         return f"its length is 1, and an angle is at most pi; write {_example(cls, name)}"
     return _energy_fault(cls.new(), name) if draw.energy is not None else ""
@@ -251,8 +251,8 @@ def many_states(
     source: KeyPath = ("random",),
     samples: Integers = FIRST,
     seed: int = 0,
-) -> Array | None:
-    """Return the states (m, d) of an ensemble, or of rows of a sweep; None if something is wrong, which adds faults.
+) -> Array:
+    """Return the states (m, d) of an ensemble, or of rows of a sweep.
 
     ``columns`` (m,) replace components of ``initial``, whose place is ``path``; then the vectors of the section
     ``random`` at ``source`` are drawn for the numbered ``samples`` (m,). A vector that is drawn without a centre need
@@ -260,21 +260,19 @@ def many_states(
     """
     cls, columns = type(top), columns or {}
     draws = read_draws(cls, random or {}, document, source)
-    if draws is None or not isinstance(initial, dict):
-        return None if draws is None else read_states(cls, initial, document)
+    if not isinstance(initial, dict):
+        return read_states(cls, initial, document)
     free = {name: [0.0, 0.0, 1.0] for name, draw in draws.items() if draw.near is None}
     for name in free:
-        for component in columns.keys() & {*cls.components[slice(*cls.vectors[name])]}:
+        for component in (key for key in columns if key in cls.components[slice(*cls.vectors[name])]):
             document.fault(
                 (*source, name), f"is drawn in every row, and initial.{component} is varied; keep one of them"
             )
     centres = read_states(cls, {**initial, **free}, document, columns, path)
-    if centres is None:
-        return None
     if not columns:
         centres = centres.repeat(len(samples), axis=0)
-    states = draw_states(top, draws, centres, samples, seed) if draws else centres
-    return document.fault(source, NO_ENERGY) if states is None else states
+    with document.at(*source):
+        return draw_states(top, draws, centres, samples, seed) if draws else centres
 
 
 def drawn_number(seed: int, key: str, sample: int) -> float:
@@ -283,14 +281,14 @@ def drawn_number(seed: int, key: str, sample: int) -> float:
     return float(_block((seed, *key.encode()), block, 1)[row, 0])
 
 
-def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: Integers, seed: int) -> Array | None:
+def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: Integers, seed: int) -> Array:
     """Return the states (m, d) of the numbered ``samples`` (m,), drawn around ``centres`` (m, d).
 
-    None if a sample has no state of the energy among the first ``PATIENCE`` ones.
+    Raises ValueError if a sample has no state of the energy among the first ``PATIENCE`` ones.
     """
     energies = any(draw.energy is not None for draw in draws.values())
-    if energies and len(samples) > 1 and draw_states(top, draws, centres[:1], samples[:1], seed) is None:
-        return None  # an energy that is never possible is refused without a million attempts
+    if energies and len(samples) > 1:  # an energy that is never possible is refused without a million attempts
+        draw_states(top, draws, centres[:1], samples[:1], seed)
     states, left = centres.copy(), np.arange(len(samples))
     for attempt in range(PATIENCE):
         numbers = _uniform((seed, attempt), samples[left], 3 * len(top.vectors))
@@ -298,7 +296,7 @@ def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: In
         left = left[~possible]
         if not len(left):
             return states
-    return None
+    raise ValueError(NO_ENERGY)
 
 
 def _uniform(table: tuple[int, ...], samples: Integers, width: int) -> Array:

@@ -18,7 +18,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter
+from pydantic import BaseModel, BeforeValidator
 
 from topcli.config.document import STRICT, Document, canonical, number_of, plain, unknown_key
 from topcli.config.files import find_config, read_document
@@ -26,7 +26,7 @@ from topcli.config.load import read_experiment
 from topcli.config.models import Experiment, Name, name_fault
 from topcli.config.overrides import apply_overrides, drop_partner, set_key
 from topcli.config.ranges import MAX_STEPS, MAX_SWEEP_ROWS, Interval, Range, is_range, read_axis
-from topcli.config.states import NOTHING_DRAWN, Random, Seed, drawn_number, many_states
+from topcli.config.states import NOTHING_DRAWN, Random, drawn_number, many_states
 from topcli.config.text import KeyPath, to_yaml
 from topcli.contracts import Array, Top
 from topcli.errors import UnknownNameError
@@ -39,7 +39,6 @@ UNFIT = ("name", "ensemble", "section", "precision", "max_digits", "output.colum
 """Keys of an experiment that a row of a sweep, one trajectory in doubles without a series, cannot have."""
 CHUNK = 1 << 16
 """Most rows of a group; a larger one is yielded in parts."""
-WHOLE: TypeAdapter[int] = TypeAdapter(Seed)
 
 Sections = Annotated[list[dict[str, Any]], BeforeValidator(lambda raw: [raw] if isinstance(raw, dict) else raw)]
 
@@ -50,7 +49,8 @@ class SweepFile(BaseModel):
     model_config = STRICT
 
     name: Name | None = None
-    base: dict[str, Any] = Field(description="an experiment: its top, initial, scheme, h and N or T")
+    base: dict[str, Any]
+    """an experiment: its top, initial, scheme, h and N or T"""
     grid: dict[str, Any] = {}
     zip: Sections = []
     exclude: Sections = []
@@ -79,26 +79,21 @@ Axis = Mapping[str, Sequence[Any]]
 class Sweep:
     """A sweep file. Its rows are read, and refused, by ``groups``.
 
-    The last of the ``axes`` varies fastest; rows that agree with an entry of ``file.exclude`` are left out. ``ranges``
-    are the keys whose values are a range, and ``intervals`` the parameters that are drawn.
+    The last of the ``axes`` varies fastest; rows that agree with an entry of ``file.exclude`` are left out. ``spaced``
+    says that the values of h are a range, and ``intervals`` are the parameters that are drawn.
     """
 
     name: str
     document: Document
     file: SweepFile
     axes: tuple[Axis, ...]
-    ranges: Mapping[str, Range]
+    spaced: bool
     intervals: Mapping[str, Interval]
 
     @cached_property
     def keys(self) -> tuple[str, ...]:
         """Varied keys."""
         return tuple(key for axis in self.axes for key in axis)
-
-    @property
-    def log(self) -> list[str]:
-        """Keys whose values are a logarithmic range."""
-        return [key for key, values in self.ranges.items() if values.spacing == "log"]
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -198,20 +193,18 @@ class Sweep:
             drop_partner(document.data, values)
         for key in sorted(chosen.keys() - {*DRAWN}, key=lambda key: key.count(".")):  # sections before keys inside them
             set_key(document, tuple(key.split(".")), chosen[key], places.get(("grid", key), ""))
-        _fit_step(document.data, "h" in self.ranges)
+        _fit_step(document.data, self.spaced)
 
         # the states, which may need the top
         components = {key.removeprefix("initial."): column for key, column in columns.items() if key != "sample"}
         document.places |= {("initial", key): places.get(("grid", f"initial.{key}"), "") for key in components}
         samples, states = columns.get("sample", np.full(len(numbers), sample)), np.empty((0, 0))
 
-        def start(top: Top, initial: object) -> Array | None:
+        def start(top: Top, initial: object) -> Array:
             nonlocal states
-            rows = many_states(
-                top, initial, document, columns=components, random=self.vectors, samples=samples, seed=seed
-            )
-            states = states if rows is None else rows
-            return rows
+            drawn = {"random": self.vectors, "samples": samples, "seed": seed}
+            states = many_states(top, initial, document, columns=components, **drawn)
+            return states
 
         experiment = read_experiment(document, self.name, start, [*components, *self.vectors])
         table = {
@@ -267,15 +260,18 @@ def _shown(key: str, value: Any, experiment: Experiment) -> Any:
     steps = {"h": experiment.h, "N": experiment.N, "T": experiment.duration, "output.every": experiment.output.every}
     if key in steps:
         return steps[key]
-    if key == "scheme":
-        options = value.items() if isinstance(value, dict) else ()
-        texts = [(name, option if isinstance(option, str) else json.dumps(option)) for name, option in options]
-        return ":".join([experiment.scheme.name, *(f"{a}={b}" for a, b in texts if a not in ("name", "compose"))])
-    if key == "top" and isinstance(value, str):
-        return experiment.top.kind
-    if isinstance(value, str) or (number := number_of(value)) is None:
-        return value if isinstance(value, str) else json.dumps(value)
-    return value if key.startswith("scheme.") or key in DRAWN else number
+    if key == "scheme" and isinstance(value, dict):
+        texts = (f"{name}={_flat(option)}" for name, option in value.items() if name not in ("name", "compose"))
+        return ":".join([experiment.scheme.name, *texts])
+    if key in ("scheme", "top") and isinstance(value, str):
+        return experiment.scheme.name if key == "scheme" else experiment.top.kind
+    if number_of(value) is None:
+        return _flat(value)
+    return value if key.startswith("scheme.") or key in DRAWN else number_of(value)
+
+
+def _flat(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] = ()) -> Sweep:
@@ -300,35 +296,34 @@ def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] 
     data = {key: value for key, value in document.data.items() if value is not None}
     if "base" not in data and "top" in data:
         document.fault((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
-        document.check()
+    # the file, whose base is an experiment of which only some keys make sense
     file = document.read(SweepFile, data)
     name = data.get("name") or path.stem
     if "name" not in data and (fault := name_fault(name)):
         document.fault(("name",), f"missing, and the file name cannot be used instead: {fault}")
-    document.check()
-    assert file is not None
-    _check_base(file.base, document)
-    axes, ranges = _read_axes(file, isinstance(data.get("zip"), list), document)
-    document.check()
-    entries = [dict(_dotted(entry)) for entry in file.exclude]
-    fitting = [entry for entry in entries if _fits(entry, axes)]
-    if len(fitting) < len(entries) and not overrides:  # which may have removed it
-        index = next(i for i, entry in enumerate(entries) if entry not in fitting)
-        document.fault(("exclude", index), f"no row has {entries[index]}")
+    for key in UNFIT:  # which have no meaning in a sweep
+        *sections, last = path = key.split(".")
+        section = file.base.get(sections[0]) if sections else file.base
+        if isinstance(section, dict) and section.get(last) is not None:
+            document.fault(("base", *path), "cannot be in base: a row is one trajectory in doubles without a series")
+    # the rows; defaults are written out, so that the digest does not depend on them
+    axes, spaced = _read_axes(file, isinstance(data.get("zip"), list), document)
+    varied, exclude = [key for axis in axes for key in axis], [dict(_dotted(entry)) for entry in file.exclude]
+    for index, entry in enumerate(exclude):
+        for key in (key for key in entry if key not in varied):
+            document.fault(("exclude", index, key), f"does not vary; varied: {', '.join(varied)}")
     random = file.random and Random(**{k: v for k, v in file.random.items() if k in Random.model_fields}).model_dump()
-    file = file.model_copy(update={"exclude": fitting, "random": {**file.random, **random}})
-    parameters = [key for key in file.random if key.startswith("top.")]
+    file = file.model_copy(update={"exclude": exclude, "random": {**file.random, **random}})
     intervals = {
-        key: interval for key in parameters if (interval := document.read(Interval, file.random[key], "random", key))
+        key: document.read(Interval, rule, "random", key) for key, rule in file.random.items() if key.startswith("top.")
     }
-    sweep = Sweep(name, document, file, tuple(axes), ranges, intervals)
+    sweep = Sweep(name, document, file, tuple(axes), spaced, intervals)
     if not axes:
         document.fault((), "varies nothing: give grid, zip or random; for example grid: {h: [0.1, 0.2]}")
     elif (count := math.prod(map(_size, axes))) > MAX_SWEEP_ROWS:
         document.fault((), f"{count} rows; a sweep has at most {MAX_SWEEP_ROWS}")
     elif not sweep.count_left:
         document.fault(("exclude",), "excludes every row, so the sweep would have none")
-    document.check()
     return sweep
 
 
@@ -360,55 +355,43 @@ def _dotted(section: Mapping[str, Any], inside: Sequence[str] = (), prefix: str 
             yield from _dotted(value, (), f"{prefix}{key}.")
 
 
-def _check_base(base: dict[str, Any], document: Document) -> None:
-    """Add a fault for each key of ``base`` that has no meaning in a sweep."""
-    for key in UNFIT:
-        *sections, last = path = key.split(".")
-        section = base.get(sections[0]) if sections else base
-        if isinstance(section, dict) and section.get(last) is not None:
-            document.fault(("base", *path), "cannot be in base: a row is one trajectory in doubles without a series")
-
-
-def _read_axes(file: SweepFile, listed: bool, document: Document) -> tuple[list[Axis], dict[str, Range]]:
-    """Return the axes of the sections ``grid``, ``random`` and ``zip``, and the keys whose values are a range.
+def _read_axes(file: SweepFile, listed: bool, document: Document) -> tuple[list[Axis], bool]:
+    """Return the axes of the sections ``grid``, ``random`` and ``zip``, and True if the values of h are a range.
 
     ``listed`` says that ``zip`` is a list of sections.
     """
-    known, axes, ranges = [*KEYS, *(DRAWN if file.random else ())], list[Axis](), dict[str, Range]()
+    # the sections in the order of their axes; the samples of random draws are one of them
+    names, axes, spaced = [*KEYS, *(DRAWN if file.random else ())], list[Axis](), False
     sections: list[tuple[KeyPath, dict[str, Any]]] = [(("grid",), {key: raw}) for key, raw in file.grid.items()]
     if file.random:
         numbers = {key: value for key, value in file.random.items() if key in Random.model_fields}
         random = document.read(Random, numbers, "random")
         if len(numbers) == len(file.random):
             document.fault(("random",), NOTHING_DRAWN)
-        if random and "sample" not in file.grid:
+        if "sample" not in file.grid:
             sections.append((("random",), {"sample": list(range(1, random.count + 1))}))
     sections += [(("zip", i) if listed else ("zip",), section) for i, section in enumerate(file.zip) if section]
+    # keys of one section vary together, and those that every row draws cannot vary
     for path, section in sections:
         columns: dict[str, Sequence[Any]] = {}
         for key, raw in section.items():
-            if key not in known and not key.startswith(("top.", "initial.", "scheme.")):
-                document.fault((*path, key), unknown_key(key, known))
+            if key not in names and not key.startswith(("top.", "initial.", "scheme.")):
+                document.fault((*path, key), unknown_key(key, names))
             if any(key in axis for axis in axes):
                 document.fault((*path, key), "is varied twice; keep one of them")
-            rule = key if key in file.random else key.removeprefix("initial.")
-            centred = isinstance(file.random.get(rule), dict) and "near" in file.random[rule]
-            if rule in file.random and rule not in Random.model_fields and not centred:
-                document.fault(("random", rule), f"is drawn in every row, and {key} is varied; keep one of them")
-            axis = read_axis(raw, document, *path, key) or []
+            rule = file.random.get(drawn := key if key in file.random else key.removeprefix("initial."))
+            centred = isinstance(rule, dict) and "near" in rule
+            if rule is not None and drawn not in Random.model_fields and not centred:
+                document.fault(("random", drawn), f"is drawn in every row, and {key} is varied; keep one of them")
+            axis = read_axis(raw, document, *path, key)
             if isinstance(axis, Range):
-                ranges[key], axis = axis, axis.values()
-                if key in (*DRAWN, "N", "output.every"):  # whole numbers
-                    axis = list(dict.fromkeys(map(round, axis)))
-            with document.at(*path, key):
-                columns[key] = [WHOLE.validate_python(value, strict=True) for value in axis] if key in DRAWN else axis
+                axis, spaced = axis.values(), spaced or key == "h"
+                axis = list(dict.fromkeys(map(round, axis))) if key in (*DRAWN, "N", "output.every") else axis
+            if key in DRAWN and not all(type(value) is int and value >= 0 for value in axis):
+                document.fault((*path, key), "must be whole numbers from 0 on")
+            columns[key] = axis
         if len({len(column) for column in columns.values()}) > 1:
             lengths = ", ".join(f"{key} has {len(column)}" for key, column in columns.items())
             document.fault(path, f"its lists must have equal lengths: {lengths}")
         axes.append(columns)
-    return axes, ranges
-
-
-def _fits(entry: Mapping[str, Any], axes: Sequence[Axis]) -> bool:
-    """True if some row agrees with ``entry`` of ``exclude``."""
-    return entry.keys() <= {key for axis in axes for key in axis} and all(_matches(axis, entry).any() for axis in axes)
+    return axes, spaced

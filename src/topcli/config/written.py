@@ -107,9 +107,9 @@ def read_written(
     data: Mapping[str, Any], top: Top, y0: Sequence[float], precision: int | str, document: Document
 ) -> WrittenNumbers:
     """Return the numbers of a valid config, whose initial state in doubles is ``y0``; faults of vectors are added."""
-    given, initial = top.parameters_in(data["top"]), data["initial"]
+    declared, initial = top.parameters_in(data["top"]), data["initial"]
     parameters = {
-        name: fraction_of(given[name] if isinstance(given.get(name), int | float) else value)
+        name: fraction_of(declared[name] if isinstance(declared.get(name), int | float) else value)
         for name, value in top.model_dump().items()
         if isinstance(value, float)
     }

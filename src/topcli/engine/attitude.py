@@ -93,8 +93,8 @@ def carry(
             n = written * (d + 4)
             for j in range(d):
                 out[n + j] = states[i * d + j]
-            shown = canonical(conjugate(q) if in_space else q)
-            out[n + d], out[n + d + 1], out[n + d + 2], out[n + d + 3] = shown[0], shown[1], shown[2], shown[3]
+            r = canonical(conjugate(q) if in_space else q)
+            out[n + d], out[n + d + 1], out[n + d + 2], out[n + d + 3] = r[0], r[1], r[2], r[3]
             written += 1
     attitude[0], attitude[1], attitude[2], attitude[3] = q[0], q[1], q[2], q[3]
     return written
@@ -124,12 +124,6 @@ def _fixed(top: Top, states: Array) -> Array:
     vectors = _columns(type(top).vertical, states, top.constants())
     size = np.linalg.norm(vectors, axis=1, keepdims=True)
     return vectors / np.where(size > 0.0, size, 1.0)
-
-
-def velocities(top: Top, states: Array) -> Array:
-    """Angular velocities (m, 3) in the body's frame at ``states`` (m, d)."""
-    checked_rotation(top, NEEDED_BY)
-    return _columns(type(top).angular_velocity, states, top.constants())
 
 
 def start_attitude(top: Top, y0: Floats) -> Quaternion:
@@ -178,12 +172,15 @@ class Turning:
         return np.array(conjugate((q[0], q[1], q[2], q[3])) if self.top.in_space else q)
 
 
-def with_attitude(loop: Loop, top: Top, order: int) -> Loop:
-    """Time loop that records the attitude, by turns of this ``order``, behind each state of ``top``.
+def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loop:
+    """Time loop of a ``scheme`` with ``options``, made ready as ``method``, that records the attitude with the states.
 
-    The first state passed to ``enter`` holds the attitude too.
+    Its initial state is that of the top, followed by ``start_attitude``. Raises UsageError for a top that does not
+    declare its angular velocity.
     """
-    d, turning = len(top.components), Turning(top, order)
+    d, order = len(top.components), scheme.order_for(options)
+    loop = loop_of(method, d, len(top.constants()))
+    turning = Turning(top, 4 if order is None or scheme.adaptive or order > 2 else 2)
     block, head = np.empty((1 + BLOCK_STEPS, d)), NUMBERS + d
     rows = block[1:].reshape(-1)
 
@@ -220,24 +217,4 @@ def with_attitude(loop: Loop, top: Top, order: int) -> Loop:
         width=loop.width + head,
         seconds=loop.seconds + turning.code.seconds,
         cached=loop.cached and turning.code.cached,
-        sampled=False,
     )
-
-
-def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loop:
-    """Time loop of a ``scheme`` with ``options``, made ready as ``method``, that records the attitude with the states.
-
-    Its initial state is that of the top, followed by ``start_attitude``. Raises UsageError for a top that does not
-    declare its angular velocity.
-    """
-    d, constants, order = len(top.components), len(top.constants()), scheme.order_for(options)
-    return with_attitude(loop_of(method, d, constants), top, 4 if order is None or scheme.adaptive or order > 2 else 2)
-
-
-def attitude_of_rows(top: Top, states: Array, span: float) -> Array:
-    """Attitudes (m, 4) reconstructed from ``states`` (m, d) at intervals ``span`` of time, by turns of order 4."""
-    turning, start = Turning(top, 4), start_attitude(top, tuple(states[0].tolist()))
-    d, out = states.shape[1], np.empty((len(states), states.shape[1] + NUMBERS))
-    out[0, d:] = start
-    turning.along(turning.begin(start), np.ascontiguousarray(states, dtype=np.float64), out[1:].ravel(), span, 1, 1)
-    return out[:, d:]

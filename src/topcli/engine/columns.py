@@ -18,18 +18,6 @@ def column_names(top: Top, *further: Iterable[str]) -> list[str]:
     return ["n", "t", *top.components, *invariants, *(name for names in further for name in names)]
 
 
-_ASCII = str.maketrans({"²": "^2", "·": ".", "γ": "gamma", "ω": "omega", "κ": "kappa", "₃": "3"})
-
-
-def spellings(name: str, symbol: str) -> list[str]:
-    """Accepted spellings of an invariant's column: its name, its symbol, and the symbol in ASCII.
-
-    >>> spellings("gamma_sq", "γ²")
-    ['gamma_sq', 'γ²', 'gamma^2']
-    """
-    return list(dict.fromkeys((name, symbol, symbol.translate(_ASCII))))
-
-
 QUATERNION = "quaternion"
 ATTITUDES: Mapping[str, tuple[str, ...]] = {
     QUATERNION: ("q0", "q1", "q2", "q3"),
@@ -54,13 +42,8 @@ def quaternions_of(columns: Mapping[str, Array]) -> Array | None:
     if all(name in columns for name in ATTITUDES[QUATERNION]):
         return np.column_stack([columns[name] for name in ATTITUDES[QUATERNION]])
     if all(name in columns for name in ATTITUDES["euler-angles"]):
-        psi, theta, phi = (0.5 * columns[name] for name in ATTITUDES["euler-angles"])
-        return np.column_stack(
-            [
-                np.cos(theta) * np.cos(psi + phi),
-                np.sin(theta) * np.cos(psi - phi),
-                np.sin(theta) * np.sin(psi - phi),
-                np.cos(theta) * np.sin(psi + phi),
-            ]
-        )
+        from scipy.spatial.transform import Rotation
+
+        angles = np.column_stack([columns[name] for name in ATTITUDES["euler-angles"]])
+        return Rotation.from_euler("ZXZ", angles).as_quat()[:, [3, 0, 1, 2]]
     return None

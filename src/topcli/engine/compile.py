@@ -15,7 +15,6 @@ globals, closed-over variables, defaults and attributes of modules, which it fre
 from __future__ import annotations
 
 import ctypes
-import enum
 import hashlib
 import os
 import re
@@ -155,18 +154,8 @@ class _Digest:
             self.put(value.co_consts)
         elif function is not None and not is_standard(_home(function)):
             self._function(function)
-        elif isinstance(value, enum.Enum):
-            self.put((kind.__qualname__, value.name, value.value))
-        elif isinstance(value, enum.EnumMeta):
-            self.put(tuple(value))
-        elif isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields"):
-            self.text(value.__qualname__, value._fields)  # pyright: ignore[reportAttributeAccessIssue]
-        elif isinstance(value, np.dtype):
-            self.text("dtype", value.descr if value.names else value.str)
         elif isinstance(value, types.ModuleType):
             self.text("module", value.__name__)
-        elif kind.__module__.startswith("numba.core.types"):
-            self.text(repr(value))
         elif _has_known_name(value):
             self.text(kind.__name__, getattr(value, "__module__", ""), value.__name__)
         else:
@@ -258,31 +247,14 @@ class Native:
         return result
 
 
-def _compiler_missing(package: str, error: BaseException) -> RunError:
-    """Error for a part of the compiler that cannot be loaded."""
-    reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-    settings = ", ".join(f"{k}={v!r}" for k, v in sorted(os.environ.items()) if k.startswith("NUMBA_"))
-    return RunError(
-        f"the compiler cannot be loaded: {package}: {reason}",
-        f"is {package} installed, and is there enough memory (ulimit -v)? topcli --version shows the versions",
-        *([f"set in the environment: {settings}"] if settings else []),
-    )
-
-
 @cache
 def _llvm() -> tuple[Any, str]:
-    """llvmlite's binding, ready for this CPU, and the text that identifies compiler, settings and CPU.
+    """llvmlite's binding, ready for this CPU, and the text that identifies compiler, settings and CPU."""
+    import llvmlite.binding as llvm
 
-    Raises RunError where llvmlite cannot be loaded.
-    """
-    try:
-        import llvmlite.binding as llvm
-
-        llvm.initialize_native_target()
-        llvm.initialize_native_asmprinter()
-        cpu = llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    except (ImportError, OSError, MemoryError, RuntimeError) as error:
-        raise _compiler_missing("llvmlite", error) from error
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    cpu = llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     if sys.platform == "linux":
         # sin, cos and the like: numpy loads libm for itself only; some C libraries contain these functions
         with suppress(RuntimeError):
@@ -435,14 +407,11 @@ def _kernel(function: types.FunctionType, choice: _Choice) -> Any:
 def _numba() -> dict[Any, Any]:
     """Teach numba that plain functions are kernels; the instructions that stand for ``fma`` and ``unlikely``.
 
-    Raises RunError if numba cannot be loaded or is set not to compile.
+    Raises RunError if numba is set not to compile.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of settings that numba cannot read and topcli does not use
-            from numba import config
-    except (ImportError, OSError, MemoryError, ValueError, RuntimeError, AttributeError) as error:
-        raise _compiler_missing("numba", error) from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of settings that numba cannot read and topcli does not use
+        from numba import config
     if getattr(config, "DISABLE_JIT", False):
         raise RunError("NUMBA_DISABLE_JIT is set: topcli cannot compile its time loop; unset it")
     from llvmlite import ir

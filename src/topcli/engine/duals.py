@@ -138,8 +138,8 @@ def dual_numbers() -> dict[Callable[..., Any], Any]:
         return builder.insert_value(builder.insert_value(pair, value, 0), slope, 1)
 
     @lower_cast(types.Number, kind)
-    def _widened(context: Any, builder: Any, given: Any, to: Any, number: Any) -> Any:
-        value = context.cast(builder, number, given, types.float64)
+    def _widened(context: Any, builder: Any, source: Any, to: Any, number: Any) -> Any:
+        value = context.cast(builder, number, source, types.float64)
         return joined(context, builder, value, context.get_constant(types.float64, 0.0))
 
     @intrinsic
@@ -168,12 +168,12 @@ def dual_numbers() -> dict[Callable[..., Any], Any]:
     def learn(function: Callable[..., Any], text_for: Callable[..., str | None]) -> None:
         """Let ``text_for(*types)`` be the function of arguments of which one is a dual number."""
 
-        def rule(*given: Any) -> Any:
-            if kind not in given or not all(x == kind or isinstance(x, types.Number) for x in given):
+        def rule(*arguments: Any) -> Any:
+            if kind not in arguments or not all(x == kind or isinstance(x, types.Number) for x in arguments):
                 return None
-            if (text := text_for(*given)) is None:
+            if (text := text_for(*arguments)) is None:
                 return None
-            names = NAMES[: len(given)]
+            names = NAMES[: len(arguments)]
             lines = [f"    {x}, d{x} = value({x}_), slope({x}_)" for x in names]
             head = f"def rule({', '.join(f'{x}_' for x in names)}):"
             exec("\n".join((head, *lines, f"    return {text}")), scope)
@@ -182,7 +182,7 @@ def dual_numbers() -> dict[Callable[..., Any], Any]:
         overload(function, jit_options=options, strict=False, prefer_literal=function is operator.pow)(rule)
 
     def differentiable(value: str, *derivatives: str) -> Callable[..., str]:
-        return lambda *given: f"dual({value}, {_slope(derivatives, [x == kind for x in given])})"
+        return lambda *arguments: f"dual({value}, {_slope(derivatives, [x == kind for x in arguments])})"
 
     def power(x: Any, n: Any) -> str | None:
         if not isinstance(n, types.IntegerLiteral):
@@ -194,7 +194,7 @@ def dual_numbers() -> dict[Callable[..., Any], Any]:
         for function in functions:
             learn(function, differentiable(*rule))
     for function, text in TESTS.items():
-        learn(function, lambda *given, text=text: text)
+        learn(function, lambda *arguments, text=text: text)
     learn(operator.pow, power)
 
     @overload(fma, jit_options=options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,6 @@ class Endings:
         Events counted.
     left : ndarray of int64, shape (B,)
         First recorded step that is far off the energy surface; -1 for never.
-    advice : dict of int to str
-        Hints on trajectories that did not converge.
     """
 
     h: float
@@ -43,7 +41,6 @@ class Endings:
     step: NDArray[np.int64]
     counts: NDArray[np.int64]
     left: NDArray[np.int64]
-    advice: dict[int, str] = field(default_factory=dict)
 
     @classmethod
     def of_none(cls, count: int, h: float, counters: Sequence[str] = ()) -> Endings:
@@ -56,11 +53,7 @@ class Endings:
     def joined(cls, parts: Sequence[Endings]) -> Endings:
         """Endings of several batches in a row; all have the same step and counters."""
         arrays = [np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS]
-        starts = np.cumsum([0, *map(len, parts)]).tolist()
-        advice = {
-            start + i: text for start, part in zip(starts, parts, strict=False) for i, text in part.advice.items()
-        }
-        return cls(parts[0].h, parts[0].counters, *arrays, advice=advice)
+        return cls(parts[0].h, parts[0].counters, *arrays)
 
     def put(self, which: Any, outcome: Outcome, step: Any, counts: Any) -> None:
         """Store the ending of the trajectories ``which``, an index or several."""
@@ -93,7 +86,7 @@ class Endings:
 
     def of(self, which: Any) -> Endings:
         """Endings of several trajectories, a slice or an array of numbers."""
-        return replace(self, **{name: getattr(self, name)[which] for name in ARRAYS}, advice={})
+        return replace(self, **{name: getattr(self, name)[which] for name in ARRAYS})
 
     def __len__(self) -> int:
         return len(self.outcome)
@@ -106,4 +99,4 @@ class Endings:
         step, left, h = int(self.step[i]), int(self.left[i]), self.h
         counters = dict(zip(self.counters, self.counts[i].tolist(), strict=True))
         where = (None, None) if left < 0 else (left, left * h)
-        return Ending(OUTCOMES[self.outcome[i]], step, step * h, counters, *where, self.advice.get(i, ""))
+        return Ending(OUTCOMES[self.outcome[i]], step, step * h, counters, *where)

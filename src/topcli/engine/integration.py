@@ -254,10 +254,7 @@ class Integration:
     def _failed(self, tile: int, j: int, work: Array, step: int) -> None:
         """Store the ending of trajectory ``j`` of a tile, whose next step number ``step`` left ``work`` (width,)."""
         loop, i, counters = self.machine.loop, tile * self.size + j, len(self.endings.counters)
-        outcome = loop.failure(work)
-        self._end(i, outcome, max(int(self.done[tile]), 0) + step, work[len(work) - counters :])
-        if outcome is Outcome.NO_CONVERGENCE and loop.advice:
-            self.endings.advice[i] = loop.advice(work.tolist(), self.plan.h)
+        self._end(i, loop.failure(work), max(int(self.done[tile]), 0) + step, work[len(work) - counters :])
         self.alive[tile, j] = False
 
     def _end(self, which: Any, outcome: Outcome, step: Any, counts: Array) -> None:

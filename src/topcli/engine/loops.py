@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -20,13 +21,12 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.fused import unlikely
 from topcli.arithmetic.vectors import VECTOR_VARIANTS
-from topcli.contracts import Array, Block, Floats, Method, Outcome, Sampler, Stepper, Top, check_stop, same_state
+from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, Top, check_stop, same_state
 from topcli.engine.compile import (
     NO_VARIANTS,
     CompileError,
     Native,
     Variants,
-    digest,
     native,
     native_text,
     place_of,
@@ -200,33 +200,13 @@ def lanes_code(stepper: Stepper, d: int, constants: int, width: int) -> Native:
         raise step_refused(stepper, d, error) from None
 
 
-def same_code(method: Method, other: Method) -> bool:
-    """True if both methods surely have the same machine code; its arguments are the constants of their steps."""
-    if method is other or not isinstance(method, Stepper) or not isinstance(other, Stepper):
-        return method is other
-    if method.plain or other.plain or method.advice is not other.advice:
-        return False
-    try:
-        return _code_key(method) == _code_key(other)
-    except SchemeCodeError:  # of ``enter``, which is not compiled
-        return False
-
-
-def _code_key(method: Stepper) -> str:
-    """Digest of all that a run uses of a method but its constants."""
-    stages = method.stages[0] if method.stages else None
-    layout = method.width, method.checked, method.counters, method.iterative, len(method.constants)
-    return digest(layout, stages, method.step, method.enter, method.leave)
-
-
 @dataclass(frozen=True)
 class Loop:
     """A method ready to run: ``enter(y, work, p, h)``, then ``drive(work, out, p, h, steps, every, until_record)``.
 
     ``work`` has ``width`` slots, the last ones counting the events named in ``counters``; with ``iterative`` the one
     before them is nan after a step that did not converge. ``seconds`` is the time to compile or load; ``cached`` is
-    true if the machine code came from disk, ``compiled`` if there is machine code at all. A call of any length may be
-    interrupted if it ``returns_early``.
+    true if the machine code came from disk. A call of any length may be interrupted if it ``returns_early``.
     """
 
     enter: Callable[..., int]
@@ -236,50 +216,34 @@ class Loop:
     seconds: float = 0.0
     cached: bool = True
     iterative: bool = False
-    compiled: bool = True
     returns_early: bool = False
-    advice: Callable[[Sequence[float], float], str] | None = None
-    sampled: bool = False
-    """True for a closed form: the time of a call is that of the states that it records."""
-    code: Callable[..., int] | None = None
-    """``drive`` for all parameters, if a step has more than the constants of the top."""
-
-    def of(self, stepper: Stepper) -> Loop:
-        """The same loop for a method that differs in the constants of its step."""
-        return replace(self, drive=_with_parameters(self.code, stepper)) if self.code else self
+    limit: Sequence[Exception] = ()
+    """Not empty after a step whose numbers became too long."""
 
     def failure(self, work: Array) -> Outcome:
         """Outcome of a run whose failed step left ``work``."""
+        if self.limit:
+            return Outcome.DIGIT_LIMIT
         status = work[len(work) - len(self.counters) - 1]
         return Outcome.NO_CONVERGENCE if self.iterative and status != status else Outcome.BLEW_UP  # nan
 
 
-def _with_parameters(code: Callable[..., int], stepper: Stepper) -> Callable[..., int]:
-    """The loop ``code`` as a function of the constants of the top alone."""
-    more = more_parameters(stepper)
-    if not more:
-        return code
-
-    def drive(work: Array, out: Array, params: Any, *rest: Any) -> int:
-        return code(work, out, np.concatenate([params, more]), *rest)
-
-    return drive
-
-
 def _loop_over(code: Callable[..., int], method: Stepper, **about: Any) -> Loop:
     """Loop of a step with the ``code`` for all parameters; ``enter`` runs once and remains plain Python."""
-    inner = method.enter or same_state
+    inner, more = method.enter or same_state, more_parameters(method)
 
     def enter(y: Array, work: Array, params: Any, h: Any) -> int:
         work[:] = inner(tuple(y), h, tuple(params))
         return 0
 
-    drive, extended = _with_parameters(code, method), code if more_parameters(method) else None
-    return Loop(enter, drive, code=extended, **_traits(method), **about)
+    def drive(work: Array, out: Array, params: Any, *rest: Any) -> int:
+        return code(work, out, np.concatenate([params, more]), *rest)
+
+    return Loop(enter, drive if more else code, **_traits(method), **about)
 
 
 def _traits(method: Stepper | Block) -> dict[str, Any]:
-    return {name: getattr(method, name) for name in ("width", "counters", "iterative", "advice")}
+    return {name: getattr(method, name) for name in ("width", "counters", "iterative")}
 
 
 def _sampled_loop(sampler: Sampler, d: int) -> Loop:
@@ -302,7 +266,7 @@ def _sampled_loop(sampler: Sampler, d: int) -> Loop:
         work[d] = done + steps
         return steps
 
-    return Loop(enter, drive, d + 1, returns_early=True, sampled=True)  # it takes no steps
+    return Loop(enter, drive, d + 1, returns_early=True)
 
 
 def loop_of(method: Method, d: int, constants: int) -> Loop:
@@ -333,7 +297,7 @@ def interpreted(method: Method, d: int, constants: int) -> Loop:
     if not isinstance(method, Stepper):
         return loop_of(method, d, constants)
     whole = replace(method, stages=None)  # the step of a composition takes all of them
-    return _loop_over(_function(_SINGLE, whole, d, constants, plain=True), whole, compiled=False)
+    return _loop_over(_function(_SINGLE, whole, d, constants, plain=True), whole)
 
 
 def state_after(loop: Loop, y: Array, p: Array | None, h: Any, steps: int = 1) -> Array | None:
@@ -360,44 +324,24 @@ PartSteps = Callable[[Array, NDArray[np.int64], Array, Array], Array]
 
 def part_steps_of(method: Method, top: Top, h: float) -> PartSteps:
     """Parts of the steps of ``h`` of a method for ``top``; compiled, if the method is a step that can be compiled."""
-    p, d = top.constants(), len(top.components)
-    if isinstance(method, Sampler):
-        return _by_closed_form(method, p, h)
+    p, d, code = top.constants(), len(top.components), None
     if isinstance(method, Stepper) and not method.plain:
-        whole, params = replace(method, stages=None), np.array(method.parameters(top), dtype=float)
-        try:
-            return _by_code(native(_function(_PARTS, whole, d, len(p)), PARTS), params, h)
-        except CompileError:  # of the way to or from the working state
-            pass
-    return _one_by_one(loop_of(method, d, len(p)), np.array(p, dtype=float), h)
+        with suppress(CompileError):  # of the way to or from the working state
+            code = native(_function(_PARTS, replace(method, stages=None), d, len(p)), PARTS)
+    params = np.array(method.parameters(top) if isinstance(method, Stepper) and code else p, dtype=float)
+    loop = None if code else loop_of(method, d, len(p))
 
-
-def _by_closed_form(sampler: Sampler, p: Floats, h: float) -> PartSteps:
-    def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
-        out = np.full_like(before, np.nan)
-        for start in np.unique(y0, axis=0):
-            here = (y0 == start).all(axis=1)
-            out[here] = sampler.states(start, h, (n + theta)[here], p)
-        return out
-
-    return part_steps
-
-
-def _by_code(code: Native, params: Array, h: float) -> PartSteps:
-    def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
-        out = np.full_like(before, np.nan)
-        code.checked(np.ascontiguousarray(before), np.ascontiguousarray(theta), out, params, h, len(theta))
-        return out
-
-    return part_steps
-
-
-def _one_by_one(loop: Loop, params: Array, h: float) -> PartSteps:
     def part_steps(y0: Array, n: NDArray[np.int64], before: Array, theta: Array) -> Array:
         out = before.copy()
-        for k, part in enumerate(theta.tolist()):
-            if part:
-                end = state_after(loop, before[k], params, part * h)
+        if isinstance(method, Sampler):
+            for start in np.unique(y0, axis=0):
+                here = (y0 == start).all(axis=1)
+                out[here] = method.states(start, h, (n + theta)[here], p)
+        elif code:
+            code.checked(np.ascontiguousarray(before), np.ascontiguousarray(theta), out, params, h, len(theta))
+        elif loop:
+            for k in np.flatnonzero(theta):
+                end = state_after(loop, before[k], params, float(theta[k]) * h)
                 out[k] = np.nan if end is None else end
         return out
 

@@ -1,20 +1,14 @@
-"""Machine code of a method: a loop over the steps of one trajectory, and loops over steps and lanes.
-
-``nanoseconds_per_step`` times the former.
-"""
+"""Machine code of a method: a loop over the steps of one trajectory, and loops over steps and lanes."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from copy import copy
 from typing import Any
 
 import numpy as np
 
 from topcli.contracts import Array, Method, Sampler, Scheme, Stepper, Top
 from topcli.engine.compile import Native
-from topcli.engine.loops import Loop, lanes_code, loop_of, more_parameters, same_code
+from topcli.engine.loops import Loop, lanes_code, loop_of, more_parameters
 
 SIDE_BY_SIDE = 4
 """Smallest batch whose trajectories advance side by side; fewer are faster one by one."""
@@ -42,15 +36,6 @@ class Machine:
         if loop is None and isinstance(method, Stepper) and not method.plain:
             self.stepper = method
         self._loop, self._lanes = loop, dict[int, Native]()
-
-    def for_top(self, top: Top, method: Method) -> Machine:
-        """The same machine code for a top with other constants, whose ``method`` is the ``same_code``."""
-        other = copy(self)
-        other.method, other.p = method, np.array(top.constants(), dtype=np.float64)
-        other.stepper = method if self.stepper and isinstance(method, Stepper) else None
-        if self._loop and isinstance(method, Stepper):
-            other._loop = self._loop.of(method)
-        return other
 
     def lanes_for(self, count: int) -> int:
         """Trajectories that a call advances, for a batch of ``count``."""
@@ -109,65 +94,6 @@ class Machine:
         return {"compile": sum(code.seconds for code in loaded), "compile_cached": all(code.cached for code in loaded)}
 
 
-_machines: dict[tuple[Any, ...], Machine] = {}
-"""The latest machine of each scheme, class of tops and options."""
-
-
 def machine_of(top: Top, scheme: Scheme, options: Any) -> Machine:
-    """Machine code of a scheme with ``options`` for a top; tops that differ in constants only share it."""
-    method = scheme.build(top, options)
-    kind = (scheme.build, type(top), options.model_dump_json())
-    latest = _machines.get(kind)
-    if latest is not None and same_code(method, latest.method):
-        return latest.for_top(top, method)
-    _machines[kind] = Machine(top, method)
-    return _machines[kind]
-
-
-REPETITIONS = 9
-"""Times that each step is timed."""
-PLAIN_STEPS = 1 << 9
-"""Most steps that are timed at once if they run in the interpreter."""
-PLAIN_NANOSECONDS = 1e8
-"""Time for which they are timed at once."""
-SAMPLED_STATES = 5000
-"""States of a closed form that are timed together."""
-
-
-def nanoseconds_per_step(
-    runs: Sequence[tuple[Top, Method, Sequence[float], float]],
-    steps: int = 50_000,
-    clock: Callable[[], int] = time.perf_counter_ns,
-) -> list[float]:
-    """Median warm time of one step, in nanoseconds, for each (top, method, y0, h), measured in turn.
-
-    Nothing is recorded while the clock runs, and the repetitions are interleaved so that a change of the machine's
-    speed affects all of them. A trajectory that blows up is timed up to that point; a step that runs in the interpreter
-    is timed over as many as take a tenth of a second. Of a closed form the time of one state is returned.
-    """
-    prepared = []
-    for top, method, y0, h in runs:
-        p = np.array(top.constants(), dtype=np.float64)
-        loop = loop_of(method, len(y0), len(p))
-        prepared.append((loop, np.array(y0, dtype=np.float64), p, h, np.zeros(loop.width)))
-    sampled = np.empty(SAMPLED_STATES * max((len(y0) for _, y0, *_ in prepared), default=0))
-    times: list[list[float]] = [[] for _ in prepared]
-    interpreted = [1] * len(prepared)
-    for repetition in range(REPETITIONS + 1):
-        for i, (loop, y0, p, h, work) in enumerate(prepared):
-            loop.enter(y0, work, p, h)
-            start = clock()
-            count = steps if loop.compiled else min(steps, interpreted[i])
-            if loop.sampled:
-                count = min(steps, SAMPLED_STATES)
-                taken = loop.drive(work, sampled[: count * len(y0)], p, h, count, 1, 1)
-            else:
-                taken = 0
-                while not taken:  # a block may return before its first step is done
-                    taken = loop.drive(work, work, p, h, count, count + 1, count + 1)
-            elapsed = clock() - start
-            if not repetition:
-                interpreted[i] = min(PLAIN_STEPS, 1 + int(PLAIN_NANOSECONDS / max(elapsed, 1)))
-            else:
-                times[i].append(elapsed / max(1, abs(taken)))
-    return [float(np.median(of_run)) for of_run in times]
+    """Machine code of a scheme with ``options`` for a top."""
+    return Machine(top, scheme.build(top, options))

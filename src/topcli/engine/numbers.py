@@ -16,7 +16,7 @@ import sys
 import types
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.fused import double_of, fma, is_cap, power_of
 from topcli.arithmetic.vectors import sinc_cosc_polynomials
-from topcli.contracts import Outcome, Scheme, StepFunction, Stepper, Top, check_stop, same_state
+from topcli.contracts import Scheme, StepFunction, Stepper, Top, check_stop
 from topcli.engine.compile import place_of, plain_function, references
-from topcli.engine.loops import Loop
+from topcli.engine.loops import Loop, interpreted
 from topcli.errors import UsageError
 from topcli.field.polynomial import polynomial_field
 
@@ -52,21 +52,8 @@ ROOM = 4
 """Length of the longest number within a step, in units of ``max_digits``. The numbers of ``hk`` are at most 1.8 times
 as long as those of the state after the step, those of ``rk4`` 1.05 times."""
 FUNCTIONS = (
-    "acos",
-    "asin",
-    "atan",
-    "atan2",
-    "cos",
-    "cosh",
-    "exp",
-    "hypot",
-    "log",
-    "sin",
-    "sinh",
-    "sqrt",
-    "tan",
-    "tanh",
-)
+    "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "hypot", "log", "sin", "sinh", "sqrt", "tan", "tanh"
+)  # fmt: skip
 """Functions of ``math`` with the same name in mpmath and gmpy2."""
 LEFT = sys.stdlib_module_names | {"gmpy2", "mpmath", "numba", "numpy", "scipy"}
 """Packages whose functions are not copied; the functions of ``math`` are replaced."""
@@ -347,13 +334,6 @@ def _composition(step: StepFunction, weights: tuple[float, ...]) -> StepFunction
     return composed
 
 
-def precise(method: Stepper, numbers: Numbers) -> Stepper:
-    """A method in other numbers. Raises NotRationalError if it uses functions that these do not have."""
-    step = _composition(*method.stages) if method.stages else method.step
-    step, enter, leave = map(numbers.rebuilt, (step, method.enter, method.leave))
-    return replace(method, step=step, enter=enter, leave=leave, plain=True, stages=None)
-
-
 def precise_top(top: Top, parameters: Mapping[str, Any]) -> Any:
     """Top whose parameters are numbers of another kind; not validated again."""
     return type(top).model_construct(**{**top.model_dump(), **parameters})
@@ -388,10 +368,12 @@ def precise_scheme(
         try:
             if built.source:
                 _check_field(exact, other, numbers)
-            made = precise(built, numbers)
+            step = _composition(*built.stages) if built.stages else built.step
+            step, enter, leave = map(numbers.rebuilt, (step, built.enter, built.leave))
+            method = replace(built, step=step, enter=enter, leave=leave, plain=True, stages=None)
         except NotRationalError as error:
             raise refused(scheme, numbers, str(error)) from None
-        return other, made, (*map(numbers.rebuilt, other.constants()), *map(numbers.number, built.constants))
+        return other, method, (*map(numbers.rebuilt, other.constants()), *map(numbers.number, built.constants))
 
 
 def _check_field(exact: Any, other: Any, numbers: Numbers) -> None:
@@ -408,68 +390,50 @@ def _check_field(exact: Any, other: Any, numbers: Numbers) -> None:
             raise NotRationalError("has constants that are computed in doubles")
 
 
-@dataclass(frozen=True)
-class PreciseLoop(Loop):
-    """Loop whose buffers hold objects; ``limit`` is not empty after a step whose numbers became too long."""
-
-    limit: list[TooLongError] = field(default_factory=list)
-
-    def failure(self, work: NDArray[Any]) -> Outcome:
-        """Outcome of a run whose failed step left ``work``."""
-        return Outcome.DIGIT_LIMIT if self.limit else super().failure(work)
-
-
-def precise_loop(
-    method: Stepper, d: int, constants: tuple[Any, ...], numbers: Numbers, max_bits: int = 0
-) -> PreciseLoop:
+def precise_loop(method: Stepper, d: int, constants: tuple[Any, ...], numbers: Numbers, max_bits: int = 0) -> Loop:
     """Loop over a method in other numbers for states of length ``d``, with the ``constants`` of its steps.
 
     It stops when a rational number of the state has more than ``max_bits`` binary digits (0: any number). Raises
     StrayDoubleError if the state after a step has a double, and UsageError for a step that these numbers cannot take.
     """
-    step, enter, leave = method.step, method.enter or same_state, method.leave or same_state
-    checked, zero, limit = method.checked or method.width, numbers.number(Fraction(0)), list[TooLongError]()
+    zero, limit = numbers.number(Fraction(0)), list[TooLongError]()
+    checked, counted = method.checked or method.width, method.width - len(method.counters)
 
-    def stepped(s: Any, h: Any) -> tuple[Any, bool]:
-        """State after a step, and whether the step succeeded."""
+    def step(s: Any, h: Any, p: Any) -> Any:
+        """State after a step; infinite if the step failed."""
+        failed = (math.inf,) * counted + tuple(s[counted:])
         try:
-            s = step(s, h, constants)
-            if stray := [x for x in s if isinstance(x, float) and math.isfinite(x)]:
+            after = method.step(s, h, p)
+            if stray := [x for x in after if isinstance(x, float) and math.isfinite(x)]:
                 raise StrayDoubleError(stray[0])
-            if max_bits and longest(s) > max_bits:
+            if max_bits and longest(after) > max_bits:
                 raise TooLongError
-            return s, all(map(numbers.finite, s[:checked]))
+            return after if all(map(numbers.finite, after[:checked])) else (math.inf, *after[1:])
         except TooLongError as error:
             limit.append(error)
         except ZeroDivisionError:
             pass
         except (AttributeError, TypeError) as error:
-            raise UsageError(f"{numbers.purpose}: {place_of(step)}: no step in {numbers.name}: {error}") from error
-        return s, False
+            raise UsageError(
+                f"{numbers.purpose}: {place_of(method.step)}: no step in {numbers.name}: {error}"
+            ) from error
+        return failed
 
-    def enter_state(y: Any, work: Any, p: Any, h: Any) -> int:
+    # the step tests all numbers, and shows a failure in the first one
+    loop = interpreted(replace(method, step=step, checked=1, constants=()), d, len(constants))
+
+    def enter(y: Any, work: Any, p: Any, h: Any) -> int:
         with numbers.active():
-            work[:] = [x + zero for x in enter(tuple(y), h, constants)]
+            loop.enter(y, work, constants, h)
+            work += zero
         return 0
 
-    def drive(work: Any, out: Any, p: Any, h: Any, steps: int, every: int, until_record: int) -> int:
+    def drive(work: Any, out: Any, p: Any, *steps: Any) -> int:
         limit.clear()
-        s, k = tuple(work), 0
         with numbers.active():
-            for i in range(1, steps + 1):
-                s, good = stepped(s, h)
-                if not good:
-                    work[:] = s
-                    return -i
-                if i >= until_record and (i - until_record) % every == 0:
-                    out[k : k + d] = leave(s, h, constants)
-                    k += d
-        work[:] = s
-        return steps
+            return loop.drive(work, out, constants, *steps)
 
-    return PreciseLoop(
-        enter_state, drive, method.width, method.counters, iterative=method.iterative, compiled=False, limit=limit
-    )
+    return replace(loop, enter=enter, drive=drive, limit=limit)
 
 
 @dataclass(frozen=True)
@@ -481,7 +445,7 @@ class PreciseRun:
 
     arithmetic: Numbers
     top: Top
-    loop: PreciseLoop
+    loop: Loop
     h: Any
     y0: NDArray[Any]
     guard: PreciseRun | None = None

@@ -3,13 +3,10 @@
 The energy of a top is the invariant that ``Top.energy`` names, or a multiple of it; a top without one is not judged.
 A trajectory has left the motion as soon as a recorded state's energy differs from the first one's by more than
 ``LEAVING_FACTOR`` times its scale there, the sum of the magnitudes of its terms. Where these vanish or nearly do (at
-rest with the centre of gravity level), the limit uses the largest scale that vectors of the same lengths can have along
-the axes.
+rest with the centre of gravity level), the limit is the scale with each component as large as its vector.
 """
 
 from __future__ import annotations
-
-import itertools
 
 import numpy as np
 
@@ -20,8 +17,6 @@ from topcli.engine.plan import Plan
 from topcli.engine.rows import Rows
 
 LEAVING_FACTOR = 100.0
-PART = 1 << 12
-"""Most states whose limits are computed together, nine times as many in memory."""
 
 
 def energy_of(top: Top) -> Invariant | None:
@@ -37,20 +32,11 @@ def energy_limits(top: Top, states: Array) -> Array:
     energy = energy_of(top)
     if energy is None:
         return np.full(len(states), np.inf)
-    if len(states) > PART:
-        return np.concatenate([energy_limits(top, states[i : i + PART]) for i in range(0, len(states), PART)])
-    vectors = top.vectors.values()
-    lengths, rest = np.zeros_like(states), states.copy()
+    lengths = states.copy()
     with np.errstate(all="ignore"):
-        for start, stop in vectors:
+        for start, stop in top.vectors.values():
             lengths[:, start:stop] = np.linalg.norm(states[:, start:stop], axis=1)[:, None]
-            rest[:, start:stop] = 0.0
-        ways = list(itertools.product(*(range(start, stop) for start, stop in vectors)))
-        turned = np.tile(rest, (len(ways), 1, 1))
-        for states_of_way, axes in zip(turned, ways, strict=True):
-            states_of_way[:, axes] = lengths[:, axes]
-        sizes = energy.scale(turned.reshape(-1, states.shape[1])).reshape(len(ways), -1)
-        limits = np.maximum(LEAVING_FACTOR * energy.scale(states), sizes.max(axis=0))
+        limits = np.maximum(LEAVING_FACTOR * energy.scale(states), energy.scale(lengths))
         judged = np.isfinite(limits) & (limits > 0.0) & np.isfinite(energy.value(states))
     return np.where(judged, limits, np.inf)
 

@@ -20,12 +20,13 @@ import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache, lru_cache
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
+from topcli.arithmetic.fused import defined
 from topcli.errors import nearest, quoted
 
 FUNCTIONS = ("sin", "cos", "tan", "asin", "acos", "atan2", "exp", "log", "sqrt", "abs", "sinh", "cosh", "tanh")
@@ -33,8 +34,6 @@ ARITY = dict.fromkeys(FUNCTIONS, 1) | {"atan2": 2}
 """Number of arguments of each function."""
 PI = "pi"
 """Name of the number, unless a formula is given this name."""
-DIGITS = 170
-"""Decimal digits of a function of exact numbers: more than any precision of a run."""
 HIGHEST = 24
 """Largest exponent."""
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -147,22 +146,13 @@ def _reason(node: ast.expr, names: tuple[str, ...]) -> str:
     match node:
         case ast.Name(id=name) | ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
             return f"{name} is a function; write {name}({'y, x' if ARITY[name] == 2 else 'x'})"
-        case ast.Call(func=ast.Name(id=name)) if name in names:
-            return f"{name} is not a function; a product is written {name}*(...)"
-        case ast.Call(func=ast.Name(id=name)):
+        case ast.Call(func=ast.Name(id=name)) if name not in names:
             return f"unknown function {quoted(name)}; {nearest(name, FUNCTIONS)}"
-        case ast.Call():
-            return "a product is written (...)*(...)"
         case ast.Name(id=name):
             hint = nearest(name, (*names, *FUNCTIONS))
-            if hint.startswith("known"):
-                hint = f"known: {', '.join(names)}; functions: {', '.join(FUNCTIONS)}"
-            return f"unknown name {quoted(name)}; {hint}"
-        case ast.BinOp(op=ast.FloorDiv() | ast.BitXor()):
-            return "a quotient is written x/y, a power x**2"
-        case ast.Tuple():
-            return "unexpected ','; a decimal has a point"
-    return f"only numbers, names, + - * / **, parentheses and {', '.join(FUNCTIONS)} are allowed"
+            return f"unknown name {quoted(name)}; " + (hint if hint[:3] == "did" else f"known: {', '.join(names)}")
+    allowed = f"numbers, names, + - * / **, parentheses and {', '.join(FUNCTIONS)}"
+    return f"only {allowed} are allowed; a product is written 2*x, a power x**2, a decimal 0.5"
 
 
 def _function(name: str) -> ast.expr:
@@ -234,15 +224,9 @@ def function_of(
     constants = "".join(f"{value!r}, " for value in numbers)
     lines = [f"c = ({constants})"] * bool(constants) + [f"{name} = {text}" for text, name in products.items()]
     lines += [f"return ({returned})"]
-    scope: dict[str, Any] = {"math": math, "__name__": __name__}
     source = f"def {name}(y, p):\n    " + "\n    ".join(lines)
-    exec(compile(source, f"<formulas {hashlib.sha256(source.encode()).hexdigest()[:12]}>", "exec"), scope)
-    return scope[name]
-
-
-def uses_math(function: Callable[..., Any]) -> bool:
-    """True if the code of a plain function refers to the module ``math``."""
-    return isinstance(function, types.FunctionType) and function.__globals__.get("math") is math
+    label = f"formulas {hashlib.sha256(source.encode()).hexdigest()[:12]}"
+    return defined(source, label, math=math, __name__=__name__)[name]
 
 
 def in_arithmetic(
@@ -262,9 +246,9 @@ def in_arithmetic(
 
     scope = function.__globals__ if functions is None else {**function.__globals__, "math": functions}
     code = function.__code__.replace(co_consts=tuple(map(exchanged, function.__code__.co_consts)))
-    made = types.FunctionType(code, scope, function.__name__, function.__defaults__, function.__closure__)
-    made.__kwdefaults__ = function.__kwdefaults__
-    return made
+    copy = types.FunctionType(code, scope, function.__name__, function.__defaults__, function.__closure__)
+    copy.__kwdefaults__ = function.__kwdefaults__
+    return copy
 
 
 def value_of(
@@ -276,82 +260,54 @@ def value_of(
     """
     plain = function_of("formula", [expression], components, parameters)
     of_columns = in_arithmetic(plain, float, np)
-    of_objects, of_fractions = (
-        in_arithmetic(plain, lambda value: Fraction(repr(value)), _Elementwise(rational)) for rational in (False, True)
-    )
 
     def value(y: Sequence[Any], p: Sequence[Any]) -> Any:
-        columns = [x for x in (*y, *p) if isinstance(x, np.ndarray) and x.dtype.hasobject]
-        exact = [x for x in (*y, *p) if isinstance(x, Fraction)] + [x.flat[0] for x in columns if x.size]
-        if not (columns or exact):
+        objects = [x for x in (*y, *p) if isinstance(x, Fraction)]
+        objects += [x.flat[0] for x in (*y, *p) if isinstance(x, np.ndarray) and x.dtype.hasobject and x.size]
+        if not objects:
             return of_columns(y, p)[0]
-        return (of_fractions if all(_functions(x) is math for x in exact) else of_objects)(y, p)[0]
+        functions = _Elementwise(next((f for f in map(_functions, objects) if f is not math), math))
+        return in_arithmetic(plain, functions.number, functions)(y, p)[0]
 
     return value
-
-
-class _Elementwise:
-    """Functions of columns of objects, each in the arithmetic of its numbers.
-
-    Constants have ``DIGITS`` digits. ``rational`` numbers have no functions: the values are floats, which are refused.
-    """
-
-    def __init__(self, rational: bool) -> None:
-        self.rational = rational
-
-    def __getattr__(self, name: str) -> Any:
-        if name == PI:
-            return math.pi if self.rational else exact_function(PI)()
-        return _elementwise(name, self.rational)
 
 
 def _functions(x: Any) -> Any:
-    """Module, or context, with the functions of a number; ``math`` for fractions and floats."""
+    """Module, or context, with the functions of a number; ``math`` for fractions and polynomials."""
     return import_module("gmpy2") if type(x).__module__.partition(".")[0] == "gmpy2" else getattr(x, "context", math)
 
 
-@cache
-def _elementwise(name: str, rational: bool) -> Callable[..., Any]:
-    def of_one(*x: Any) -> Any:
-        if not rational and all(isinstance(a, Fraction) for a in x):
-            try:
-                return exact_function(name)(*x)
-            except ValueError:
-                return math.nan
-        functions = next((f for f in map(_functions, x) if f is not math), math)
-        found = getattr(functions, name)(*x)
-        return found if found.imag == 0 else functions.nan  # mpmath's roots of negative numbers are complex
+class _Elementwise:
+    """Constants and functions of columns of numbers that have these ``functions``.
 
-    def of_columns(*x: Any) -> Any:
-        if any(isinstance(a, np.ndarray) for a in x):
-            return np.frompyfunc(of_one, len(x), 1)(*x)
-        return of_one(*x)
-
-    return of_columns
-
-
-@cache
-def exact_function(name: str) -> Callable[..., Fraction]:
-    """Function of fractions, or a constant, as a function without arguments.
-
-    The root of a square is exact, other values are accurate to ``DIGITS`` digits. The function raises ValueError where
-    it has no value.
+    Those of fractions are doubles, which exact numbers refuse.
     """
-    from mpmath.ctx_mp import MPContext
-    from mpmath.libmp import to_rational
 
-    context: Any = MPContext()
-    context.dps = DIGITS
+    def __init__(self, functions: Any) -> None:
+        self.functions = functions
+        self.of = next((getattr(functions, name) for name in ("mpf", "mpfr") if hasattr(functions, name)), Fraction)
 
-    def value(*x: Fraction) -> Fraction:
-        if name == "sqrt" and x[0] >= 0:
-            root = Fraction(math.isqrt(x[0].numerator), math.isqrt(x[0].denominator))
-            if root * root == x[0]:
-                return root
-        function = getattr(context, name)
-        found = function(*(context.mpf(a.numerator) / a.denominator for a in x)) if x else +function
-        if not isinstance(found, context.mpf) or not context.isfinite(found):
-            raise ValueError(f"takes {name} of {', '.join(f'{float(a):g}' for a in x)}, which is not a number")
-        return Fraction(*map(int, to_rational(found._mpf_)))  # with gmpy2 installed, they are its integers
+    def number(self, value: float | Fraction) -> Any:
+        """Decimal number that a double is printed as."""
+        exact = Fraction(repr(value)) if isinstance(value, float) else value
+        return self.of(exact.numerator) / exact.denominator
 
-    return value
+    def __getattr__(self, name: str) -> Any:
+        if name == PI:
+            return self.functions.const_pi() if hasattr(self.functions, "const_pi") else +self.functions.pi
+
+        def of_one(*x: Any) -> Any:
+            numbers = [self.number(a) if isinstance(a, Fraction) else a for a in x]
+            try:
+                value = getattr(self.functions, name)(*numbers)
+            except ValueError:
+                if not all(isinstance(a, Fraction) for a in x):
+                    raise
+                return math.nan
+            return value if value.imag == 0 else self.functions.nan  # mpmath's roots of negative numbers are complex
+
+        def of_columns(*x: Any) -> Any:
+            columns = any(isinstance(a, np.ndarray) for a in x)
+            return np.frompyfunc(of_one, len(x), 1)(*x) if columns else of_one(*x)
+
+        return of_columns

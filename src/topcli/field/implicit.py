@@ -48,9 +48,9 @@ Matrix = dict[tuple[int, int], Sum]
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution of a linear system: unknown i is ``known[i] + numerator[i]/divisor``."""
+    """Solution of a linear system: unknown i is ``part[i] + numerator[i]/divisor``."""
 
-    known: Mapping[int, Sum]
+    part: Mapping[int, Sum]
     numerator: Mapping[int, Sum]
     divisor: Term
 
@@ -124,8 +124,8 @@ class KahanStep:
         """Node of ``node`` + sum, rounded once at the size of ``node``."""
         if len(terms) > 1:
             terms = self.graph.value(terms)
-        ((_, (found,)),) = self.graph.value((*terms, (Fraction(1), (node,))))
-        return found
+        ((_, (node,)),) = self.graph.value((*terms, (Fraction(1), (node,))))
+        return node
 
     def _scaled(self, c: Fraction, nodes: Sequence[int]) -> Sum:
         """d c times the ``nodes``; a product of d c with one of them is shared if it is known."""
@@ -163,10 +163,10 @@ class KahanStep:
             c = field[i].terms.get((j,), Fraction(0)) / largest
             matrix[i, j] = ((-c, ()),) if c else ()
             matrix[j, i] = graph.times(e, matrix[j, i])
-        found = self._eliminated(matrix, {i: () if i in lead else self._side(i) for i in block}, block)
-        known = {i: self.half[i] + graph.times(e, found.known[i]) if i in lead else found.known[i] for i in block}
-        numerator = {i: graph.times(e, n) if i in lead else n for i, n in found.numerator.items()}
-        return Solution(known, numerator, found.divisor)
+        solution = self._eliminated(matrix, {i: () if i in lead else self._side(i) for i in block}, block)
+        part = {i: self.half[i] + graph.times(e, solution.part[i]) if i in lead else solution.part[i] for i in block}
+        numerator = {i: graph.times(e, n) if i in lead else n for i, n in solution.numerator.items()}
+        return Solution(part, numerator, solution.divisor)
 
     def _next_pivot(self, matrix: Matrix, rows: Sequence[int], columns: Sequence[int]) -> tuple[int, int] | None:
         """Place of a constant that is not small, otherwise on the diagonal; None to leave the rest to Cramer's rule."""
@@ -178,13 +178,13 @@ class KahanStep:
             in_row = sum(bool(matrix[place[0], j]) for j in columns) - 1
             return in_row * (sum(bool(matrix[i, place[1]]) for i in rows) - 1), place
 
-        found = [(i, j) for i in rows for j in columns if is_constant(matrix[i, j])]
-        if len(rows) <= (CORE if found else LARGEST_CORE):
+        places = [(i, j) for i in rows for j in columns if is_constant(matrix[i, j])]
+        if len(rows) <= (CORE if places else LARGEST_CORE):
             return None
-        found = sorted(found or [(i, i) for i in rows if i in columns], key=fill)
-        second = not self._began and len(found) > 1
+        places = sorted(places or [(i, i) for i in rows if i in columns], key=fill)
+        second = not self._began and len(places) > 1
         self._began = True
-        return found[second]
+        return places[second]
 
     def _eliminated(self, matrix: Matrix, side: dict[int, Sum], names: Sequence[int]) -> Solution:
         """Solve ``matrix`` u = ``side``; a matrix that was solved before gets the same pivots."""
@@ -221,12 +221,12 @@ class KahanStep:
         for i, j in itertools.product(rows, columns):
             matrix[i, j] = graph.single(matrix[i, j])
         numerator, divisor = self._cramer(matrix, {i: graph.single(side[i]) for i in rows}, rows, columns)
-        known: dict[int, Sum] = dict.fromkeys(columns, ())
+        part: dict[int, Sum] = dict.fromkeys(columns, ())
         for i, j in done:
-            known[j] = side[i]
+            part[j] = side[i]
             terms = (minus(graph.times(matrix[i, k], numerator[k])) for k in columns)
             numerator[j] = graph.single(sum(terms, start=()))
-        return Solution(known, numerator, divisor)
+        return Solution(part, numerator, divisor)
 
     def _cramer(
         self, matrix: Matrix, side: Mapping[int, Sum], rows: Sequence[int], columns: Sequence[int]
@@ -252,27 +252,27 @@ class KahanStep:
 
         numerator = {}
         for k, j in enumerate(columns):
-            found = minor(tuple(rows), (*columns[:k], *columns[k + 1 :], right))
-            numerator[j] = found if (len(columns) - k) % 2 else minus(found)
+            value = minor(tuple(rows), (*columns[:k], *columns[k + 1 :], right))
+            numerator[j] = value if (len(columns) - k) % 2 else minus(value)
         (divisor,) = minor(tuple(rows), tuple(columns))
         return numerator, divisor
 
-    def _hold(self, found: Solution) -> None:
+    def _hold(self, solution: Solution) -> None:
         """Half changes that are known from now on."""
-        inverse = self.graph.quotient(1, found.divisor)
-        for i, numerator in found.numerator.items():
-            self.half[i] = self.graph.single(found.known[i] + self.graph.times(numerator, inverse))
+        inverse = self.graph.quotient(1, solution.divisor)
+        for i, numerator in solution.numerator.items():
+            self.half[i] = self.graph.single(solution.part[i] + self.graph.times(numerator, inverse))
             self.mean[i] = self._plus(self.y[i], self.half[i])
 
-    def _finish(self, found: Solution) -> None:
+    def _finish(self, solution: Solution) -> None:
         """Changes of a block, and its half changes and means for later ones."""
         graph = self.graph
-        inverse = graph.quotient(self.factor, found.divisor)
-        for i, numerator in found.numerator.items():
-            known = tuple((self.factor * c, factors) for c, factors in graph.single(found.known[i]))
-            self.change[i] = known + graph.times(numerator, inverse)
-        self._determinants += found.divisor[1]
-        self._hold(found)
+        inverse = graph.quotient(self.factor, solution.divisor)
+        for i, numerator in solution.numerator.items():
+            part = tuple((self.factor * c, factors) for c, factors in graph.single(solution.part[i]))
+            self.change[i] = part + graph.times(numerator, inverse)
+        self._determinants += solution.divisor[1]
+        self._hold(solution)
 
     def changes(self) -> list[int]:
         """Nodes of the changes of the components."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
-from itertools import chain, combinations, combinations_with_replacement
 from typing import Any, cast
 
 import numpy as np
@@ -24,10 +22,10 @@ def polynomial_value(value: Callable[[Array], Array], d: int) -> Polynomial:
     """Polynomial of a function that maps states (n, d) to values (n,). Raises NotPolynomialError."""
     y: Any = np.array([[Polynomial.variable(i) for i in range(d)]], dtype=object)
     try:
-        (found,) = value(y)
+        (polynomial,) = value(y)
     except Exception as error:  # numpy's functions and a user's code may raise anything
         raise NotPolynomialError(f"cannot be evaluated with polynomials: {error}") from None
-    return Polynomial.of(found)
+    return Polynomial.of(polynomial)
 
 
 def remainder(dividend: Polynomial, divisors: Sequence[Polynomial]) -> Polynomial:
@@ -76,7 +74,7 @@ def exact_rate(field: Field, invariants: Sequence[Invariant], invariant: Invaria
 
     Raises NotPolynomialError.
     """
-    d, values = len(field), {one.name: one.value for one in invariants}
+    d, values = len(field), {each.name: each.value for each in invariants}
     zeros = [polynomial_value(values[name], d) - Polynomial.of(level) for name, level in invariant.on.items()]
     return rate_of_change(field, polynomial_value(invariant.value, d), zeros)
 
@@ -191,95 +189,3 @@ def broken_hk_integral(top: Top) -> str:
                     at = f"h = {h} from ({', '.join(map(str, before))})"
                     return f"{name!r} is not an integral of the HK map: a step of {at} changes it by {float(b - a):.3g}"
     return ""
-
-
-MOST_MONOMIALS = 500
-"""Monomials among which integrals are looked for."""
-
-
-def _lead(polynomial: Polynomial) -> Monomial:
-    return max(polynomial.terms, key=lambda m: (len(m), m))
-
-
-class _Span:
-    """Linear span of polynomials with different leading monomials, each the image of another one."""
-
-    def __init__(self) -> None:
-        self._basis: dict[Monomial, tuple[Polynomial, Polynomial]] = {}
-
-    def rest(self, image: Polynomial, of: Polynomial) -> tuple[Polynomial, Polynomial]:
-        """Difference of an image and an element of the span, without leading monomials of it, and its original."""
-        rest = Polynomial({})
-        while image.terms:
-            lead = _lead(image)
-            if lead in self._basis:
-                known, original = self._basis[lead]
-                c = image.terms[lead] / known.terms[lead]
-                image, of = image - known * c, of - original * c
-            else:
-                term = Polynomial({lead: image.terms[lead]})
-                image, rest = image - term, rest + term
-        return rest, of
-
-    def extend(self, image: Polynomial, of: Polynomial) -> tuple[Polynomial, Polynomial]:
-        """Add an image to the span; its ``rest``, which is zero if it is in the span already."""
-        rest, original = self.rest(image, of)
-        if rest.terms:
-            self._basis[_lead(rest)] = rest, original
-        return rest, original
-
-
-def polynomial_integrals(field: Field, degree: int) -> list[Polynomial]:
-    """Basis of the polynomials of at most this ``degree`` that the field conserves, without constants."""
-    span, found = _Span(), []
-    for k in range(1, degree + 1):
-        for monomial in combinations_with_replacement(range(len(field)), k):
-            single = Polynomial({monomial: Fraction(1)})
-            rest, combination = span.extend(derivative_along(field, single), single)
-            if not rest.terms:
-                found.append(combination)
-    return found
-
-
-def further_integrals(field: Field, declared: Sequence[Polynomial]) -> tuple[int, list[Polynomial]]:
-    """Polynomial integrals of a field that are not polynomials of the ``declared`` ones.
-
-    Returns the degree up to which they were looked for, at most 4 and less for many components, and a basis.
-    """
-    degree = 4
-    while degree > 2 and math.comb(len(field) + degree, degree) > MOST_MONOMIALS:
-        degree -= 1
-    products = [Polynomial.of(1)]
-    for integral in declared:
-        if 0 < integral.degree <= degree:
-            powers = [integral**k for k in range(degree // integral.degree + 1)]
-            products = [p * q for p in products for q in powers if p.degree + q.degree <= degree]
-    span, further = _Span(), []
-    for product in products:
-        span.extend(product, product)
-    for candidate in polynomial_integrals(field, degree):
-        rest, _ = span.rest(candidate, candidate)
-        if rest.terms:
-            further.append(rest)
-            for product in products:
-                if rest.degree + product.degree <= degree:
-                    span.extend(rest * product, rest)
-    return degree, further
-
-
-def reversal(field: Field) -> tuple[int, ...] | None:
-    """Return signs of the components, shape (d,), that reverse time, with as few minus signs as possible; or None.
-
-    The diagonal matrix R of the signs satisfies f(R y) = -R f(y).
-    """
-    d = len(field)
-    for minus in chain.from_iterable(combinations(range(d), k) for k in range(1, d + 1)):
-        signs = tuple(-1 if i in minus else 1 for i in range(d))
-        if all(signs[i] * math.prod(signs[j] for j in m) == -1 for i, rate in enumerate(field) for m in rate.terms):
-            return signs
-    return None
-
-
-def divergence(field: Field) -> Polynomial:
-    """Divergence of a field; zero if its flow preserves volume."""
-    return sum((rate.derivative(i) for i, rate in enumerate(field)), start=Polynomial({}))

@@ -12,13 +12,12 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from functools import cache
-from traceback import walk_tb
 from typing import Any
 
+from topcli.arithmetic.sized import Operators
 from topcli.contracts import Top
 from topcli.errors import UsageError
-from topcli.field.expression import FUNCTIONS, exact_function, in_arithmetic, uses_math
+from topcli.field.expression import in_arithmetic
 
 Monomial = tuple[int, ...]
 """Indices of the factors of a product of variables, in order: (0, 0, 2) is the square of variable 0 times variable 2;
@@ -36,12 +35,11 @@ class NotPolynomialError(ValueError):
 DECIDES = "makes a decision that depends on the state"
 
 
-class Polynomial:
+class Polynomial(Operators):
     """Polynomial with rational coefficients: ``terms`` maps each monomial to its coefficient, which is not zero.
 
     A polynomial can be used like a number if the result is a polynomial: the exponent of a power is a whole number,
-    and a divisor is a constant. Anything else raises NotPolynomialError. A constant can be compared and converted to a
-    float as a number.
+    and a divisor is a constant. Anything else raises NotPolynomialError. A constant can be converted to a float.
     """
 
     __slots__ = ("terms",)
@@ -83,19 +81,8 @@ class Polynomial:
                 terms[product] = terms.get(product, Fraction(0)) + a * b
         return Polynomial(terms)
 
-    __radd__, __rmul__ = __add__, __mul__
-
     def __neg__(self) -> Polynomial:
         return Polynomial({monomial: -c for monomial, c in self.terms.items()})
-
-    def __pos__(self) -> Polynomial:
-        return self
-
-    def __sub__(self, other: object) -> Polynomial:
-        return self + -Polynomial.of(other)
-
-    def __rsub__(self, other: object) -> Polynomial:
-        return Polynomial.of(other) - self
 
     def __truediv__(self, other: object) -> Polynomial:
         divisor = Polynomial.of(other)
@@ -139,20 +126,8 @@ class Polynomial:
     def __hash__(self) -> int:
         return hash(frozenset(self.terms.items()))
 
-    def __lt__(self, other: object) -> bool:
-        return (self - Polynomial.of(other))._constant(DECIDES) < 0
-
-    def __gt__(self, other: object) -> bool:
-        return Polynomial.of(other) < self
-
-    def __le__(self, other: object) -> bool:
-        return not self > other
-
-    def __ge__(self, other: object) -> bool:
-        return not self < other
-
     def __abs__(self) -> Polynomial:
-        return -self if self < 0 else self
+        return Polynomial.of(abs(self._constant(DECIDES)))
 
     @property
     def degree(self) -> int:
@@ -229,39 +204,15 @@ def decimal(value: Any) -> Fraction:
     return Fraction(repr(float(value))) if isinstance(value, float) else Fraction(value)
 
 
-class ExactMath:
-    """Functions of ``math`` for constants, and its constants, by ``exact_function``."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name in ("pi", "e"):
-            return _function(name)()
-        return _function(name) if name in FUNCTIONS else getattr(math, name)
-
-
-@cache
-def _function(name: str) -> Callable[..., Polynomial]:
-    exact = exact_function(name)
-
-    def value(*x: object) -> Polynomial:
-        constants = [Polynomial.of(a).constant() for a in x]
-        try:
-            return Polynomial.of(exact(*constants))
-        except ValueError as error:
-            raise NotPolynomialError(str(error)) from None
-
-    return value
-
-
 def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: Iterable[object]) -> Field:
     """Polynomials of the ``d`` components of ``field(y, p)``, where p are the ``constants``.
 
-    Numbers in the field's own code and ``math`` of constants are exact too, but not in functions that it calls.
-    Raises NotPolynomialError for a field that is not a polynomial of the state.
+    Numbers in the field's own code are exact too; functions of constants, such as roots, are doubles. Raises
+    NotPolynomialError for a field that is not a polynomial of the state.
     """
     y = tuple(map(Polynomial.variable, range(d)))
     try:
-        exact = in_arithmetic(field, decimal, ExactMath() if uses_math(field) else None)
-        rates = tuple(map(Polynomial.of, exact(y, tuple(map(Polynomial.of, constants)))))
+        rates = tuple(map(Polynomial.of, in_arithmetic(field, decimal)(y, tuple(map(Polynomial.of, constants)))))
     except TypeError as error:
         raise NotPolynomialError(f"cannot be evaluated with polynomials: {error}") from None
     if len(rates) != d:
@@ -269,32 +220,23 @@ def polynomial_field(field: Callable[..., Sequence[object]], d: int, constants: 
     return rates
 
 
+def exact_top(top: Top, exact: Callable[[float], Fraction] = decimal) -> Any:
+    """Copy of a top with constant polynomials as parameters."""
+    parameters = {name: Polynomial.of(exact(v)) if isinstance(v, float) else v for name, v in dict(top).items()}
+    return type(top).model_construct(**parameters)  # pyright: ignore[reportArgumentType]
+
+
 def field_of(top: Top, exact: Callable[[float], Fraction] = decimal) -> Field:
     """Return the polynomials of the field of a top. ``exact`` converts parameters; numbers in its code are decimals.
 
     Raises NotPolynomialError, also if the code of the top raises: it is reported where it is run with numbers.
     """
-    parameters: dict[str, Any] = {
-        name: Polynomial.of(exact(v)) if isinstance(v, float) else v for name, v in dict(top).items()
-    }
     try:
-        return polynomial_field(top.field, len(top.components), type(top).model_construct(**parameters).constants())
+        return polynomial_field(top.field, len(top.components), exact_top(top, exact).constants())
     except NotPolynomialError:
         raise
     except Exception as error:
         raise NotPolynomialError(f"cannot be evaluated with exact parameters: {error}") from None
-
-
-def _place(field: Callable[..., Any], error: BaseException | None = None) -> str:
-    """``(file:line)`` of the innermost line of a user's field that an error passed, or of its head; else nothing."""
-    code = getattr(field, "__code__", None)
-    if code is None or field.__module__.partition(".")[0] == "topcli":
-        return ""
-    line, inner = code.co_firstlineno, error
-    while inner is not None:
-        lines = [n for frame, n in walk_tb(inner.__traceback__) if frame.f_code.co_filename == code.co_filename]
-        line, inner = (lines[-1], None) if lines else (line, inner.__context__)
-    return f" ({code.co_filename}:{line})"
 
 
 def required_field(
@@ -304,14 +246,16 @@ def required_field(
 
     Raises UsageError with the reason; ``needed_by`` names the user of the field, for example "scheme 'hk'".
     """
-    wanted = "quadratic" if degree == 2 else "polynomial"
+    kind = "quadratic" if degree == 2 else "polynomial"
+    needs = f"top {top.kind!r}: {needed_by} needs a {kind} field, but"
+    place, code = "", getattr(top.field, "__code__", None)
+    if code and not top.field.__module__.startswith("topcli."):
+        place = f" ({code.co_filename}:{code.co_firstlineno})"
     try:
         field = field_of(top, exact)
     except NotPolynomialError as error:
-        place = _place(top.field, error)
-        raise UsageError(f"top {top.kind!r}: {needed_by} needs a {wanted} field, but this one {error}{place}") from None
+        raise UsageError(f"{needs} this one {error}{place}") from None
     for name, rate in zip(top.components, field, strict=True):
         if rate.degree > degree:
-            reason = f"{name}' has degree {rate.degree}{_place(top.field)}"
-            raise UsageError(f"top {top.kind!r}: {needed_by} needs a {wanted} field, but {reason}")
+            raise UsageError(f"{needs} {name}' has degree {rate.degree}{place}")
     return field

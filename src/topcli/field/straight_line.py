@@ -15,7 +15,7 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
-from topcli.arithmetic.fused import fma
+from topcli.arithmetic.fused import defined, fma
 from topcli.errors import UsageError
 
 Term = tuple[Fraction, tuple[int, ...]]
@@ -87,9 +87,9 @@ class Graph:
             raise UsageError(f"the field has a coefficient of about 2^{size}, which no double holds")
         if is_power_of_two(c):
             return self.fixed(repr(float(c)))
-        for i, known in enumerate(self.constants):
-            if is_power_of_two(c / known):
-                return self.product(self.fixed(f"p[{self.first + i}]"), self.constant(c / known))
+        for i, other in enumerate(self.constants):
+            if is_power_of_two(c / other):
+                return self.product(self.fixed(f"p[{self.first + i}]"), self.constant(c / other))
         self.constants.append(c)
         return self.fixed(f"p[{self.first + len(self.constants) - 1}]")
 
@@ -188,14 +188,14 @@ class Graph:
 
     def needed(self, outputs: Iterable[int]) -> list[int]:
         """Nodes that the ``outputs`` need, in the order of computation."""
-        found: set[int] = set()
+        nodes: set[int] = set()
         stack = list(outputs)
         while stack:
             node = stack.pop()
-            if node not in found:
-                found.add(node)
+            if node not in nodes:
+                nodes.add(node)
                 stack += [a for a in self.nodes[node][1:] if isinstance(a, int)]
-        return sorted(found)
+        return sorted(nodes)
 
     def size(self, node: int) -> int:
         """Node of the sum of the magnitudes of the terms that ``node`` adds up."""
@@ -244,6 +244,4 @@ def function_of(graph: Graph, name: str, outputs: Sequence[int]) -> Callable[...
 
 @lru_cache(maxsize=1024)  # tops that share a function share its machine code
 def _function(source: str, name: str) -> Callable[..., Any]:
-    scope: dict[str, Any] = {"fma": fma, "__name__": __name__}
-    exec(compile(source, f"<generated {name}>", "exec"), scope)
-    return scope[name]
+    return defined(source, f"generated {name}", fma=fma, __name__=__name__)[name]

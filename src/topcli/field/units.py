@@ -7,6 +7,7 @@ order 37 overflow at an angular velocity of 1e8.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from fractions import Fraction
 
@@ -35,7 +36,7 @@ class NaturalUnits:
         self.field, self.order = field, order
         self.groups = strongly_connected([rate.nonlinear() for rate in field], range(len(field)))
         self._terms = [[(_exponent(c), monomial) for monomial, c in rate.terms.items()] for rate in field]
-        self._known: dict[tuple[int, ...], tuple[Field, int, list[int]]] = {}
+        self._scaled: dict[tuple[int, ...], tuple[Field, int, list[int]]] = {}
 
     def at(self, y: Sequence[float] | Array) -> tuple[Field, int, list[int]]:
         """The field with time in units of 2^-k and component i in units of 2^units[i], exactly; ``k``; and ``units``.
@@ -44,42 +45,37 @@ class NaturalUnits:
         A component that stays zero has the unit 2^NOTHING, which is zero, and the terms with it are left out; ``k`` and
         ``units`` thus determine the field.
         """
-        sizes = tuple(max(_exponent(float(y[j])) for j in group) for group in self.groups)
-        if sizes not in self._known:
-            self._known[sizes] = self._found(sizes)
-        return self._known[sizes]
-
-    def _found(self, sizes: tuple[int, ...]) -> tuple[Field, int, list[int]]:
-        start = [0] * len(self.field)
-        for group, size in zip(self.groups, sizes, strict=True):
+        start = [NOTHING] * len(self.field)
+        for group in self.groups:
             for i in group:
-                start[i] = size
-        k = self._shortest(start)
-        units = self._units(start, k) or start
-        moving = {i for i, unit in enumerate(units) if unit > NOTHING // 2}
+                start[i] = max(_exponent(float(y[j])) for j in group)
+        if (sizes := tuple(start)) not in self._scaled:
+            k = self._time(start)
+            units = self._units(start, k) or start
+            moving = {i for i, unit in enumerate(units) if unit > NOTHING // 2}
+            field = []
+            for unit, rate in zip(units, self.field, strict=True):
+                terms = {m: c for m, c in rate.terms.items() if moving.issuperset(m)}
+                scales = {m: Fraction(2) ** (sum(units[j] for j in m) - unit - k) for m in terms}
+                field.append(Polynomial({m: c * scales[m] for m, c in terms.items()}))
+            self._scaled[sizes] = tuple(field), k, units
+        return self._scaled[sizes]
 
-        def scaled(i: int, rate: Polynomial) -> Polynomial:
-            kept = {m: c for m, c in rate.terms.items() if moving.issuperset(m)}
-            return Polynomial(
-                {m: c * Fraction(2) ** (sum(units[j] for j in m) - units[i] - k) for m, c in kept.items()}
-            )
-
-        field = tuple(scaled(i, rate) for i, rate in enumerate(self.field))
-        return field, k, units
+    def _rate(self, i: int, units: list[int]) -> int:
+        """Exponent of the largest term in the rate of a component; below ``NOTHING``/2 if it does not move."""
+        return max((c + sum(units[j] for j in m) for c, m in self._terms[i]), default=NOTHING)
 
     def _units(self, start: list[int], k: int) -> list[int] | None:
         """Units of the components for a unit of time, at least ``start``; None if rates are above one for any."""
         units = list(start)
         for _ in range(4 * len(self.groups) + 4):
-            grown = False
+            before = list(units)
             for group in self.groups:
-                terms = (c + sum(units[j] for j in m) for i in group for c, m in self._terms[i])
-                rate = max(terms, default=NOTHING)
+                rate = max(self._rate(i, units) for i in group)
                 if rate - k > units[group[0]] and rate > NOTHING // 2:
-                    grown = True
                     for i in group:
                         units[i] = rate - k
-            if not grown:
+            if units == before:
                 return units
         return None
 
@@ -94,29 +90,14 @@ class NaturalUnits:
             degrees = [1 + max(each) if each else 0 for each in moving]
         return max(degrees)
 
-    def _shortest(self, start: list[int]) -> int:
+    def _time(self, start: list[int]) -> int:
         """Smallest k that has units. If any k does: that of ``LONG``, or the largest rate at the start."""
-        rates = (
-            c + sum(start[j] for j in m) - start[i]
-            for i, terms in enumerate(self._terms)
-            for c, m in terms
-            if start[i] > NOTHING
-        )
+        if (free := self._units(start, FREE)) is None:
+            return FREE + bisect_left(range(FREE, -FREE), True, key=lambda k: self._units(start, k) is not None)
+        rates = (self._rate(i, start) - start[i] for i in range(len(start)) if start[i] > NOTHING)
         k = max((rate for rate in rates if rate > NOTHING // 2), default=0)
-        if (free := self._units(start, FREE)) is not None:
-            long = range(LONG if self._degree(free) <= self.order else k, k, 16)
-            return next((j for j in long if max(self._units(start, j) or [ROOM + 1]) <= ROOM), k)
-        below, leap = FREE, 1
-        while self._units(start, k) is None:
-            below, k, leap = k, k + leap, 2 * leap
-        leap = 1
-        while k - leap > below and self._units(start, k - leap) is not None:
-            k, leap = k - leap, 2 * leap
-        below = max(below, k - leap)
-        while k - below > 1:
-            middle = (k + below) // 2
-            below, k = (middle, k) if self._units(start, middle) is None else (below, middle)
-        return k
+        long = range(LONG if self._degree(free) <= self.order else k, k, 16)
+        return next((j for j in long if max(self._units(start, j) or [ROOM + 1]) <= ROOM), k)
 
 
 def _exponent(x: float | Fraction) -> int:

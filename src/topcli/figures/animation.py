@@ -5,96 +5,66 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from topcli.arithmetic.quaternions import matrices
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome
-from topcli.engine.attitude import attitude_of_rows, velocities
 from topcli.engine.columns import quaternions_of
-from topcli.errors import RunError, UsageError, capitalized
-from topcli.figures.body import DOT, TRACE, Body, body_of, draw_body, draw_globe
+from topcli.errors import RunError, UsageError
+from topcli.figures.body import DOT, Body, body_of, draw_body, draw_space
 from topcli.figures.labels import labelled, plain, scheme_label
-from topcli.figures.space import SPATIAL
+from topcli.figures.space import SPATIAL, TRACE
 from topcli.figures.style import styled
 from topcli.store.files import io_failure, require_writable, write_whole
 from topcli.store.results import intact_result
 from topcli.store.series import read_series
 
-ASK = "--set output.attitude=quaternion"
-LARGEST_TURN = 0.5
-"""Largest turn between two rows, in radians, from which an attitude is reconstructed."""
 SMOOTH_TURN = 0.25
 """Mean turn of the body between two frames, in radians, of an animation without a given end."""
-RECENT = 0.12
-"""Part of the shown time in which the trace is drawn strongly."""
 PARTS = 12
 """Points of the trace from frame to frame."""
 INCHES = 7.2
 """Width of a frame in inches, to which the sizes of letters refer."""
 GIF_FRAMES = 2500
 """Largest number of frames of a GIF, which are all held in memory."""
-FIXED = {"{m}": "angular momentum", "{p}": "vertical"}
-"""Direction of the arrow in words, by the letter of its label."""
 
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """Rows of a run: times (m,) and attitudes as unit quaternions (m, 4), with the body and messages about the rows."""
+    """Rows of a run: times (m,) and attitudes as unit quaternions (m, 4), with the body and a message on its end."""
 
     experiment: Experiment
     t: Array
     attitude: Array
     body: Body
-    notes: tuple[str, ...]
+    note: str
 
 
 def stored_body_motion(folder: Path) -> BodyMotion:
     """Motion of the finished or interrupted run in ``folder``.
 
-    Raises UsageError if there is no run, or if its rows do not determine the attitude, and RunError if it is damaged.
+    Raises UsageError if there is no run, or if its rows have no attitude, and RunError if it is damaged.
     """
     run = intact_result(folder)
     if "ensemble" in run.manifest["config"]:
         raise UsageError(f"{run.folder}: is an ensemble; run a single one of its trajectories")
     experiment = load_experiment(run.manifest["config"], any_precision=True)
-    series, name, notes = read_series(run.series), experiment.name, []
-    if run.outcome is not Outcome.COMPLETED:
-        notes.append(f"{name}: {run.manifest['message']}")
+    series = read_series(run.series)
     attitude = quaternions_of(series)
     if attitude is None:
-        attitude = _reconstructed(experiment, series, folder)
-        notes.append(f"{name}: no attitude is recorded; reconstructed from the rows ({ASK} records the scheme's own)")
+        raise UsageError(f"{folder}: no attitude is recorded; run it with --set output.attitude=quaternion")
     finite: Any = np.isfinite(attitude).all(axis=1)
     rows = len(finite) if finite.all() else int(np.argmin(finite))
     if rows < 2:
         raise UsageError(f"{folder}: no motion to show: the attitude is not finite or has only one row")
-    if rows < len(finite):
-        notes.append(f"{name}: the attitude is not finite after row {rows}")
     t = series["t"] if "t" in series else np.arange(len(finite)) * experiment.output.every * experiment.h
-    body = body_of(experiment.top, experiment.y0)
-    return BodyMotion(experiment, t[:rows], attitude[:rows], body, tuple(notes))
-
-
-def _reconstructed(experiment: Experiment, series: dict[str, Any], folder: Path) -> Array:
-    """Attitudes (m, 4) from the states of the rows. Raises UsageError if there are too few columns or rows."""
-    top, span = experiment.top, experiment.h * experiment.output.every
-    if not set(top.components) <= set(series):
-        columns = ", ".join(top.components)
-        raise UsageError(f"{folder}: records neither the attitude nor all of {columns}", f"run it with {ASK}")
-    states = np.column_stack([series[component] for component in top.components])
-    turn = float(np.nanmax(np.linalg.norm(velocities(top, states), axis=1))) * abs(span)
-    if not turn <= LARGEST_TURN:
-        raise UsageError(
-            f"{folder}: the body turns by up to {turn:.2g} radians from row to row, and no attitude is recorded",
-            f"run it with {ASK}, or with rows at least {turn / LARGEST_TURN:.1f} times as dense (output.every)",
-        )
-    return attitude_of_rows(top, states, span)
+    note = "" if run.outcome is Outcome.COMPLETED else f"{experiment.name}: {run.manifest['message']}"
+    return BodyMotion(experiment, t[:rows], attitude[:rows], body_of(experiment.top, experiment.y0), note)
 
 
 def frame_times(motion: BodyMotion, count: int, start: float | None = None, stop: float | None = None) -> Array:
@@ -102,6 +72,8 @@ def frame_times(motion: BodyMotion, count: int, start: float | None = None, stop
 
     Raises UsageError for times outside the run.
     """
+    from scipy.spatial.transform import Rotation
+
     low, high = sorted((float(motion.t[0]), float(motion.t[-1])))
     for name, value in (("--start", start), ("--stop", stop)):
         if value is not None and not low <= value <= high:
@@ -111,9 +83,8 @@ def frame_times(motion: BodyMotion, count: int, start: float | None = None, stop
         raise UsageError(f"--start and --stop are both {begin:g}; there is no motion between them")
     if stop is None:
         first = int(np.argmin(np.abs(motion.t - begin)))
-        rotations = matrices(motion.attitude[first:])
-        traces = np.einsum("nij,nij->n", rotations[1:], rotations[:-1])
-        turned = np.cumsum(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)))
+        turns = Rotation.from_quat(motion.attitude[first:], scalar_first=True)
+        turned = np.cumsum((turns[1:] * turns[:-1].inv()).magnitude())
         rows = int(np.searchsorted(turned, SMOOTH_TURN * count))
         stop = float(motion.t[min(first + rows + 1, len(motion.t) - 1)])
     return np.linspace(begin, stop, count)
@@ -131,27 +102,22 @@ class Stage:
         self.times, self.body, experiment = times, motion.body, motion.experiment
         forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
         t = forwards * motion.t
-        dense = forwards * np.linspace(times[0], times[-1], PARTS * (len(times) - 1) + 1)
-        turns = Slerp(t, Rotation.from_quat(motion.attitude, scalar_first=True))(dense.clip(t[0], t[-1]))
-        self.rotations = turns[::PARTS].as_matrix()
-        self.path = turns.apply(self.body.axis)
-        self.recent = int(RECENT * len(dense))
+        dense = np.linspace(times[0], times[-1], PARTS * (len(times) - 1) + 1)
+        turns = Slerp(t, Rotation.from_quat(motion.attitude, scalar_first=True))((forwards * dense).clip(t[0], t[-1]))
+        self.rotations, self.path = turns[::PARTS].as_matrix(), turns.apply(self.body.axis)
 
         # the globe, words, and the height of the axis over the shown time
         self.canvas = Canvas(figsize=(INCHES, INCHES / 1.5), dpi=2 * (width // 2) / INCHES)
         FigureCanvasAgg(self.canvas)
         self.axes = self.canvas.add_axes((0.0, 0.0, 0.62, 1.0), projection=SPATIAL)
-        words = next((words for letter, words in FIXED.items() if letter in self.body.vertical), "")
-        named = replace(self.body, vertical=f"{words} {self.body.vertical}".strip())
-        self.camera = draw_globe(self.axes, named, self.path[0])
+        self.camera = draw_space(self.axes, self.body, self.path[0])
         self.fixed = set(self.axes.get_children())
-        title = capitalized(experiment.top.title.partition(" (")[0])
-        about = f"{title[:34]}\n{scheme_label(experiment)[:20]}, h = {experiment.h:g}"
         self.canvas.text(0.62, 0.965, plain(experiment.name[:25]), fontsize=14, va="top")
-        self.canvas.text(0.62, 0.905, about, fontsize=12, color="0.35", va="top")
+        scheme = f"{scheme_label(experiment)[:24]}, $h = {experiment.h:g}$"
+        self.canvas.text(0.62, 0.895, scheme, fontsize=12, color="0.35", va="top")
         self.time = self.canvas.text(0.62, 0.785, "", fontsize=14, va="top")
         heights = self.canvas.add_axes((0.67, 0.145, 0.31, 0.42))
-        heights.plot(np.linspace(times[0], times[-1], len(dense)), self.path[:, 2], "-", color=TRACE, lw=0.9)
+        heights.plot(dense, self.path[:, 2], "-", color=TRACE, lw=0.9)
         label = f"height of {self.body.label}"
         labelled(heights, "time $t$", "", label, xlim=sorted(times[[0, -1]]), ylim=(-1.08, 1.08))
         self.dot = heights.plot([], [], "o", color=DOT, ms=5.5)[0]
@@ -163,8 +129,7 @@ class Stage:
         for artist in set(self.axes.get_children()) - self.fixed:
             artist.remove()
         path = self.path[: PARTS * index + 1]
-        recent = max(0, len(path) - self.recent)
-        draw_body(self.axes, self.camera, self.body, self.rotations[index], path, recent, 1.9)
+        draw_body(self.axes, self.camera, self.body, self.rotations[index], path, 1.3)
         self.time.set_text(f"$t = {self.times[index]:.2f}$")
         self.dot.set_data([self.times[index]], [path[-1, 2]])
 
@@ -207,11 +172,10 @@ def animate(
 ) -> None:
     """Draw a frame at each of the ``times`` and write them to ``path``, which appears complete or not at all.
 
-    Raises UsageError if the format cannot be written here, and RunError if the file cannot be.
+    Raises RunError if the file cannot be written.
     """
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    require_format(path, fps, len(times) / fps)
     require_writable(path.parent)
     with styled({"animation.ffmpeg_path": _encoder(), "figure.constrained_layout.use": False}):
         stage = Stage(motion, times, width)

@@ -16,7 +16,7 @@ from topcli.studies.report import read_record
 
 FOLDER = Path("results") / "bench"
 """Folder of the reports, ``topcli bench --save results/bench/NAME.json``; there is a panel for each."""
-KEYS = ("scheme", "peer", "error", "seconds", "set_up")
+POINT_KEYS = ("scheme", "peer", "error", "seconds", "set_up")
 """Keys of the points that are drawn."""
 
 
@@ -26,9 +26,9 @@ def draw_work_precision(canvas: Any, columns: Columns) -> None:
     rows = -(-len(titles) // 2)
     canvas.set_size_inches(7.0, 1.0 + 2.8 * rows)
     for i, title in enumerate(titles, 1):
-        values = zip(*(columns[f"{title}|{key}"] for key in KEYS), strict=True)
+        values = zip(*(columns[f"{title}|{key}"] for key in POINT_KEYS), strict=True)
         axes = canvas.add_subplot(rows, min(2, len(titles)), i)
-        draw_points([dict(zip(KEYS, row, strict=True)) for row in values], axes, looks)
+        draw_points([dict(zip(POINT_KEYS, row, strict=True)) for row in values], axes, looks)
         axes.set_title(title, loc="left")
     legend_below(canvas, 3)
 
@@ -51,5 +51,5 @@ def work_precision() -> Columns:
     return {
         f"{name}|{key}": np.array(["" if row[key] is None else row[key] for row in rows])
         for name, rows in scenes.items()
-        for key in KEYS
+        for key in POINT_KEYS
     }

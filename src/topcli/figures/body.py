@@ -15,18 +15,18 @@ from topcli.contracts import Array, Top
 from topcli.engine.columns import ATTITUDES, QUATERNION
 from topcli.figures.figure import Columns, figure
 from topcli.figures.labels import halo, legend_below
-from topcli.figures.space import SPATIAL, arrow, curve, parallel, set_view, sphere, surface
+from topcli.figures.space import SPATIAL, TRACE, axis, curve, draw_globe, set_view, sphere, surface
 from topcli.runs.simulate import simulate
 from topcli.tops.bodies import checked_equations
 
 LONGITUDES, LATITUDES = 56, 28
 PALE, BLUE, MARK = (0.93, 0.90, 0.83), (0.20, 0.47, 0.69), (0.87, 0.42, 0.10)
 """Colours of the sectors; one of them is marked, so that the spin is seen."""
-LARGEST = 0.66
+REACH = 0.66
 """Largest distance of a point of the body from the fixed point; the traces lie on the sphere of radius one."""
 UNKNOWN = (3.0, 2.5, 1.5), (0.0, 0.0, 1.0)
 """Moments and centre of gravity of a top that does not declare them."""
-TRACE, TRACE_FAR, OLD, OLD_FAR, DOT = "#0072B2", "#A6CDE6", "#7FB8D8", "#D3E5F0", "#D55E00"
+DOT = "#D55E00"
 SILHOUETTE = ((0.0, 0.86), (0.06, 0.86), (0.28, 0.69), (0.37, 0.57), (0.35, 0.5), (0.06, 0.09), (0.0, 0.0))
 """Distance from the axis and height of a spinning top, convex, from its upper end to its tip."""
 
@@ -52,7 +52,7 @@ def body_of(top: Top, state: Sequence[float]) -> Body:
     any other is the homogeneous ellipsoid of its moments, or of ``UNKNOWN`` ones.
     """
     letter = r"\boldsymbol{m}" if len(top.components) == 3 else r"\boldsymbol{p}"
-    vertical = f"${letter}$" if type(top).vertical else r"$\boldsymbol{e}_z$"
+    vertical = letter if type(top).vertical else r"\boldsymbol{e}_z"
     try:
         top.euler_poisson()
         equations = checked_equations(top, "the body")
@@ -75,7 +75,7 @@ def _ellipsoid(moments: Array, axis: Array) -> Array:
     first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first = first / np.linalg.norm(first)
     frame = np.stack([first, np.cross(axis, first), axis])
-    return (sphere(LATITUDES, LONGITUDES) @ frame) * LARGEST * np.maximum(sizes / sizes.max(), 0.12)
+    return (sphere(LATITUDES, LONGITUDES) @ frame) * REACH * np.maximum(sizes / sizes.max(), 0.12)
 
 
 def _spinning_top() -> Array:
@@ -88,40 +88,22 @@ def _spinning_top() -> Array:
     return points
 
 
-def draw_globe(axes: Any, body: Body, start: Array) -> Array:
+def draw_space(axes: Any, body: Body, start: Array) -> Array:
     """Draw the unit sphere and the fixed direction; return the camera (3, 3).
 
     The viewer has the axis of the body on his left at the ``start`` (3,).
     """
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
     upright = np.hypot(start[0], start[1]) < 0.1
     azimuth = 35.0 if upright else math.degrees(math.atan2(start[1], start[0])) + 70.0
     camera = set_view(axes, 22.0, azimuth, 1.22, 0.15)
-    outline = parallel(0.0)[:, :2] @ camera[:2]
-    axes.add_collection3d(Poly3DCollection([outline], facecolor="0.975", edgecolor="0.75", lw=0.6, zorder=0))
-    front, behind = {"color": "0.80", "lw": 0.5, "zorder": 20}, {"color": "0.89", "lw": 0.4, "zorder": 2}
-    for height in (0.0, math.sqrt(0.5), -math.sqrt(0.5)):
-        ring = parallel(height)
-        curve(axes, ring, ring @ camera[2] >= 0.0, front, behind)
-    top = np.array([0.0, 0.0, 1.38])
-    arrow(axes, np.array([0.0, 0.0, 1.0]), top, "0.15", 1.1, zorder=31)
-    axes.text(*(top + 0.06 * camera[0]), body.vertical, va="top", zorder=31)
+    draw_globe(axes, camera)
+    axis(axes, np.array([0.0, 0.0, 1.0]), camera, 0.2, body.vertical)
     return camera
 
 
-def draw_body(axes: Any, camera: Array, body: Body, rotation: Array, path: Array, recent: int, width: float) -> None:
-    """Draw the body in the attitude ``rotation`` (3, 3) and the ``path`` (m, 3) of its axis up to it.
-
-    The last rows of the path from ``recent`` on have a stronger colour.
-    """
-    for points, near, far, line, labels in (
-        (path[: recent + 1], OLD, OLD_FAR, 0.5 * width, "__"),
-        (path[recent:], TRACE, TRACE_FAR, width, ("trace of the axis", "on the far side")),
-    ):
-        front = {"color": near, "lw": line, "zorder": 20, "label": labels[0]}
-        behind = {"color": far, "lw": 0.8 * line, "zorder": 2, "label": labels[1]}
-        curve(axes, points, points @ camera[2] >= 0.0, front, behind)
+def draw_body(axes: Any, camera: Array, body: Body, rotation: Array, path: Array, width: float) -> None:
+    """Draw the body in the attitude ``rotation`` (3, 3) and the ``path`` (m, 3) of its axis up to it."""
+    curve(axes, camera, path, TRACE, width, zorder=20, label="trace of the axis")
     sector = np.arange(LONGITUDES + 1) * 8 // LONGITUDES
     colours = np.where((sector % 2 == 0)[:, None], PALE, BLUE)
     colours = np.where((sector == 0)[:, None], MARK, colours)
@@ -130,16 +112,12 @@ def draw_body(axes: Any, camera: Array, body: Body, rotation: Array, path: Array
     # the axis from the surface to the sphere, its end and its name
     tip = rotation @ body.axis
     right, up, ahead = camera @ tip
-    reach = np.max(body.surface @ body.axis) if ahead >= 0.0 else 0.0
-    level = 21 if ahead >= 0.0 else 3
+    reach, level = (np.max(body.surface @ body.axis), 21) if ahead >= 0.0 else (0.0, 3)
     axes.plot(*np.column_stack([reach * tip, tip]), "-", color="0.1", lw=1.6, solid_capstyle="round", zorder=level)
     dot = {"color": DOT, "ms": 5.5, "mec": "white", "mew": 0.8, "zorder": level + 1, "label": "end of the axis"}
     axes.plot(*tip[:, None], "o", **dot)
-    out = np.array([right, up]) / max(math.hypot(right, up), 0.15)
-    if abs(right) < 0.2 and abs(up) > 0.7:  # beside the arrow of the vertical, within the picture
-        out = np.array([-1.0, 0.35])
-    place = tip + 0.14 * out @ camera[:2]
-    halo(axes.text(*place, body.label, ha="center", va="center", zorder=30), 2.2)
+    beside = 0.14 * np.array([right, up]) / max(math.hypot(right, up), 0.15)
+    halo(axes.text(*(tip + beside @ camera[:2]), body.label, ha="center", va="center", zorder=30), 2.2)
 
 
 BODIES = {
@@ -157,8 +135,8 @@ def draw_bodies(canvas: Any, columns: Columns) -> None:
         axes, body = canvas.add_subplot(1, 3, i, projection=SPATIAL), body_of(experiment.top, experiment.y0)
         rotations = matrices(np.column_stack([columns[f"{scene}:{name}"] for name in ATTITUDES[QUATERNION]]))
         path = rotations @ body.axis
-        camera = draw_globe(axes, body, path[0])
-        draw_body(axes, camera, body, rotations[-1], path, 0, 0.8)
+        camera = draw_space(axes, body, path[0])
+        draw_body(axes, camera, body, rotations[-1], path, 0.8)
         axes.set_title(title)
     canvas.suptitle(r"fixed directions: momentum $\boldsymbol{m}$, vertical $\boldsymbol{p}$", fontsize="medium")
     legend_below(canvas, 3)

@@ -11,7 +11,7 @@ from topcli.analysis.motion.diagram import REGIONS, branches, regions
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import halo, labelled, legend_below
+from topcli.figures.labels import labelled, legend_below, plain
 from topcli.schemes.kowalevski.curve import Integrals
 
 TINTS = ("#FFFFFF", "#DCE9F5", "#E3F0DC", "#F6EBD3", "#F5DDD9", "#E4DCEF")
@@ -27,11 +27,13 @@ KINDS = {
 PIXELS = (700, 500)
 DASHED = 2.4
 """Length of a line in a legend, in letters, that shows all of a dash-dot pattern."""
+Place = tuple[float, float, float]
+"""E, k² and 2l of a motion."""
 Window = tuple[tuple[float, float], tuple[float, float]]
 """Ends of the axes of E and k²."""
 
 
-def place_of_motion(state: Any, c: float) -> tuple[float, float, float]:
+def place_of_motion(state: Any, c: float) -> Place:
     """E, k² and 2l of a state of the Kowalevski top, in units in which c |gamma| = 1."""
     of = Integrals.of(state, c)
     unit = float(of.G) ** 0.5
@@ -48,37 +50,25 @@ def critical_curves(two_l: float, window: Window) -> dict[str, Array]:
     return {kind: np.hstack(each) for kind, each in parts.items() if each}
 
 
-def draw_diagram(
-    axes: Any, two_l: float, window: Window, curves: Mapping[str, Array], point: tuple[float, float] | None = None
-) -> None:
-    """Draw regions with their numbers of tori, critical curves, and the ``point`` of a motion."""
+def draw_diagram(axes: Any, window: Window, curves: Mapping[str, Array], place: Place, name: str) -> None:
+    """Draw regions, critical curves, and the motion called ``name`` as a point; the legend has the numbers of tori."""
     from matplotlib.colors import ListedColormap
-    from scipy.ndimage import distance_transform_edt
 
-    energies, k_sq = window
     E, up = (low + (high - low) * (np.arange(n) + 0.5) / n for (low, high), n in zip(window, PIXELS, strict=True))
-    codes = regions(E[None, :], up[:, None], 0.5 * two_l, 1.0)
-    extent = (*energies, *k_sq)
+    codes = regions(E[None, :], up[:, None], 0.5 * place[2], 1.0)
+    extent = (*window[0], *window[1])
     axes.imshow(codes, extent=extent, origin="lower", aspect="auto", cmap=ListedColormap(TINTS), vmin=-0.5, vmax=5.5)
     third = codes == list(REGIONS).index("III") + 1  # II becomes III without a bifurcation
     axes.contour(E, up, third, levels=[0.5], colors="0.5", linewidths=0.5, zorder=2)
     for kind, (x, y) in curves.items():
         axes.plot(x, y, label=KINDS[kind][0], zorder=4, **KINDS[kind][1])
-    if point is not None:  # room for the name of the motion
-        axes.plot(*point, "o", color="0.05", markersize=5.0, markeredgecolor="white", zorder=6)
-        right = point[0] - 0.05 * np.ptp(energies) < E
-        codes[right & (np.abs(up - point[1]) < 0.12 * np.ptp(k_sq))[:, None]] = 0
-    for code, (name, region) in enumerate(REGIONS.items(), 1):
-        # the name where it is furthest from the edges of the region
-        distance: Any = distance_transform_edt(np.pad(codes == code, 1))
-        row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
-        if distance.max() > 0.035 * len(codes):
-            tori = f"\n{region.tori} {'tori' if region.tori > 1 else 'torus'}"
-            size = 9.0 if distance.max() > 0.1 * len(codes) else 7.0
-            look = {"ha": "center", "va": "center", "color": "0.25", "fontsize": size, "zorder": 5}
-            axes.text(E[column - 1], up[row - 1], name + tori, **look)
-    axes.set(xlim=energies, ylim=k_sq)
+    for region, tint in zip(REGIONS.values(), TINTS[1:], strict=True):
+        label = f"{region.name}: {region.tori} {'tori' if region.tori > 1 else 'torus'}"
+        axes.plot([], [], "s", color=tint, markersize=8.0, markeredgecolor="0.6", label=label)
+    look = {"color": "0.05", "markersize": 5.0, "markeredgecolor": "white", "zorder": 6}
+    axes.plot(*place[:2], "o", label=plain(name), **look)
     axes.grid(visible=False)
+    labelled(axes, "energy $E$", "$k^2$", xlim=window[0], ylim=window[1])
 
 
 WINDOWS: dict[str, Window] = {
@@ -93,16 +83,13 @@ WINDOWS: dict[str, Window] = {
 def draw_bifurcation(canvas: Any, columns: Columns) -> None:
     """Draw a diagram for each window, with the scenes as points."""
     for axes, letter, (name, window) in zip(canvas.subplots(2, 2).flat, "abcd", WINDOWS.items(), strict=True):
-        E, k_sq, two_l = columns[f"{name}:E, k_sq, two_l"]
+        E, k_sq, two_l = columns[f"{name}:E, k_sq, two_l"].tolist()
         present = [kind for kind in KINDS if f"{name}:{kind}:E" in columns]
         curves = {kind: np.array([columns[f"{name}:{kind}:{axis}"] for axis in ("E", "k_sq")]) for kind in present}
-        point = (E, k_sq) if name.startswith("kowalevski") else None
-        draw_diagram(axes, two_l, window, curves, point)
-        if point:
-            look = {"textcoords": "offset points", "fontsize": 8, "zorder": 7, "va": "center"}
-            halo(axes.annotate(name, point, (6, 0), **look))
-        labelled(axes, "energy $E$", "$k^2$", rf"({letter}) $2\ell = {two_l:.6g}$")
-    legend_below(canvas, 3, fontsize=9.0, handlelength=DASHED)
+        draw_diagram(axes, window, curves, (E, k_sq, two_l), "motion")
+        scene = f", {plain(name)}" if np.isfinite(E) else ""
+        axes.set_title(rf"({letter}) $2\ell = {two_l:.6g}${scene}", loc="left")
+    legend_below(canvas, 4, fontsize=9.0, handlelength=DASHED)
 
 
 @figure("bifurcation", "Kowalevski top: bifurcation diagrams, and scenes as points", draw_bifurcation, (7.0, 6.2))

@@ -141,7 +141,7 @@ def torus_points() -> Columns:
 
 ENERGY_STEPS = 1 << 20
 ENERGY_H = 0.05
-PARTS = 6
+PER_OCTAVE = 6
 """Points of a curve in each octave of steps."""
 ENERGY_SCENES = {"kowalevski_generic_hk": "(a) Kowalevski top", "euler_hk": "(b) Euler top"}
 ENERGY_SCHEMES = ("splitting", "dmv", "hk", "midpoint", "rk4")
@@ -154,8 +154,8 @@ def draw_long_energy(canvas: Any, columns: Columns) -> None:
     for axes, (scene, title) in zip(canvas.subplots(1, 2), ENERGY_SCENES.items(), strict=True):
         for name in ENERGY_SCHEMES:
             error = columns[f"{scene}:{name}"]
-            shown = np.where(error > 0.0, error, np.nan)  # a logarithmic axis has no zero
-            axes.plot(columns["t"], shown, label=display_name(name), **styles[display_name(name)])
+            positive = np.where(error > 0.0, error, np.nan)  # a logarithmic axis has no zero
+            axes.plot(columns["t"], positive, label=display_name(name), **styles[display_name(name)])
         scales = {"xscale": "log", "yscale": "log", "xlim": columns["t"][[0, -1]]}
         labelled(axes, "time $t$", "largest relative energy error so far", f"{title}, $h = {ENERGY_H}$", **scales)
     legend_below(canvas, len(ENERGY_SCHEMES), loc="outside upper center")
@@ -164,7 +164,7 @@ def draw_long_energy(canvas: Any, columns: Columns) -> None:
 @figure("long-energy", "Kowalevski and Euler tops: energy errors over a long time", draw_long_energy, (7.0, 3.2))
 def long_energy() -> Columns:
     """Times, and the largest energy error up to them relative to the size of its terms at the start."""
-    ends = np.unique(np.round(2.0 ** np.arange(0.0, np.log2(ENERGY_STEPS) + 1e-9, 1.0 / PARTS)).astype(int))
+    ends = np.unique(np.round(2.0 ** np.arange(0.0, np.log2(ENERGY_STEPS) + 1e-9, 1.0 / PER_OCTAVE)).astype(int))
     columns = {"t": ENERGY_H * ends}
     for scene in ENERGY_SCENES:
         for name in ENERGY_SCHEMES:

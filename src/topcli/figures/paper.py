@@ -15,7 +15,7 @@ import numpy as np
 from topcli.analysis.swings import first_swing_spacing, minima_times, spacing_law
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import halo, labelled, legend_above
+from topcli.figures.labels import labelled, legend_above
 from topcli.figures.style import looks
 from topcli.runs.simulate import simulate
 from topcli.schemes.display import display_name
@@ -86,7 +86,7 @@ USUAL = tuple(np.arange(-1.0, -4.1, -0.5))
 LADDERS = dict.fromkeys(("hk", "rk2", "rk4", "hybrid"), USUAL) | {"bohlin-a": tuple(np.arange(-2.0, -6.1, -0.5))}
 """Exponents k of the step sizes 10^k of each scheme."""
 EXACT = "exact"
-SHOWN = ((EXACT, PAPER_STEP), *((name, PAPER_STEP) for name in LADDERS), ("bohlin-a", 1e-5), ("bohlin-a", 1e-6))
+MOTIONS = ((EXACT, PAPER_STEP), *((name, PAPER_STEP) for name in LADDERS), ("bohlin-a", 1e-5), ("bohlin-a", 1e-6))
 """Motions that are shown: scheme and step."""
 ROW = 2.6
 """Distance between two rows, in units of gamma_1."""
@@ -107,32 +107,26 @@ def draw_period(canvas: Any, columns: Columns) -> None:
     # (a) one row for each motion, the exact one at the top
     for swing in columns["swings"]:
         rows.axvline(swing, color="0.6", linewidth=0.9, linestyle="--", zorder=1.0)
-    names = []
-    for i, (name, h) in enumerate(SHOWN):
+    for i, (name, h) in enumerate(MOTIONS):
         colour = "black" if name == EXACT else styles[name]["color"]
         rows.plot(columns["t"], columns[f"gamma1:{name}:{h:g}"] - ROW * i, "-", color=colour)
-        step = f"{display_name(name)}, $h = 10^{{{round(np.log10(h))}}}$"
-        names.append("exact motion\n(closed form)" if name == EXACT else f"{step}\n{_kind(name)}")
-    rows.set_yticks([0.4 - ROW * i for i in range(len(SHOWN))], names, fontsize=8.6)
+    names = [f"{display_name(name)}, $h = 10^{{{round(np.log10(h))}}}$" for name, h in MOTIONS[1:]]
+    rows.set_yticks([0.7 - ROW * i for i in range(len(MOTIONS))], ["exact motion", *names], fontsize=8.6)
     rows.tick_params(axis="y", length=0)
     rows.grid(visible=False)
     labelled(rows, "time $t$", "", r"(a) $\gamma_1$; dashed: swings of the exact motion", xlim=(0.0, TIME))
-    rows.set_ylim(-ROW * (len(SHOWN) - 1) - 1.4, 1.4)
+    rows.set_ylim(-ROW * (len(MOTIONS) - 1) - 1.4, 1.4)
 
     # (b) filled markers for the reversible scheme; the right axis has the distance to which each time belongs
-    law = float(spacing_law(np.array(EPS)))
-    steps.axhline(law, color="black", linewidth=1.0, linestyle="--", zorder=1.0)
+    steps.axhline(float(spacing_law(np.array(EPS))), color="black", linewidth=1.0, linestyle="--", label=LAW)
     for name in LADDERS:
         kind = _kind(name)
         look = {**styles[name], "markersize": 4.0, "markerfacecolor": "white" if "not" in kind else None}
         steps.plot(columns[f"h:{name}"], columns[f"spacing:{name}"], label=f"{display_name(name)}: {kind}", **look)
-    steps.axvline(PAPER_STEP, 0.27, color="0.75", linewidth=0.9, linestyle=":", zorder=1.0)  # from above the legend
-    steps.text(PAPER_STEP * 1.15, 31.6, "the paper's $h$", fontsize=8, color="0.35", va="center")
-    halo(steps.text(1.2e-6, law + 0.35, LAW, fontsize=9, va="bottom"))
     scaling, colour = "order 1:\n" + r"$\epsilon \propto \sqrt{h}$", styles["bohlin-a"]["color"]
     steps.text(6.5e-6, 21.4, scaling, ha="right", va="top", fontsize=9, color=colour)
     title = "(b) the same scene, other step sizes"
-    labelled(steps, "step size $h$", "time between swings", title, xscale="log", ylim=(8.0, 33.0))
+    labelled(steps, "step size $h$", "time between swings", title, xscale="log", ylim=(6.0, 33.0))
     steps.legend(loc="lower left", fontsize=8, handlelength=2.0)
     steps.tick_params(axis="y", right=False)
     scale = steps.secondary_yaxis("right")
@@ -152,10 +146,10 @@ def _gamma1(scheme: str, h: float) -> tuple[Array, Array]:
 def period() -> Columns:
     """Columns of the motions shown, the swings of the exact one, and the time between swings for each step size."""
     columns: dict[str, Array] = {"t": SAMPLING * np.arange(round(TIME / SAMPLING) + 1)}
-    runs = {(name, h): _gamma1(name, h) for name, h in SHOWN}
+    runs = {(name, h): _gamma1(name, h) for name, h in MOTIONS}
     for (name, h), run in runs.items():
         columns[f"gamma1:{name}:{h:g}"] = np.interp(columns["t"], *run)
-    columns["swings"] = minima_times(*runs[SHOWN[0]])
+    columns["swings"] = minima_times(*runs[MOTIONS[0]])
     for name, exponents in LADDERS.items():
         sizes = [TIME / round(TIME / 10.0**k) for k in exponents]
         spacings = [first_swing_spacing(*_gamma1(name, h)) for h in sizes]

@@ -7,24 +7,21 @@ behind the body and a strong one in front of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import entries_of, halo, legend_below
+from topcli.figures.labels import halo, legend_below, legend_under
 from topcli.runs.simulate import simulate
 
 SPATIAL = "3d"
 """Projection of the axes that the functions of this module draw into."""
 ZOOM = 1.7
 """Zoom at which half the width of mplot3d's axes is one unit, if their limits are -1 and 1."""
-TRACE, TRACE_FAR = "#0072B2", "#74ABD1"
-START, START_FAR = "#D55E00", "#DD9560"
-Look = Mapping[str, Any]
+TRACE, START = "#0072B2", "#D55E00"
 
 
 def set_view(axes: Any, elevation: float, azimuth: float, reach: float, middle: float = 0.0) -> Array:
@@ -46,11 +43,27 @@ def set_view(axes: Any, elevation: float, azimuth: float, reach: float, middle: 
     return np.array([right, up, math.cos(e) * ahead + np.array([0.0, 0.0, math.sin(e)])])
 
 
-def curve(axes: Any, points: Array, near: NDArray[np.bool_], front: Look, behind: Look, **common: Any) -> None:
-    """Draw a curve (m, 3): its ``near`` part (m,) with one look, the rest with the other."""
-    style = {"linestyle": "-", "solid_capstyle": "round", "solid_joinstyle": "round", **common}
-    for part, look in ((near, front), (~near, behind)):
-        axes.plot(*np.where(part[:, None], points, np.nan).T, **{**style, **look})
+def curve(
+    axes: Any,
+    camera: Array,
+    points: Array,
+    color: Any,
+    width: float,
+    zorder: float,
+    normals: Array | None = None,
+    **common: Any,
+) -> None:
+    """Draw a curve (m, 3) on a convex body: what is turned to the viewer in full colour, the rest thinner and pale.
+
+    ``normals`` (m, 3) are those of the body; by default it is a sphere.
+    """
+    near = ((points if normals is None else normals) @ camera[2] >= 0.0)[:, None]
+    style = {"linestyle": "-", "solid_capstyle": "round", "solid_joinstyle": "round", "color": color, **common}
+    axes.plot(*np.where(near, points, np.nan).T, lw=width, zorder=zorder, **style)
+    hidden = "on the far side" if "label" in common and not near.all() else None
+    axes.plot(
+        *np.where(near, np.nan, points).T, **{**style, "lw": 0.6 * width, "alpha": 0.45, "zorder": 2, "label": hidden}
+    )
 
 
 def arrow(axes: Any, foot: Array, tip: Array, colour: str, width: float, zorder: float, **props: Any) -> None:
@@ -103,39 +116,34 @@ def surface(axes: Any, points: Array, colours: Array, camera: Array, zorder: flo
     axes.add_collection3d(Poly3DCollection(faces[near], **look), autolim=False)
 
 
+def draw_globe(axes: Any, camera: Array) -> None:
+    """Draw the unit sphere: a pale disc with three parallels."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    outline = parallel(0.0)[:, :2] @ camera[:2]
+    axes.add_collection3d(Poly3DCollection([outline], facecolor="0.975", edgecolor="0.75", lw=0.6, zorder=0))
+    for height in (0.0, math.sqrt(0.5), -math.sqrt(0.5)):
+        curve(axes, camera, parallel(height), "0.75", 0.5, zorder=11)
+
+
 def draw_trace(axes: Any, points: Array, elevation: float = 72.0, in_body: bool = False, width: float = 1.25) -> None:
     """Draw the trace (m, 3) of a unit vector on the sphere; a diamond marks the start.
 
-    In space the two parallels that enclose the trace are drawn too, and the vertical; in the body, its axes.
+    In space the vertical is drawn too; in the body, its axes.
     """
     azimuth, reach, middle = (35.0, 1.36, 0.14) if in_body else (0.0, 1.12, 0.0)
     camera = set_view(axes, elevation, azimuth, reach, middle)
 
-    # the globe: a pale surface, a graticule, the outline
-    surface(axes, sphere(30, 60), np.ones((31, 61, 3)), camera, soft=0.7)
-    meridians = np.moveaxis(sphere(180, 12), 1, 0)[1:]
-    latitudes = (parallel(math.sin(math.radians(angle))) for angle in (-60, -30, 0, 30, 60))
-    front, behind = {"color": "0.62", "lw": 0.35, "zorder": 11}, {"color": "0.86", "lw": 0.25, "zorder": 1}
-    for ring in (*meridians, *latitudes):
-        curve(axes, ring, ring @ camera[2] >= 0.0, front, behind)
-    axes.plot(*(parallel(0.0)[:, :2] @ camera[:2]).T, "-", color="0.35", lw=0.7, zorder=8)
+    draw_globe(axes, camera)
     for i in (1, 2, 3) if in_body else (3,):
         flat = camera[:2] @ np.eye(3)[i - 1]
         foot = np.eye(3)[i - 1] if camera[2, i - 1] > 0.0 else flat / np.hypot(*flat) @ camera[:2]
         length, name = (1.2 - math.hypot(*camera[:2] @ foot), rf"e_{i}") if in_body else (0.2, "p")
         axis(axes, foot, camera, length, rf"\boldsymbol{{{name}}}")
 
-    near = points @ camera[2] >= 0.0
-    front = {"color": TRACE, "lw": width, "zorder": 15, "label": "trace"}
-    hidden = "_" if near.all() else "on the far side"
-    curve(axes, points, near, front, {"color": TRACE_FAR, "lw": 0.7 * width, "zorder": 5, "label": hidden})
-    for height in () if in_body else (points[:, 2].min(), points[:, 2].max()):
-        ring = parallel(float(height))
-        front = {"color": START, "lw": 0.7, "zorder": 13, "label": "its bounds"}
-        behind = {"color": START_FAR, "lw": 0.5, "zorder": 3}
-        curve(axes, ring, ring @ camera[2] >= 0.0, front, behind, linestyle=(0, (4, 2.5)))
+    curve(axes, camera, points, TRACE, width, zorder=15, label="trace", gid="motion")
     look = {"markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 20, "label": "start"}
-    axes.plot(*points[:1].T, "D", color=START if near[0] else START_FAR, **look)
+    axes.plot(*points[:1].T, "D", color=START, **look)
 
 
 TRACES = {
@@ -211,22 +219,15 @@ def draw_polhodes(axes: Any, moments: Array, omega: Array, label: str = "run") -
     shortest = math.sqrt(moments.min())
     camera = set_view(axes, 24.0, 52.0, 1.13 / shortest, 0.12 / shortest)
     _ellipsoid(axes, moments, camera)
-
-    def facing(points: Array) -> Array:
-        return (points * moments) @ camera[2] / np.linalg.norm(points * moments, axis=1)
-
     path = omega / np.sqrt(omega[0] ** 2 @ moments)
-    looks = {"lw": 1.8, "zorder": 3.2, "label": label}, {"lw": 1.1, "alpha": 0.45, "zorder": 2}
-    curve(axes, path, facing(path) >= 0.0, *looks, color=RUN)
+    curve(axes, camera, path, RUN, 1.8, zorder=3.2, normals=path * moments, label=label, gid="motion")
     for number, points in enumerate(polhodes(moments)):
         width, kind = (1.2, "separatrix") if number < 4 else (0.6, "other polhodes")
-        looks = (
-            {"lw": width, "zorder": 3, "label": kind},
-            {"lw": 0.5 * width, "alpha": 0.4, "zorder": 2, "label": "far side"},
-        )
-        curve(axes, points, facing(points) >= 0.0, *looks, color="0.15")
-        at = int(np.argmax(facing(points)[:-8]))  # an arrowhead where it can be read best
-        if facing(points)[at] >= 0.1:
+        normals = points * moments
+        curve(axes, camera, points, "0.15", width, zorder=3, normals=normals, label=kind)
+        facing = normals @ camera[2] / np.linalg.norm(normals, axis=1)
+        at = int(np.argmax(facing[:-8]))  # an arrowhead where it can be read best
+        if facing[at] >= 0.1:
             head = "-|>,head_width=0.17,head_length=0.34"
             arrow(axes, points[at], points[at + 6], "0.15", 0.6, zorder=4, arrowstyle=head)
 
@@ -236,8 +237,7 @@ def draw_polhodes(axes: Any, moments: Array, omega: Array, label: str = "run") -
         fill, kind = ("white", "unstable rotation") if i == middle else ("0.1", "stable rotation")
         axes.plot(*tip[:, None], "o", ms=5.0, mew=1.0, mec="0.1", mfc=fill, zorder=5, label=kind)
         axis(axes, tip, camera, 0.2 / shortest, rf"\omega_{i + 1}")
-    entries = entries_of(axes)
-    axes.legend(entries.values(), entries, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, fontsize=9)
+    legend_under(axes, 3)
 
 
 def _ellipsoid(axes: Any, moments: Array, camera: Array) -> None:

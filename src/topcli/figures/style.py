@@ -27,15 +27,15 @@ def looks(labels: Iterable[str], markers: bool = False) -> dict[str, dict[str, A
     import matplotlib as mpl
 
     cycle, n = list(mpl.rcParams["axes.prop_cycle"]), len(mpl.rcParams["axes.prop_cycle"])
-    own: dict[str, tuple[int, int]] = {}
+    places_of_schemes: dict[str, tuple[int, int]] = {}
     for i, family in enumerate(FAMILIES):
         compositions = (f"{name}+{each}" for name in family for each in COMPOSED)
         for k, name in enumerate(dict.fromkeys((*family, *compositions))):
-            own[name] = own[display_name(name)] = i % n, k
+            places_of_schemes[name] = places_of_schemes[display_name(name)] = i % n, k
     different, free = list(dict.fromkeys(labels)), ((k % n, k // n) for k in itertools.count())
-    places = {label: own[label] for label in different if label in own}
+    places = {label: places_of_schemes[label] for label in different if label in places_of_schemes}
     for label in different:
-        if label not in own:
+        if label not in places_of_schemes:
             places[label] = next(place for place in free if place not in places.values())
     styles = {}
     for i, label in enumerate(different):

@@ -1,143 +1,149 @@
-"""Self-contained HTML page on results: no scripts, no requests; for screens, phones and paper."""
+"""Self-contained HTML page on results: no scripts, no requests, readable on a phone."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import Any
 
 from topcli import __version__
-from topcli.errors import UsageError, counted, printable
-from topcli.pages.contents import MALFORMED, Chapter
-from topcli.pages.results import comparisons, run_chapter, sweep_chapter
-from topcli.pages.studies import record_chapter
+from topcli.errors import ExitCode, UnknownNameError, counted, printable
 from topcli.store.provenance import now
-from topcli.store.results import MANIFEST, intact_result
-from topcli.studies.report import read_record
-from topcli.sweeps.store import ROWS_FILE, SWEEP_FILE, intact_sweep, is_sweep, missing_result
+from topcli.studies.cite import ALWAYS, bibliography, works_of
+from topcli.table import Cells
 
-_EXPONENT = re.compile(r"(?:(?<!\w)-)?\d[\d.]*e[-+]\d+")
-FOLDER = Path(__file__).parent
-TEMPLATE = "page.html.jinja"
-STYLES = "page.css"
+STYLES = Path(__file__).with_name("page.css")
+HEAD = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>
+{styles}</style>
+</head>
+<body>
+<h1>{title}</h1>
+<p class="quiet">Written by topcli {version} on {written}. All quantities are dimensionless.</p>
+"""
 MOST_NAMED = 3
 """Largest number of results whose names make the title of a page."""
-LONGEST_WORD = 30
-"""Longest word, in letters, that no line breaks; digests and paths are longer."""
-
-
-def _shown(value: object) -> object:
-    """Value of an expression of the template, with escapes for control characters; names in files may hold any."""
-    return printable(value) if type(value) is str else value
-
-
-def _prose(text: object) -> Any:
-    """Text that is never broken within a number such as 1e-07, where browsers break after the sign."""
-    from markupsafe import Markup, escape
-
-    shown = printable(text) if isinstance(text, str) else text
-    return Markup(_EXPONENT.sub(r'<span class="number">\g<0></span>', str(escape(shown))))
-
-
-def _environment() -> Any:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    made = Environment(
-        loader=FileSystemLoader(FOLDER),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=_shown,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    made.filters["prose"] = _prose
-    made.tests["unbroken"] = lambda text: max(map(len, str(text).split()), default=0) > LONGEST_WORD
-    return made
-
-
-def rendered(chapters: Sequence[Chapter], title: str) -> str:
-    """Return the page of ``chapters`` as text; everything in them but the pictures is escaped."""
-    from markupsafe import Markup
-
-    text = (
-        _environment()
-        .get_template(TEMPLATE)
-        .render(
-            title=title,
-            chapters=chapters,
-            styles=Markup((FOLDER / STYLES).read_text(encoding="utf-8")),
-            version=__version__,
-            written=now(),
-        )
-    )
-    return text.lstrip()
+LONGEST_TEXT = 400
+"""Lines of a config that a page shows; an ensemble may list thousands of states."""
 
 
 @dataclass(frozen=True)
-class Page:
-    """A page on results: its ``chapters`` and its ``text`` as HTML."""
+class Chapter:
+    """One result on a page.
 
-    chapters: Sequence[Chapter]
-    text: str
+    Attributes
+    ----------
+    title, subtitle, answer : str
+        Name, description, and outcome or answer.
+    code : int
+        Exit code of the command; the answer is green only for 0.
+    pictures : sequence of (bytes, str)
+        SVG, which browsers show without running anything in it, and captions.
+    tables : sequence of Cells
+        Tables.
+    notes : sequence of str
+        Sentences: verdicts, warnings, explanations.
+    config : str
+        Config as YAML.
+    origin : mapping
+        Times, versions, machine and digests.
+    cited : iterable of str
+        Names of the schemes and tops that took part.
+    """
+
+    title: str
+    subtitle: str = ""
+    answer: str = ""
+    code: int = ExitCode.SUCCESS
+    pictures: Sequence[tuple[bytes, str]] = ()
+    tables: Sequence[Cells] = ()
+    notes: Sequence[str] = ()
+    config: str = ""
+    origin: Mapping[str, Any] = field(default_factory=dict)
+    cited: Iterable[str] = ()
 
 
-def page_of(chapters: Sequence[Chapter], title: str | None = None) -> Page:
-    """Page on ``chapters``, after comparisons of the runs among them that share a top."""
-    whole = [*comparisons(chapters), *chapters]
+def page_of(chapters: Sequence[Chapter]) -> str:
+    """Page of ``chapters``; everything in them but the pictures is escaped."""
     titles = [chapter.title for chapter in chapters]
-    named = ", ".join(titles) if len(titles) <= MOST_NAMED else counted(len(titles), "result")
-    return Page(whole, rendered(whole, title or named))
+    title = text(", ".join(titles) if len(titles) <= MOST_NAMED else counted(len(titles), "result"))
+    styles = STYLES.read_text(encoding="utf-8")
+    head = HEAD.format(title=title, styles=styles, version=__version__, written=now())
+    return head + "".join(map(chapter_html, chapters)) + "</body>\n</html>\n"
 
 
-_RUN_FILES = ("report.json", "config.yaml", "series.parquet", "series.csv", "trajectories.parquet", "trajectories.csv")
+def text(content: object) -> str:
+    """Text in HTML; control characters are shown as escapes."""
+    return escape(printable(str(content)))
 
 
-def all_chapters(places: Sequence[str], results: Path) -> list[Chapter]:
-    """Chapters on all ``places``, each once. Raises UsageError and RunError."""
-    return [_chapter(place, results) for place in dict.fromkeys(places)]
+def chapter_html(chapter: Chapter) -> str:
+    """Section of a page: answer, notes, pictures and tables, and the origin folded."""
+    setup = [
+        ("Config", lines_html(chapter.config)),
+        ("Provenance", table_html(Cells("", (), [[key, str(value)] for key, value in chapter.origin.items()]))),
+        ("BibTeX", lines_html("\n\n".join(works(chapter.cited).values()))),
+    ]
+    parts = [
+        f"<h2>{text(chapter.title)}</h2>",
+        f'<p class="quiet">{text(chapter.subtitle)}</p>' if chapter.subtitle else "",
+        f'<p class="{"bad" if chapter.code else "good"}">{text(chapter.answer)}</p>' if chapter.answer else "",
+        f"<ul>{''.join(f'<li>{text(note)}</li>' for note in chapter.notes)}</ul>" if chapter.notes else "",
+        *(picture_html(svg, caption) for svg, caption in chapter.pictures),
+        *map(table_html, chapter.tables),
+        *(f"<details><summary>{title}</summary>{content}</details>" for title, content in setup if content),
+    ]
+    return "<section>\n" + "\n".join(filter(None, parts)) + "\n</section>\n"
 
 
-def report_page(
-    places: Sequence[str],
-    results: Path = Path("results"),
-    title: str | None = None,
-) -> Page:
-    """Page on the results that ``places`` name: paths, or names of folders in ``results``.
-
-    Raises UsageError and RunError.
-    """
-    return page_of(all_chapters(places, results), title)
+def picture_html(svg: bytes, caption: str) -> str:
+    """Picture with its caption."""
+    source = "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
+    return f'<figure><img src="{source}" alt="{text(caption)}"><figcaption>{text(caption)}</figcaption></figure>'
 
 
-def _chapter(place: str, results: Path) -> Chapter:
-    """Chapter on what ``place`` names: a path, or the name of a folder in ``results``.
+def table_html(cells: Cells) -> str:
+    """Table under its title, which scrolls if it is wider than the page; empty without lines."""
+    if not cells.lines:
+        return ""
 
-    Raises UsageError if there is nothing that topcli stored or the result is not finished, and RunError if it is
-    damaged.
-    """
-    try:
-        for path in (Path(place), results / place):
-            if path.exists():
-                return _of_folder(path) if path.is_dir() else _of_file(path)
-    except OSError as error:
-        raise UsageError(f"{place[:400]}: cannot be read ({error.strerror})") from None
-    except MALFORMED as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise UsageError(f"{place}: not of the form that this version of topcli writes ({reason})") from None
-    raise missing_result(place, results)
+    def row(line: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(cell(i, content, tag) for i, content in enumerate(line)) + "</tr>\n"
 
+    def cell(i: int, content: str, tag: str) -> str:
+        looks = " ".join(filter(None, ["number" if i in cells.right else "", cells.marks.get(content, "")]))
+        return f'<{tag} class="{looks}">{text(content)}</{tag}>' if looks else f"<{tag}>{text(content)}</{tag}>"
 
-def _of_folder(folder: Path) -> Chapter:
-    if is_sweep(folder):
-        return sweep_chapter(intact_sweep(folder))
-    return run_chapter(intact_result(folder))
+    head = f"<thead>{row(cells.header, 'th')}</thead>" if cells.header else ""
+    body = "".join(row(line, "td") for line in cells.lines)
+    title = f"<h3>{text(cells.title)}</h3>" if cells.title else ""
+    caption = f'<p class="quiet">{text(cells.caption)}</p>' if cells.caption else ""
+    return f'{title}<div class="scroll" tabindex="0"><table>{head}<tbody>{body}</tbody></table></div>{caption}'
 
 
-def _of_file(path: Path) -> Chapter:
-    """Chapter on a file: a study as JSON, or a file of a run or sweep, which stands for its folder."""
-    if path.name in (ROWS_FILE, SWEEP_FILE, MANIFEST, *_RUN_FILES):
-        return _of_folder(path.parent)
-    return record_chapter(read_record(path))
+def lines_html(content: str) -> str:
+    """Text line by line, without the rest of a very long one."""
+    lines = content.splitlines()
+    left = len(lines) - LONGEST_TEXT
+    lines = lines[:LONGEST_TEXT] + ([f"... and {left} more lines"] if left > 0 else [])
+    return f'<pre tabindex="0">{chr(10).join(map(text, lines))}</pre>' if lines else ""
+
+
+def works(names: Iterable[str]) -> dict[str, str]:
+    """BibTeX of topcli, the paper, and the works behind ``names``, without those that are not registered here."""
+    entries = {key: bibliography()[key][0] for key in ALWAYS}
+    for name in dict.fromkeys(names):
+        try:
+            entries |= works_of(name)
+        except UnknownNameError:
+            continue
+    return entries

@@ -106,13 +106,13 @@ def chosen(ids: Sequence[str], fast: bool) -> list[Claim]:
 
     Raises UnknownNameError with the nearest names.
     """
-    known, wanted = all_claims(), [name.lower() for name in ids]
-    for name in wanted:
-        if name not in known:
-            hint = nearest(name, known)
+    ledger, named = all_claims(), [name.lower() for name in ids]
+    for name in named:
+        if name not in ledger:
+            hint = nearest(name, ledger)
             hint = hint if hint.startswith("did you mean") else "topcli claims --fast --verbose lists the claims"
             raise UnknownNameError(f"unknown claim {quoted(name)}; {hint}")
-    return [claim for claim in known.values() if (claim.id in wanted if wanted else not (fast and claim.slow))]
+    return [claim for claim in ledger.values() if (claim.id in named if named else not (fast and claim.slow))]
 
 
 def claims(*ids: str, fast: bool = False, watch: Watch = SILENT) -> Report:

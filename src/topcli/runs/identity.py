@@ -9,13 +9,11 @@ makes it other code; a change elsewhere, as in the command line or the figures, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 from topcli.config.models import Experiment, digest_of
 from topcli.contracts import Scheme, Top
 from topcli.schemes.plugins import made_from, own_sources
-from topcli.store.sources import digest_of_texts, source_digest
+from topcli.store.result_folder import Identity
+from topcli.store.sources import source_digest
 
 LOOPS = ("topcli.engine.machine", "topcli.engine.integration")
 """Modules with the time loops of all schemes."""
@@ -30,27 +28,10 @@ def code_digest(top: type[Top], scheme: Scheme, *modules: str) -> str:
     return source_digest((*LOOPS, *makers, *modules), tuple(own_sources(top, scheme).values()))
 
 
-@dataclass(frozen=True)
-class Identity:
-    """Resolved experiment or ensemble (``config``), the ``digest`` of what it computes, and that of the ``code``.
-
-    Computed once for a run. Two runs are the same if both digests are equal.
-    """
-
-    config: dict[str, Any]
-    digest: str
-    code: str
-
-    @classmethod
-    def of(cls, experiment: Experiment) -> Identity:
-        """Identity of an experiment or an ensemble. Raises SchemeCodeError for code without a file."""
-        config = experiment.resolved()
-        parts = {"attitude": experiment.output.attitude, "numbers": experiment.written, "loops": experiment.section}
-        modules = [f"topcli.engine.{module}" for module, needed in parts.items() if needed]
-        code = code_digest(type(experiment.top), experiment.scheme, *modules)
-        return cls(config, digest_of(config, experiment.own_code), code)
-
-    @property
-    def key(self) -> str:
-        """Eight digits that tell results of one name apart."""
-        return digest_of_texts([self.digest, self.code])[:8]
+def identity_of(experiment: Experiment) -> Identity:
+    """Identity of an experiment or an ensemble. Raises SchemeCodeError for code without a file."""
+    config = experiment.resolved()
+    parts = {"attitude": experiment.output.attitude, "numbers": experiment.written, "loops": experiment.section}
+    modules = [f"topcli.engine.{module}" for module, needed in parts.items() if needed]
+    code = code_digest(type(experiment.top), experiment.scheme, *modules)
+    return Identity(config, digest_of(config, experiment.own_code), code)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.algebraic_growth import digit_growth
 from topcli.analysis.section_rows import SectionRows
 from topcli.analysis.tally import Tally, summary, trajectory_columns
 from topcli.config.models import Experiment
@@ -18,7 +17,6 @@ from topcli.contracts import Outcome
 from topcli.engine.consumer import Consumer, State
 from topcli.engine.endings import ARRAYS, Endings
 from topcli.engine.integration import Integration
-from topcli.engine.numbers import longest
 from topcli.engine.plan import Plan
 from topcli.engine.rows import Rows
 from topcli.runs.plans import search_of
@@ -125,28 +123,6 @@ class Members(Consumer):
             self._figures = [figures]
 
 
-class Digits(Consumer):
-    """Lengths of the numbers of a run in another precision, which grow if they are rational."""
-
-    def __init__(self) -> None:
-        self._n: list[int] = []
-        self._bits: list[int] = []
-
-    def add(self, rows: Rows) -> None:
-        """Measure the states of rows."""
-        self._n += rows.n.tolist()
-        self._bits += [longest(state) for state in rows.states[0]]
-
-    def entries(self, experiment: Experiment, plan: Plan) -> dict[str, Any]:
-        """Entries of ``report.json``: the precision, the library, and the law of growth of rational numbers."""
-        assert plan.precise is not None
-        growth = None
-        if not plan.precise.arithmetic.bits:
-            growth = digit_growth(np.array(self._n, dtype=np.int64), np.array(self._bits, dtype=np.int64))
-        about = {"precision": experiment.precision, "library": plan.precise.arithmetic.library}
-        return about | ({"digit_growth": growth.as_dict()} if growth else {})
-
-
 class Recording:
     """The ``consumers`` that record an experiment into tables in a folder, and the report on what they recorded."""
 
@@ -161,9 +137,6 @@ class Recording:
             names = [invariant.name for invariant in (*experiment.top.invariants(), *experiment.modified)]
         self._tally, self._section, self._members = Tally(names, judged=not ensemble), None, None
         self.consumers: list[Consumer] = [self._tally]
-        self._digits = Digits() if experiment.written is not None else None
-        if self._digits:
-            self.consumers.append(self._digits)
         self._columns = [*(["trajectory"] if ensemble else []), *experiment.recorded]
         if store != "statistics":
             rows = (LastRows if store == "final" else Series)(self._table("series"), self._columns)
@@ -193,7 +166,9 @@ class Recording:
         if self._members is None:
             tally = self._section.quantities if self._section else self._tally
             quantities = quantity_rows(self.experiment.quantities, tally.quantities(), counts)
-            rows, further = self._tally.report(), self._digits.entries(self.experiment, plan) if self._digits else {}
+            further = {"precision": self.experiment.precision}
+            further = further | {"library": plan.precise.arithmetic.library} if plan.precise else {}
+            rows = self._tally.report()
             return run_report(self.experiment, digest, endings[0], rows, self.seconds, quantities, counts, further)
         members = self._members
         rows = summary(plan, members.figures, members.within, members.judged)

@@ -14,7 +14,7 @@ from topcli.analysis.verdict import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, Invarian
 from topcli.contracts import Array, Ending, Outcome
 from topcli.engine.endings import Endings
 from topcli.errors import counted
-from topcli.table import Format, Table, heading_of, number, plus_minus, rounded_up, ten_digits, two_digits
+from topcli.table import Format, Table, number, plus_minus, rounded_up, ten_digits, two_digits
 
 if TYPE_CHECKING:
     from topcli.analysis.quantities import Quantity
@@ -49,8 +49,8 @@ VERDICT_MARKS = {"lost": "bad", "drifting": "middling", "exact": "good"}
 
 def invariant_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Table of all figures on the invariants, one a column."""
-    shown = [{key: value for key, value in row.items() if key not in SENTENCES} for row in rows]
-    return Table("Conservation laws", shown, FORMATS, names=NAMES, across=True, marks=VERDICT_MARKS)
+    lines = [{key: value for key, value in row.items() if key not in SENTENCES} for row in rows]
+    return Table("Conservation laws", lines, FORMATS, names=NAMES, across=True, marks=VERDICT_MARKS)
 
 
 def report_tables(report: Mapping[str, Any]) -> list[Table]:
@@ -58,8 +58,8 @@ def report_tables(report: Mapping[str, Any]) -> list[Table]:
     invariants = ensemble_table if report.get("kind") == "ensemble" else invariant_table
     quantities = [{key: row[key] for key in ("name", *FIGURES)} for row in report.get("quantities", ())]
     formats: dict[str, Format] = dict.fromkeys(FIGURES, ten_digits)
-    own = [Table("Quantities", quantities, formats, names={"name": "quantity"})] if quantities else []
-    return [invariants(report["invariants"]), *own]
+    observables = [Table("Quantities", quantities, formats, names={"name": "quantity"})] if quantities else []
+    return [invariants(report["invariants"]), *observables]
 
 
 def deviation_text(row: Mapping[str, Any]) -> str | None:
@@ -87,12 +87,12 @@ def drift_text(row: Mapping[str, Any], short: bool = False) -> str | None:
 def brief_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Table of the invariants as a terminal shows it without ``--verbose``, a line for each."""
     columns = ("symbol", "first", "max_deviation", "drift", "verdict")
-    shown = [
+    lines = [
         {**{key: row[key] for key in columns}, "max_deviation": deviation_text(row), "drift": drift_text(row)}
         for row in rows
     ]
     caption = "Deviations are relative, drifts have 95 % bounds; -v prints all values."
-    return Table("", shown, FORMATS, names=NAMES, right=columns[1:4], caption=caption, marks=VERDICT_MARKS)
+    return Table("", lines, FORMATS, names=NAMES, right=columns[1:4], caption=caption, marks=VERDICT_MARKS)
 
 
 def open_lines(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
@@ -144,24 +144,12 @@ def heading(experiment: Experiment, name: str, digest: str) -> dict[str, Any]:
     }
 
 
-POWERS = {1: "linearly", 2: "quadratically", 3: "cubically"}
-
-
 def precision_note(report: Mapping[str, Any]) -> str:
-    """Precision of a run and the growth of its numbers, in one line; empty for doubles."""
-    precision, growth = report.get("precision"), report.get("digit_growth")
+    """Precision of a run in one line; empty for doubles."""
+    precision = report.get("precision")
     if precision is None:
         return ""
-    if growth is None:
-        return f"computed with {precision} digits"
-    length = f"computed in rational numbers, which have {growth['bits']} bits at step {growth['step']}"
-    if growth["law"] == "polynomial":
-        word = POWERS.get(round(growth["power"]), "as a power")
-        return f"{length}; the bits grow {word} (as n^{growth['power']:.2f}), as for an integrable map"
-    if growth["law"] == "exponential":
-        factor = growth["factor"]
-        return f"{length}; the bits grow exponentially ({factor:.2f} times a step), as for no integrable map"
-    return f"{length}; the run has too few rows to tell how the bits grow"
+    return f"computed with {precision} digits" if isinstance(precision, int) else "computed in rational numbers"
 
 
 def report_data(
@@ -262,21 +250,6 @@ def warning_of(report: dict[str, Any]) -> str:
     )
 
 
-def comparison_lines(runs: Sequence[Sequence[Mapping[str, Any]]]) -> list[list[str]]:
-    """Compared figures of each invariant as lines: a label, then a cell for each of the ``runs``."""
-    return [
-        [f"{NAMES.get(key, heading_of(key))} of {rows[0]['symbol']}", *(table.cell(key, row.get(key)) for row in rows)]
-        for rows in zip(*runs, strict=True)
-        for table in [invariant_table(rows)]
-        for key in COMPARED
-    ]
-
-
-def seconds_note(seconds: Mapping[str, Any]) -> str:
-    """Times of a run in a sentence."""
-    return f"Compiling or loading the code took {seconds['compile']:.3g} s, and the run {seconds['run']:.3g} s."
-
-
 SHOWN_TRAJECTORIES = 20
 """Failures listed in the report; the table of trajectories contains all of them."""
 
@@ -358,16 +331,16 @@ def _within_round_off(row: Mapping[str, Any]) -> str:
 
 def ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Table of the quantiles over the trajectories, each invariant a column."""
-    shown = []
+    lines = []
     for row in rows:
         quantiles = {
             f"{measure.replace('_', ' ')}, {name}": row[measure][name]
             for measure in DEVIATIONS
             for name in (QUANTILES if measure == "max_deviation" else ("median", "max"))
         }
-        shown.append({**{key: row[key] for key in ("symbol", "within_round_off", "judged")}, **quantiles})
+        lines.append({**{key: row[key] for key in ("symbol", "within_round_off", "judged")}, **quantiles})
     caption = "Quantiles over the trajectories."
-    return Table("Conservation laws", shown, names=NAMES, across=True, caption=caption)
+    return Table("Conservation laws", lines, names=NAMES, across=True, caption=caption)
 
 
 def ensemble_statements(report: Mapping[str, Any]) -> list[str]:
@@ -382,7 +355,7 @@ def ensemble_statements(report: Mapping[str, Any]) -> list[str]:
 
 def brief_ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Summary of an ensemble as a terminal shows it without ``--verbose``."""
-    shown = [
+    lines = [
         {
             "symbol": row["symbol"],
             "within round-off": _within_round_off(row),
@@ -391,5 +364,5 @@ def brief_ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         }
         for row in rows
     ]
-    caption, right = "Quantiles over the trajectories; -v prints all values.", list(shown[0])[1:]
-    return Table("", shown, names=NAMES, right=right, caption=caption)
+    caption, right = "Quantiles over the trajectories; -v prints all values.", list(lines[0])[1:]
+    return Table("", lines, names=NAMES, right=right, caption=caption)

@@ -16,14 +16,14 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.engine.drive import Chunk, drive
 from topcli.errors import RunError
-from topcli.runs.identity import Identity
+from topcli.runs.identity import identity_of
 from topcli.runs.plans import plans
 from topcli.runs.recording import Recording
 from topcli.schemes.own_tops import top_origin
 from topcli.schemes.plugins import own_sources
 from topcli.store.files import json_text
 from topcli.store.provenance import git_commit, now
-from topcli.store.result_folder import ResultFolder, being_computed
+from topcli.store.result_folder import Identity, ResultFolder, being_computed
 from topcli.store.results import SWEEP, StoredResult, intact_result, stored_results
 
 CHECKPOINT_SECONDS = 10.0
@@ -81,7 +81,7 @@ class RunResult:
 
 def outlook(experiment: Experiment, out: Path, force: bool) -> tuple[Identity, str]:
     """Identity of an experiment, and what ``run_experiment`` would do. Raises UsageError for what it would refuse."""
-    identity = Identity.of(experiment)
+    identity = identity_of(experiment)
     next(plans(experiment))
     return identity, ResultFolder.outlook(out / experiment.name, identity, force)
 
@@ -93,12 +93,9 @@ def run_experiment(experiment: Experiment, out: Path, options: RunOptions = RunO
     without. Raises UsageError before anything is written, and RunError if a stored result is damaged or writing fails;
     then the last checkpoint remains.
     """
-    identity = Identity.of(experiment)
+    identity = identity_of(experiment)
     next(plans(experiment))  # an experiment that cannot be computed is refused before anything is written
-    claim = ResultFolder.claim(
-        out / experiment.name, identity, force=options.force, stop=options.stop, tell=options.on_message
-    )
-    with claim as folder:
+    with ResultFolder.claim(out / experiment.name, identity, force=options.force) as folder:
         if folder.complete:
             stored = intact_result(folder.stored.folder)
             return RunResult(stored, stored.report(), "up to date", folder.set_aside)
@@ -120,6 +117,7 @@ def _computed(
     N, count = recording.experiment.N, experiment.ensemble.count if experiment.ensemble else 1
     if continued:
         options.on_message(f"{experiment.name}: continues from the last checkpoint")
+    # plans that ended before the last checkpoint are in the tables already
     with ExitStack() as open_tables:
         for table in recording.tables:
             open_tables.enter_context(table)
@@ -143,6 +141,7 @@ def _computed(
         outcome = Outcome(report["outcome"])
         left = {"topcli.left_motion": json.dumps(report["left_motion"])} if report.get("left_motion") else {}
         tables = recording.finish(outcome, report["message"], left)
+    # the manifest comes last, for it declares the result complete
     entries = {
         "kind": "ensemble" if experiment.ensemble else "run",
         "outcome": report["outcome"],
@@ -163,8 +162,8 @@ def _texts(recording: Recording, identity: Identity, report: dict[str, Any]) -> 
     """Texts of a result by file name: the report, the config, and a user's own sources."""
     from topcli.config.text import to_yaml
 
-    own = own_sources(type(recording.experiment.top), recording.experiment.scheme)
-    return {"report.json": json_text(report), "config.yaml": to_yaml(identity.config), **own}
+    sources = own_sources(type(recording.experiment.top), recording.experiment.scheme)
+    return {"report.json": json_text(report), "config.yaml": to_yaml(identity.config), **sources}
 
 
 class Checkpoints:

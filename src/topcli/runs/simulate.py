@@ -114,21 +114,21 @@ def simulate(
 def _from_states(data: dict[str, Any], states: Any) -> Experiment:
     """Ensemble from an array of states; the section ``ensemble`` may only say what to store."""
     section = dict(data.pop("ensemble", None) or {})
-    if given := [key for key in SOURCES if section.get(key) is not None]:
-        raise UsageError(f"simulate: initial states are given by states= and by ensemble.{given[0]}; keep one")
+    if sources := [key for key in SOURCES if section.get(key) is not None]:
+        raise UsageError(f"simulate: initial states are given by states= and by ensemble.{sources[0]}; keep one")
     try:
         array = np.array(states, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise UsageError(f"simulate: states must be an array of numbers: {error}") from None
     if array.ndim != 2 or not len(array) or not np.isfinite(array).all():
         raise UsageError("simulate: states must be finite numbers of shape (trajectories, components)")
-    given = data.get("top")
-    kind = given.get("kind") if isinstance(given, dict) else given
+    raw = data.get("top")
+    kind = raw.get("kind") if isinstance(raw, dict) else raw
     initial = data.get("initial")
     named = [key for key in initial if key != "normalize"] if isinstance(initial, dict) else None
-    declared, _ = read_top(given, (), Document({})) if kind == CUSTOM else (None, None)
-    known = [declared] if declared else TOPS.values()
-    fits = [top for top in known if top.kind == str(kind).lower() and len(top.components) == array.shape[1]]
+    declared = type(read_top(raw, (), Document({}))) if kind == CUSTOM else None
+    classes = [declared] if declared else TOPS.values()
+    fits = [top for top in classes if top.kind == str(kind).lower() and len(top.components) == array.shape[1]]
     top = next((top for top in fits if named is None or set(top.vectors) == set(named)), fits[0] if fits else None)
     if top is not None:
         _check_units(top, array)

@@ -106,14 +106,14 @@ class StepMap:
         lanes, method = lanes_of(len(y)), self._plan.machine.method
         if lanes not in self._tangents:
             self._tangents[lanes] = tangent_code(self.experiment.scheme, self.experiment.top, method, lanes)
-        found = np.full((2, *y.shape), np.nan)
+        results = np.full((2, *y.shape), np.nan)
         for first in range(0, len(y), lanes):
             part = slice(first, first + lanes)
             run = self._tangents[lanes].run(self.h, y[part], v[part])
             run.advance(steps)
-            found[0, part], found[1, part] = run.states, run.images
-        found[:, ~np.isfinite(found).all(axis=(0, 2))] = np.nan
-        return found[0].reshape(shape), found[1].reshape(shape)
+            results[0, part], results[1, part] = run.states, run.images
+        results[:, ~np.isfinite(results).all(axis=(0, 2))] = np.nan
+        return results[0].reshape(shape), results[1].reshape(shape)
 
     def jacobian(self, states: ArrayLike, steps: int = 1) -> Array:
         """Return the derivative of the new states with respect to the old ones, shape (..., d, d).

@@ -16,7 +16,7 @@ is converted once, so the cost is that of the base steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from topcli.contracts import Block, Floats, Method, Sampler, Scheme, StepFunction, Stepper, Top
+from topcli.arithmetic.fused import defined
+from topcli.contracts import Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.tops import TOPS
 
@@ -131,9 +132,7 @@ def _stages(width: int) -> Callable[..., StepFunction]:
     """
     slots = "".join(f"s{i}, " for i in range(width))
     broken = " + ".join(f"(s{i} - s{i})" for i in range(width))
-    scope: dict[str, Any] = {"__name__": __name__}
-    exec(compile(_STAGES.format(slots=slots, broken=broken), f"<stages {width}>", "exec"), scope)
-    return scope["make"]
+    return defined(_STAGES.format(slots=slots, broken=broken), f"stages {width}", __name__=__name__)["make"]
 
 
 def composed_step(step: StepFunction, weights: tuple[float, ...], width: int) -> StepFunction:
@@ -154,7 +153,7 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
     """
     if reason := obstacle(base):
         raise UsageError(f"scheme {base.name!r} cannot be composed: it {reason}")
-    alone, order_with, weights = base.longest_step, base.order_with, composition.weights
+    order_with, weights = base.order_with, composition.weights
 
     def build(top: Any, options: Any) -> Method:
         method = base.build(top, options)
@@ -170,9 +169,6 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
             tangent=tangent,
         )
 
-    def longest_step(top: Any, y0: Floats, options: Any) -> float:
-        return alone(top, y0, options) / max(map(abs, weights)) if alone else math.inf
-
     stages = f"{composition.stages} steps of {base.name} with different step sizes: {composition.title}"
     return replace(
         base,
@@ -183,7 +179,7 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
         citation=f"{composition.citation}; {base.citation}",
         build=build,
         modified=None,
-        longest_step=longest_step if alone else None,
+        longest_step=None,
         doc=f"{stages} ({composition.citation}).\n\n{CONSERVED}\n\n{base.name}: {base.doc}",
     )
 
@@ -233,25 +229,13 @@ def _method_obstacle(method: Method, top: Top) -> str:
 
 
 def _depends_on_h(stepper: Stepper, top: Top) -> bool:
-    """True if ``enter`` or ``leave`` depends on h (tested numerically, with nan as a taint).
+    """True if ``enter`` or ``leave`` depends on h, tried at one state with several h.
 
     The stages pass the working state on unchanged, which requires that its meaning does not depend on h.
     """
     p = top.constants()
     y = tuple((-1.0) ** i * (3.0 * i + 5.0) / 64.0 for i in range(len(top.components)))  # exact in other numbers too
-
-    def differs(change: StepFunction, state: Floats) -> bool:
-        try:
-            plain = _bits(change(state, 0.25, p))
-            return any(_bits(change(state, h, p)) != plain for h in (-0.75, 2.0**-10, math.nan))
-        except (ArithmeticError, ValueError, UsageError):  # raised by h = nan, hence h was used
-            return True
-
-    if stepper.enter and differs(stepper.enter, y):
-        return True
-    return bool(stepper.leave) and differs(stepper.leave, stepper.enter(y, 0.25, p) if stepper.enter else y)
-
-
-def _bits(values: Sequence[float]) -> list[str]:
-    """Return ``values`` as strings, such that nan equals nan and -0.0 differs from 0.0."""
-    return [float(value).hex() for value in values]
+    enter, leave = stepper.enter or same_state, stepper.leave or same_state
+    work = enter(y, 0.25, p)
+    images = [(*enter(y, h, p), *leave(work, h, p)) for h in (0.25, -0.75, 2.0**-10)]
+    return images[1:] != images[:-1]

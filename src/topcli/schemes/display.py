@@ -21,7 +21,7 @@ FAMILIES: tuple[dict[str, str], ...] = (
 """Name in configs and display name of each scheme and of variants that figures compare; a family has one colour."""
 COMPOSED = {"yoshida4": "Yoshida 4", "suzuki4": "Suzuki 4", "kahan-li6": "Kahan-Li 6", "kahan-li8": "Kahan-Li 8"}
 """Display names of the compositions."""
-NAMES = {name: shown for family in FAMILIES for name, shown in family.items()}
+NAMES = {name: text for family in FAMILIES for name, text in family.items()}
 """Display name of each scheme."""
 
 
@@ -54,5 +54,5 @@ def display_name(label: str) -> str:
     name, plus, composition = scheme.partition("+")
     if name not in NAMES or (plus and composition not in COMPOSED):
         return label
-    shown = f"{NAMES[name]} + {COMPOSED[composition]}" if plus else NAMES[name]
-    return f"{shown} ({', '.join(settings.split(','))})" if settings else shown
+    text = f"{NAMES[name]} + {COMPOSED[composition]}" if plus else NAMES[name]
+    return f"{text} ({', '.join(settings.split(','))})" if settings else text

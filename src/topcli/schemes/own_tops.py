@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from topcli.contracts import Floats, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.field.integrals import broken_integral
 from topcli.schemes.plugins import is_built_in, line_of, origin_of, plugin_failures
 from topcli.tops import CUSTOM, TOPS
 from topcli.tops.bodies import checked_rotation
@@ -21,7 +23,7 @@ TAKEN = ("n", "t")
 ORIGINS: dict[str, str] = {}
 """Package or file of each form of a top that a plugin registered."""
 STATES = 4
-"""States at which a field is tried; the components of the first one are positive."""
+"""States at which a field is tried."""
 
 
 def top(declared: type[Top]) -> type[Top]:
@@ -70,10 +72,12 @@ def top(declared: type[Top]) -> type[Top]:
     """
     caller = sys._getframe(1)
     where = f"{caller.f_code.co_filename}:{caller.f_lineno}"
-    _require_names(declared, where)
-    _require_parameters(declared, where)
-    _require_field(declared)
-    _require_integrals(declared, where)
+    if fault := _fault(declared):
+        raise UsageError(f"{where}: {fault}")
+    _require_numbers(declared)
+    if fault := broken_integral(declared.new()):
+        integral = next((each for name, each in declared.integrals.items() if fault.startswith(repr(name))), None)
+        raise UsageError(f"{line_of(integral) if integral else where}: top {declared.form!r}: {fault}")
     if declared.angular_velocity or declared.vertical:
         checked_rotation(declared.new(), "its vertical")
     form = declared.form
@@ -81,98 +85,64 @@ def top(declared: type[Top]) -> type[Top]:
     return declared
 
 
-def _require_names(declared: type[Top], where: str) -> None:
-    """Raise UsageError unless kind, form and components are unused names, and the class has a field."""
+def _fault(declared: type[Top]) -> str:
+    """Reason why the names of a declaration cannot be used; empty if they can."""
+    name = getattr(declared, "__name__", type(declared).__name__)
     if not (isinstance(declared, type) and issubclass(declared, Top)):
-        name = getattr(declared, "__name__", type(declared).__name__)
-        raise UsageError(f"{where}: {name!r} is not a topcli.Top; declare it as class {name}(topcli.Top)")
-    name = declared.__name__
-    missing = [key for key in ("kind", "components", "field") if getattr(declared, key, None) is None]
-    if missing:
-        raise UsageError(f"{where}: top {name!r} does not declare {' and '.join(missing)}")
-    kind, form = declared.kind, declared.form
+        return f"{name!r} is not a topcli.Top; declare it as class {name}(topcli.Top)"
+    if missing := [key for key in ("kind", "components", "field") if getattr(declared, key, None) is None]:
+        return f"top {name!r} does not declare {' and '.join(missing)}"
+    kind, form, components = declared.kind, declared.form, declared.components
     if not (isinstance(kind, str) and KIND.fullmatch(kind)):
-        raise UsageError(f"{where}: kind {kind!r} is not a name in lower case, such as 'gyrostat'")
-    if kind == CUSTOM:
-        raise UsageError(f"{where}: kind {CUSTOM!r} is reserved for tops that a config defines; choose another")
+        return f"kind {kind!r} is not a name in lower case, such as 'gyrostat'"
     if form != kind and not form.startswith((f"{kind}+", f"{kind}/")):
-        raise UsageError(f"{where}: form {form!r} is neither {kind!r} nor begins with '{kind}+' or '{kind}/'")
-    if form in TOPS:
-        known = ORIGINS.get(form, "topcli")
-        raise UsageError(f"{where}: top {form!r} is already registered by {known}; choose another kind")
-    components = declared.components
-    if isinstance(components, str) or not components or not all(isinstance(one, str) for one in components):
-        raise UsageError(f"{where}: components of top {kind!r} are {components!r}; give a tuple of names")
+        return f"form {form!r} is neither {kind!r} nor begins with '{kind}+' or '{kind}/'"
+    if form in TOPS or kind == CUSTOM:
+        return f"top {form!r} is already registered by {ORIGINS.get(form, 'topcli')}; choose another kind"
+    if isinstance(components, str) or not components or not all(isinstance(name, str) for name in components):
+        return f"components of top {kind!r} are {components!r}; give a tuple of names"
+
+    # each column of a series has a name of its own
     columns = [*TAKEN, *components, *declared.integrals]
     for i, column in enumerate(columns):
         if not column.isidentifier():
-            raise UsageError(f"{where}: {column!r} is not the name of a component or an integral of top {kind!r}")
+            return f"{column!r} is not the name of a component or an integral of top {kind!r}"
         if column in columns[:i]:
-            raise UsageError(f"{where}: top {kind!r} has two columns {column!r}; rename a component or an integral")
+            return f"top {kind!r} has two columns {column!r}; rename a component or an integral"
     for key in (*declared.symbols, *declared.holds_on):
         if key not in declared.integrals and declared.invariants is Top.invariants:
-            raise UsageError(f"{where}: top {kind!r} has no integral {key!r}; {nearest(key, declared.integrals)}")
-
-
-def _require_parameters(declared: type[Top], where: str) -> None:
-    """Raise UsageError for a parameter that is not a float or has no default."""
+            return f"top {kind!r} has no integral {key!r}; {nearest(key, declared.integrals)}"
     for name, parameter in declared.model_fields.items():
-        if parameter.annotation is not float:
-            shown = getattr(parameter.annotation, "__name__", parameter.annotation)
-            raise UsageError(f"{where}: parameter {name!r} is declared as {shown}; declare it as {name}: float = 1.0")
-        if parameter.is_required():
-            raise UsageError(f"{where}: parameter {name!r} has no default; declare it as {name}: float = 1.0")
-
-
-def _states(d: int) -> list[Floats]:
-    """States (d,) in general position."""
-    random = np.random.default_rng(d)
-    return [tuple(np.abs(y).tolist() if i == 0 else y.tolist()) for i, y in enumerate(random.normal(size=(STATES, d)))]
+        if parameter.annotation is not float or parameter.is_required():
+            return f"parameter {name!r} must be a float with a default; declare it as {name}: float = 1.0"
+    return ""
 
 
 def tried(function: Callable[[Any, Floats], Any], d: int, p: Floats) -> Any:
-    """Value of ``function(y, p)`` at the first state at which it does not raise; if it always does, its error."""
-    *others, last = _states(d)
-    for y in others:
-        try:
+    """Value of ``function(y, p)`` at the first of some states at which it does not raise; if it always does, its error.
+
+    The components of the first state are positive.
+    """
+    first, *others = np.random.default_rng(d).normal(size=(STATES, d)).tolist()
+    for y in (tuple(map(abs, first)), *map(tuple, others[:-1])):
+        with suppress(ArithmeticError, ValueError):  # outside the domain of a root or a logarithm, perhaps
             return function(y, p)
-        except (ArithmeticError, ValueError):  # outside the domain of a root or a logarithm, perhaps
-            continue
-    return function(last, p)
+    return function(tuple(others[-1]), p)
 
 
-def _require_field(declared: type[Top]) -> None:
-    """Raise UsageError unless the field returns one number for each component; what it raises passes."""
-    made, field, components = declared.new(), declared.field, declared.components
-    rates, d = tried(field, len(components), made.constants()), len(components)
-    where = line_of(field)
-    if not isinstance(rates, tuple):
-        raise UsageError(f"{where}: the field returns {type(rates).__name__}; expected a tuple of {d} numbers")
-    if len(rates) != d:
-        raise UsageError(
-            f"{where}: the field returns {len(rates)} numbers; expected {d}, one for each of {', '.join(components)}"
-        )
-    for name, rate in zip(components, rates, strict=True):
-        if not isinstance(rate, int | float | np.floating):
-            raise UsageError(f"{where}: the rate of {name} is {type(rate).__name__}; expected a float")
-
-
-def _require_integrals(declared: type[Top], where: str) -> None:
-    """Raise UsageError for an integral that the field does not conserve; what it raises passes."""
-    from topcli.field.integrals import broken_integral
-
-    made = declared.new()
-    for name, integral in declared.integrals.items():
-        value = tried(integral, len(declared.components), made.constants())
+def _require_numbers(declared: type[Top]) -> None:
+    """Raise UsageError unless field and integrals return numbers; what they raise passes."""
+    p, components, field = declared.new().constants(), declared.components, declared.field
+    rates, d = tried(field, len(components), p), len(components)
+    if not isinstance(rates, tuple) or len(rates) != d:
+        value_text = f"{len(rates)} numbers" if isinstance(rates, tuple) else type(rates).__name__
+        expected = f"a tuple of {d}, one for each of {', '.join(components)}"
+        raise UsageError(f"{line_of(field)}: the field returns {value_text}; expected {expected}")
+    values = [(field, f"the rate of {name}", rate) for name, rate in zip(components, rates, strict=True)]
+    values += [(each, f"integral {name!r}", tried(each, d, p)) for name, each in declared.integrals.items()]
+    for function, what, value in values:
         if not isinstance(value, int | float | np.floating):
-            shown = type(value).__name__
-            raise UsageError(f"{line_of(integral)}: integral {name!r} returns {shown}; expected a number")
-    state = np.array(_states(len(declared.components)))
-    for invariant in made.invariants():  # of a class that defines them itself
-        invariant.value(state)
-    if fault := broken_integral(made):
-        integral = next((one for name, one in declared.integrals.items() if fault.startswith(repr(name))), None)
-        raise UsageError(f"{line_of(integral) if integral else where}: top {declared.form!r}: {fault}")
+            raise UsageError(f"{line_of(function)}: {what} is {type(value).__name__}; expected a float")
 
 
 def top_origin(top: type[Top]) -> str:

@@ -8,7 +8,7 @@ import re
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -27,15 +27,6 @@ PLUGIN_FILE = "topcli_plugin_"
 
 
 @dataclass(frozen=True)
-class PluginFile:
-    """Loaded plugin file: its ``path`` as given, its ``folder``, and the content of its modules by relative path."""
-
-    path: str
-    folder: str
-    content: Mapping[str, bytes]
-
-
-@dataclass(frozen=True)
 class PluginFailure:
     """Plugin of an installed package that could not be imported: its name, its package, and the reason in one line."""
 
@@ -47,8 +38,8 @@ class PluginFailure:
         return f"plugin {self.name!r} of {self.origin} failed: {self.reason}"
 
 
-FILES: dict[Path, PluginFile] = {}
-"""Plugin files that have been loaded, by path, in that order."""
+FILES: dict[Path, str] = {}
+"""Plugin files that have been loaded, by absolute path, in that order, as they were named."""
 FAILURES: list[PluginFailure] = []
 """Plugins of installed packages that could not be imported so far."""
 SOURCES: dict[Any, dict[str, str]] = {}
@@ -120,7 +111,7 @@ def load_plugin_file(path: Path) -> None:
     module.__file__ = str(path)
     sys.modules[module.__name__] = module
     count = len(REGISTERED)
-    with _modules_beside(where.parent) as beside:
+    with _modules_beside(where.parent):
         try:
             exec(compile(text, str(path), "exec"), module.__dict__)
         except Exception as error:
@@ -131,37 +122,34 @@ def load_plugin_file(path: Path) -> None:
             f"plugin {path}: registers nothing; decorate a class with @topcli.top, or a function with "
             "@topcli.scheme(...) or @topcli.measure(...)"
         )
-    content = {file.relative_to(where.parent).as_posix(): file.read_bytes() for file in beside}
-    FILES[where] = PluginFile(str(path), str(where.parent), {path.name: text, **content})
+    FILES[where] = str(path)
 
 
 @contextmanager
-def _modules_beside(folder: Path) -> Iterator[list[Path]]:
-    """Make the modules of ``folder`` importable; the value lists the files of those that are imported within.
+def _modules_beside(folder: Path) -> Iterator[None]:
+    """Make the modules of ``folder`` importable within the block.
 
     They are forgotten at the end: a module of the same name beside another plugin file is another module.
     """
     names = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__init__.py")}
     names -= sys.stdlib_module_names | {"topcli"}
 
-    def those_beside() -> dict[str, ModuleType]:
-        return {name: module for name, module in sys.modules.items() if name.partition(".")[0] in names}
+    def taken() -> dict[str, ModuleType]:
+        """Modules of these names, which are no longer loaded."""
+        modules = {name: module for name, module in sys.modules.items() if name.partition(".")[0] in names}
+        for name in modules:
+            del sys.modules[name]
+        return modules
 
-    hidden: dict[str, ModuleType] = those_beside()
-    files: list[Path] = []
-    for name in hidden:
-        del sys.modules[name]
+    hidden = taken()
     sys.path.insert(0, str(folder))
     written, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # bytecode misses an edit within one second
     try:
-        yield files
+        yield
     finally:
         sys.path.remove(str(folder))
         sys.dont_write_bytecode = written
-        for name, module in those_beside().items():
-            del sys.modules[name]
-            if (file := getattr(module, "__file__", None)) and Path(file).is_relative_to(folder):
-                files.append(Path(file))
+        taken()
         sys.modules.update(hidden)
 
 
@@ -198,7 +186,7 @@ def _texts(name: str) -> dict[str, str]:
     without a file.
     """
     place = getattr(sys.modules.get(name), "__file__", None)
-    if not place:
+    if not place or not Path(place).is_file():  # of a prompt, or a script read from a pipe
         raise SchemeCodeError(
             f"what is defined in {name} has no file, and only the text of a file can tell results apart; "
             "write it into a file, or use topcli.simulate, which stores nothing"

@@ -20,7 +20,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from topcli.arithmetic.fused import follow_precision
+from topcli.arithmetic.fused import defined, follow_precision
+from topcli.arithmetic.sized import Operators
 from topcli.contracts import Floats, Invariant, StepFunction, Stepper, Top, same_state
 from topcli.errors import UsageError
 from topcli.field.integrals import polynomial_value
@@ -50,7 +51,7 @@ class Projection:
     text: str
 
 
-class Formula:
+class Formula(Operators):
     """Formula of a polynomial as operations of a graph.
 
     A sum of terms is kept as it is written: expanded, the integral ((w1 - w2)(w1 + w2) - c g1)² + ... would lose its
@@ -72,16 +73,8 @@ class Formula:
     def __mul__(self, other: Any) -> Formula:
         return Formula(self.graph, self.graph.times(self.terms, self._of(other)))
 
-    __radd__, __rmul__ = __add__, __mul__
-
     def __neg__(self) -> Formula:
         return Formula(self.graph, minus(self.terms))
-
-    def __sub__(self, other: Any) -> Formula:
-        return Formula(self.graph, self.terms + minus(self._of(other)))
-
-    def __rsub__(self, other: Any) -> Formula:
-        return -self + other
 
     def __truediv__(self, divisor: Any) -> Formula:
         return self * (1 / decimal(divisor))
@@ -107,17 +100,10 @@ def projection(top: Top, first: int) -> Projection:
     integrals = _polynomials(top)
     n, values = len(integrals), [graph.node_of(invariant.value(formulas)[0].terms) for invariant, _ in integrals]
     slopes = [node(integral.derivative(j)) for _, integral in integrals for j in range(d)]
-    scope: dict[str, Any] = {
-        "evaluated": function_of(graph, "evaluated", [*values, *slopes]),
-        "DEPENDENT": DEPENDENT,
-        "SETTLED": SETTLED,
-        "ROUNDS": ROUNDS,
-        "nan": math.nan,
-        "__name__": __name__,
-    }
-    exec(compile(_source(n, d), f"<projection {n}/{d}>", "exec"), scope)
-    text = graph.source("values", values)
-    return Projection(n, function_of(graph, "values", values), scope["project"], tuple(graph.constants), text)
+    evaluated, text = function_of(graph, "evaluated", [*values, *slopes]), graph.source("values", values)
+    limits = {"DEPENDENT": DEPENDENT, "SETTLED": SETTLED, "ROUNDS": ROUNDS, "nan": math.nan}
+    project = defined(_source(n, d), f"projection {n}/{d}", evaluated=evaluated, __name__=__name__, **limits)["project"]
+    return Projection(n, function_of(graph, "values", values), project, tuple(graph.constants), text)
 
 
 def _source(n: int, d: int) -> str:
@@ -181,12 +167,12 @@ def projected(method: Stepper, top: Top, every: int) -> Stepper:
     inner, values, project, period = method.step, used.values, used.project, float(every)
     enter, leave = method.enter or same_state, method.leave or same_state
     tail = method.width - len(method.counters)
-    own, targets = tail - method.iterative, tail - method.iterative + used.count
+    carried, targets = tail - method.iterative, tail - method.iterative + used.count
     after = targets + 1  # behind the number of steps
     others = after + (not method.iterative)  # what follows the first ``own`` slots in the state of the method
 
     def status_of(new: Floats) -> float:
-        return new[own]
+        return new[carried]
 
     def settled(new: Floats) -> float:
         return 0.0
@@ -195,47 +181,46 @@ def projected(method: Stepper, top: Top, every: int) -> Stepper:
 
     def in_place(new: Floats, t: Floats, h: float, p: Floats) -> Floats:
         z = project(new[:d], t, p)
-        return (*z[:d], *new[d:own], z[d])
+        return (*z[:d], *new[d:carried], z[d])
 
     def entered(new: Floats, t: Floats, h: float, p: Floats) -> Floats:
         z = project(leave(new, h, p[:before]), t, p)
-        return (*enter(z[:d], h, p[:before])[:own], z[d])
+        return (*enter(z[:d], h, p[:before])[:carried], z[d])
 
     def unchanged(new: Floats) -> Floats:
-        return (*new[:own], 0.0)
+        return (*new[:carried], 0.0)
 
     restored = in_place if _begins_with_state(method, top) else entered
 
     def each(s: Floats, h: float, p: Floats) -> Floats:
-        new = inner((*s[:own], *s[others:]), h, p[:before])
-        w = restored(new, s[own:targets], h, p)
-        return (*w[:own], *s[own:after], w[own] + status(new), *new[tail:])
+        new = inner((*s[:carried], *s[others:]), h, p[:before])
+        w = restored(new, s[carried:targets], h, p)
+        return (*w[:carried], *s[carried:after], w[carried] + status(new), *new[tail:])
 
     def now_and_then(s: Floats, h: float, p: Floats) -> Floats:
-        new = inner((*s[:own], *s[others:]), h, p[:before])
+        new = inner((*s[:carried], *s[others:]), h, p[:before])
         left = s[targets] - 1.0
         w = unchanged(new)
         if left <= 0.0:
             left = period
-            w = restored(new, s[own:targets], h, p)
-        return (*w[:own], *s[own:targets], left, w[own] + status(new), *new[tail:])
+            w = restored(new, s[carried:targets], h, p)
+        return (*w[:carried], *s[carried:targets], left, w[carried] + status(new), *new[tail:])
 
     def begin(y: Floats, h: float, p: Floats) -> Floats:
         s = enter(y, h, p[:before])
-        return (*s[:own], *values(y, h, p), period, status(s), *s[tail:])
+        return (*s[:carried], *values(y, h, p), period, status(s), *s[tail:])
 
     def state(s: Floats, h: float, p: Floats) -> Floats:
-        return leave((*s[:own], *s[others:]), h, p[:before])
+        return leave((*s[:carried], *s[others:]), h, p[:before])
 
     return replace(
         method,
         step=each if every == 1 else now_and_then,
-        width=method.width + (others - own),
+        width=method.width + (others - carried),
         enter=begin,
         leave=state,
         iterative=True,
         checked=0,
-        advice=lambda work, h: "with scheme.project: use a shorter h if the step converges without the projection",
         stages=None,
         constants=(*method.constants, *used.constants),
         source=lambda: (method.source() if method.source else "") + used.text,

@@ -9,16 +9,16 @@ order, compensated sums, a symmetric composition and a projection onto the integ
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, wraps
 from importlib import import_module
-from types import MappingProxyType
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, Field, ValidationError, create_model
 
 from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
@@ -51,6 +51,8 @@ SUCCESSORS = {
     "hybrid-xi": "hybrid",
 }
 """Schemes that topcli had once, and what to use instead."""
+SECTIONS = ("Source", "Equations", "Formula", "Limits")
+"""Sections of the docstring of a scheme."""
 WRAPPERS = ("compensated", "compose", "project")
 """Keys of the section ``scheme`` that apply to the steps of any scheme."""
 
@@ -87,17 +89,17 @@ def scheme(
     name: str,
     *,
     top: str | Iterable[str] | None,
-    title: str,
+    title: str = "",
     order: int | None,
     explicit: bool,
     self_adjoint: bool,
-    citation: str,
-    equations: str,
+    citation: str = "",
+    equations: str = "",
     conserves: Iterable[str] | Callable[[Top], Iterable[str]] = (),
     options: type[BaseModel] = NoOptions,
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
     adaptive: bool = False,
-    limits: Mapping[str, str] | Callable[[Top], Mapping[str, str]] = MappingProxyType({}),
+    limits: Mapping[str, str] | Callable[[Top], Iterable[str]] | None = None,
     longest_step: Callable[[Any, Floats, Any], float] | None = None,
     order_with: Callable[[Any], int | None] | None = None,
     formula: str = "",
@@ -107,8 +109,9 @@ def scheme(
     """Register the decorated function ``build(top, options)`` as a scheme.
 
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
-    its own time loop) of ``topcli.contracts``. The docstring of ``build`` is the description of the scheme. The other
-    arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
+    its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
+    the sections ``Source``, ``Equations``, ``Formula`` and ``Limits``, each underlined, if they are not arguments. The
+    other arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
     ----------
@@ -117,8 +120,8 @@ def scheme(
         the same name; one for single tops replaces one for every top.
     top : str, iterable of str, or None
         Name (``Top.form``) of the top that the scheme integrates, or names of several; None for every top.
-    title : str
-        Title on one line.
+    title : str, optional
+        Title on one line; by default the first line of the docstring, and the description what follows.
     order : int or None
         Order of convergence; None for an exact solution, or if the order follows from a tolerance.
     explicit : bool
@@ -126,10 +129,10 @@ def scheme(
     self_adjoint : bool
         True if a step with -h inverts a step with h. Steps of a self-adjoint scheme of order 2 can be composed into
         a scheme of higher order.
-    citation : str
-        Source of the method.
-    equations : str
-        Numbers of the equations in the source, or the formula of the step.
+    citation : str, optional
+        Source of the method; by default the section ``Source``.
+    equations : str, optional
+        Numbers of the equations in the source, or the formula of the step; by default the section ``Equations``.
     conserves : iterable of str or callable, optional
         Names of the invariants that the scheme conserves to round-off for every h, or a function ``conserves(top)``
         that returns these names.
@@ -141,9 +144,10 @@ def scheme(
     adaptive : bool, optional
         True if the method divides each h into internal steps, controlled by a tolerance.
     limits : mapping of str to str or callable, optional
-        Conditions under which the scheme fails, each with the reason in a sentence, or a function ``limits(top)`` that
-        returns this mapping. A key may be the name of a hard case; ``topcli stress`` then tests that the scheme fails
-        this case.
+        Conditions under which the scheme fails, each with the reason in a sentence; by default those of the section
+        ``Limits``, a list of names, each with the reason below it. A function ``limits(top)`` returns those that apply
+        to a top: names of that section, or a mapping. A key may be the name of a hard case; ``topcli stress`` then
+        tests that the scheme fails this case.
     longest_step : callable, optional
         ``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from ``y0``. A
         single run with a larger step size is refused before it starts. In an ensemble, ``step`` of the ``Stepper`` must
@@ -152,7 +156,8 @@ def scheme(
         ``order_with(options)`` returns the order, if it depends on the options; ``order`` is then the order with the
         default options.
     formula : str, optional
-        Step in LaTeX for the documentation: display formulas without delimiters, separated by empty lines.
+        Step in LaTeX for the documentation: display formulas without delimiters, separated by empty lines; by default
+        the section ``Formula``.
     requires : callable, optional
         With ``top=None``: ``requires(top)`` raises UsageError with the reason if the scheme does not integrate ``top``.
     changes : bool, optional
@@ -190,29 +195,51 @@ def scheme(
     def register(build: B) -> B:
         key, origin = name.lower(), origin_of(build)
         _require_declaration(key, forms, options, build)
+        parts = sections_of(build.__doc__ or "")
+        first, _, rest = parts["Description"].partition("\n\n")
+        reasons = _reasons(parts["Limits"])
+
+        def limits_of(top: Top) -> Mapping[str, str]:
+            names = reasons if limits is None else limits(top) if callable(limits) else limits
+            # python -OO removes docstrings
+            return names if isinstance(names, Mapping) else {name: reasons.get(name, name) for name in names}
+
         traits = {
-            "title": title,
+            "title": title or first.rstrip(".") or key,
             "order": order,
             "explicit": explicit,
             "self_adjoint": self_adjoint,
             "conserves": conserves,
-            "citation": citation,
-            "equations": equations,
+            "citation": citation or " ".join(parts["Source"].split()),
+            "equations": equations or " ".join(parts["Equations"].split()),
             "build": build if origin == "topcli" else _checked(build, key),
             "options": options,
             "modified": modified,
             "adaptive": adaptive,
-            "limits": limits,
+            "limits": limits_of,
             "longest_step": longest_step,
-            "doc": inspect.cleandoc(build.__doc__ or title),
+            "doc": (parts["Description"] if title else rest) or title or first,
             "origin": origin,
             "order_with": order_with,
-            "formula": formula,
+            "formula": formula or parts["Formula"],
         }
         SCHEMES.setdefault(key, []).append(Declaration(key, forms, requires, changes, traits))
         return build
 
     return register
+
+
+def sections_of(doc: str) -> dict[str, str]:
+    """Description in the docstring of a scheme, and its sections; empty if missing."""
+    head, *parts = re.split(rf"^({'|'.join(SECTIONS)})\n-+\n", inspect.cleandoc(doc), flags=re.MULTILINE)
+    texts = dict.fromkeys(SECTIONS, "") | dict(zip(parts[::2], parts[1::2], strict=True))
+    return {name: text.strip() for name, text in {"Description": head, **texts}.items()}
+
+
+def _reasons(text: str) -> dict[str, str]:
+    """Reasons in the section ``Limits`` by name; several names may share one."""
+    limits = re.findall(r"^(\S.*)\n((?:    .*\n?)+)", text, re.MULTILINE)
+    return {name: " ".join(reason.split()) for names, reason in limits for name in names.split(", ")}
 
 
 def _require_declaration(name: str, forms: tuple[str, ...] | None, options: type[BaseModel], build: Build) -> None:
@@ -231,8 +258,8 @@ def _require_declaration(name: str, forms: tuple[str, ...] | None, options: type
     for other in SCHEMES.get(name, ()):
         taken = set(BUILT_IN) if other.forms is None else set(other.forms)
         if (forms is None and other.forms is None) or set(forms or ()) & taken:  # an own top may have its own scheme
-            shown = f"for top {forms[0]!r} " if forms else ""
-            raise ValueError(f"scheme {name!r} {shown}is already registered by {other.traits['origin']}")
+            where = f"for top {forms[0]!r} " if forms else ""
+            raise ValueError(f"scheme {name!r} {where}is already registered by {other.traits['origin']}")
 
 
 def _checked(build: Build, name: str) -> Build:
@@ -254,25 +281,13 @@ def _checked(build: Build, name: str) -> Build:
     return checked
 
 
-class Compensated(BaseModel):
-    """Option of schemes whose steps are state + change."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    compensated: bool = Field(default=False, description="compensated summation: round-off is multiplied by about h")
-
-
-class Projected(BaseModel):
-    """Option of schemes with steps of their own."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    project: int = Field(
-        default=0,
-        ge=0,
-        description="number of steps from one projection onto the initial values of all integrals to the next; 0 means "
-        "no projection",
-    )
+COMPENSATED = Field(default=False, description="compensated summation: round-off is multiplied by about h")
+PROJECT = Field(
+    default=0,
+    ge=0,
+    description="number of steps from one projection onto the initial values of all integrals to the next; 0 means no "
+    "projection",
+)
 
 
 @cache
@@ -302,9 +317,10 @@ def _bound(declaration: Declaration, cls: type[Top], composition: Composition | 
     return projectable(scheme) if has_steps else scheme
 
 
-def _with_option(scheme: Scheme, option: type[BaseModel]) -> type[BaseModel]:
-    """Options of a scheme and a further one."""
-    return create_model(scheme.options.__name__, __base__=(option, scheme.options))
+def _with_option(scheme: Scheme, **option: Any) -> type[BaseModel]:
+    """Options of a scheme and a further one, a type and its field; unknown ones are refused, as by ``NoOptions``."""
+    bases = tuple(dict.fromkeys((scheme.options, NoOptions)))
+    return create_model(scheme.options.__name__, __base__=bases, **option)
 
 
 def compensable(scheme: Scheme) -> Scheme:
@@ -317,7 +333,7 @@ def compensable(scheme: Scheme) -> Scheme:
         assert isinstance(method, Stepper)
         return compensated(method, len(top.components))
 
-    return replace(scheme, build=build, options=_with_option(scheme, Compensated))
+    return replace(scheme, build=build, options=_with_option(scheme, compensated=(bool, COMPENSATED)))
 
 
 def projectable(scheme: Scheme) -> Scheme:
@@ -335,7 +351,7 @@ def projectable(scheme: Scheme) -> Scheme:
         assert scheme.modified is not None
         return () if options.project else scheme.modified(top, h, options)
 
-    options = _with_option(scheme, Projected)
+    options = _with_option(scheme, project=(int, PROJECT))
     return replace(scheme, build=build, options=options, modified=modified if scheme.modified else None)
 
 
@@ -405,20 +421,20 @@ def find_scheme(name: str, top: str) -> Scheme:
 
 def _not_found(name: str, cls: type[Top]) -> UsageError:
     """Error for a scheme that does not exist, or not for this top."""
-    known = names_for(cls.form)
+    names = names_for(cls.form)
     if name in SUCCESSORS:
         return UnknownNameError(f"there is no scheme {name!r} any more; use {SUCCESSORS[name]}")
     reasons = dict.fromkeys(misfit(declaration, cls) for declaration in SCHEMES.get(name, ()))
     if reasons:
         return SchemeMisfitError(
             f"scheme {quoted(name)} does not fit top {TOPS.called(cls.form)!r}; {'; '.join(reasons)}; "
-            f"schemes for {TOPS.called(cls.form)}: {', '.join(known) or 'none'}"
+            f"schemes for {TOPS.called(cls.form)}: {', '.join(names) or 'none'}"
         )
     failures = plugin_failures()
     failed = next((failure for failure in failures if failure.name.lower() == name), None)
     if failed:
         return SchemeCodeError(f"scheme {name!r}: {failed}")
-    return UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, known)}", *map(str, failures[:2]))
+    return UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, names)}", *map(str, failures[:2]))
 
 
 def names_for(top: str) -> list[str]:

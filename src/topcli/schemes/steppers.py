@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-from topcli.arithmetic.fused import compensated_sum
+from topcli.arithmetic.fused import compensated_sum, defined
 from topcli.contracts import Floats, StepFunction, Stepper, same_state
 
 
@@ -32,9 +32,7 @@ def _writer(moved: int, rest: int, compensated: bool, iterative: bool, counters:
         f"return ({', '.join([*state, *constants, *errors, *status, *(f'{n} + more_{n}' for n in counts)])},)",
     ]
     text = "def make(change):\n    def step(s, h, p):\n        " + "\n        ".join(lines) + "\n    return step"
-    scope: dict[str, Any] = {"compensated_sum": compensated_sum, "__name__": __name__}
-    exec(compile(text, f"<step {moved}/{rest}>", "exec"), scope)
-    return scope["make"]
+    return defined(text, f"step {moved}/{rest}", compensated_sum=compensated_sum, __name__=__name__)["make"]
 
 
 def first(count: int) -> StepFunction:

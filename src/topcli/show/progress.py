@@ -1,12 +1,11 @@
-"""Progress bars, on a terminal or in a notebook."""
+"""Progress of commands and functions: a bar on a terminal or in a notebook, lines in a log."""
 
 from __future__ import annotations
 
-import os
-import sys
+import contextlib
 import time
-from collections import deque
 from collections.abc import Callable
+from datetime import timedelta
 from importlib.util import find_spec
 from typing import Any
 
@@ -14,126 +13,93 @@ from topcli.errors import printable
 from topcli.studies import Watch
 
 PATIENCE = 0.5
-"""Seconds before a bar appears."""
-
-
-def spell_seconds(seconds: float) -> str:
-    """Text of a duration: 42 s, 3:05 min, 7:03:20 h or 12 d 3 h."""
-    whole = round(seconds)
-    minutes, hours, days = whole // 60, whole // 3600, whole // 86400
-    if whole < 100:
-        return f"{whole} s"
-    if hours < 1:
-        return f"{minutes}:{whole % 60:02d} min"
-    return f"{hours}:{minutes % 60:02d}:{whole % 60:02d} h" if days < 2 else f"{days} d {hours % 24} h"
-
-
-def percent(done: int, total: int) -> str:
-    """Percentage done, rounded down so that 100% means completed."""
-    return f"{1000 * done // total / 10:.1f}%"
-
-
-class Rate:
-    """Rate over the last half minute, and the time left at that rate."""
-
-    def __init__(self, unit: str) -> None:
-        self._unit = unit
-        self._seen: deque[tuple[float, int]] = deque(maxlen=32)
-
-    def add(self, now: float, done: int) -> None:
-        """Note that so much is done at the time ``now``."""
-        if not self._seen or now - self._seen[-1][0] >= 1.0:
-            self._seen.append((now, done))
-
-    def text(self, now: float, done: int, total: int) -> str:
-        """``5.98e+07 steps/s, 3:05 min left``, or an empty text if the rate is not known yet."""
-        began, before = self._seen[0]
-        if done <= before or now <= began:
-            return ""
-        rate = (done - before) / (now - began)
-        return f"{rate:.3g} {self._unit}/s, {spell_seconds((total - done) / rate)} left"
-
-
-class Bar:
-    """A bar on a console of rich, shown from the first call of ``show`` until ``close``."""
-
-    def __init__(self, console: Any, label: str) -> None:
-        from rich.progress import BarColumn, Progress, TextColumn
-
-        self._shown = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TextColumn("{task.fields[percent]}  {task.fields[pace]}", markup=False),
-            console=console,
-            transient=True,
-        )
-        self._shown.start()
-        self._task: Any = self._shown.add_task(label, percent="", pace="")
-
-    def show(self, label: str, done: int, total: int, pace: str) -> None:
-        """Show that ``done`` of ``total`` are done."""
-        share = percent(done, total)
-        self._shown.update(self._task, description=label, completed=done, total=total, percent=share, pace=pace)
-
-    def close(self) -> None:
-        """Remove the bar."""
-        self._shown.stop()
-
-    def get_renderable(self) -> Any:
-        """The display of rich at the moment."""
-        return self._shown.get_renderable()
-
-
-def plain_console(**options: Any) -> Any:
-    """Console of rich that takes all text as it is."""
-    from rich.console import Console
-
-    return Console(markup=False, emoji=False, highlight=False, **options)
-
-
-def progress_console() -> Any:
-    """Console for the progress of a function: a notebook with widgets, or a terminal; None for any other output."""
-    if "IPython" in sys.modules:
-        console = plain_console()
-        if console.is_jupyter:
-            return console if find_spec("ipywidgets") else None
-    if sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
-        return plain_console(stderr=True)
-    return None
+"""Seconds before anything is shown."""
+FIRST_LINE, LAST_PAUSE = 15.0, 600.0
+"""Seconds before the first line in a log, and the longest pause between two lines; pauses grow with the work."""
 
 
 class Progress(Watch):
-    """Progress of a function as a context manager, called with (done, total); silent if no one would see it."""
+    """Progress of some work as a context manager, called with (done, total).
+
+    Parameters
+    ----------
+    visible : bool, optional
+        False to show nothing.
+    log : callable, optional
+        Called with lines on the progress where no bar can be drawn; by default, nothing is shown there.
+    clock : callable, optional
+        Time in seconds.
+    """
 
     def __init__(
-        self, name: str, shown: bool = True, unit: str = "steps", clock: Callable[[], float] = time.monotonic
+        self,
+        visible: bool = True,
+        log: Callable[[str], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._name, self._clock = printable(name), clock
-        self._console = progress_console() if shown else None
-        self._pace = Rate(unit)
-        self._began = clock()
-        self._bar: Bar | None = None
+        self._visible, self._log, self._clock = visible, log, clock
+        self._bar: Any = None
+        self.begin("")
+
+    def begin(self, name: str, *experiments: Any, unit: str = "steps") -> None:
+        """Begin work of this name."""
+        self.close()
+        self._name, self._unit = printable(name), unit
+        self._began = self._reported = self._clock()
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Show that ``done`` of ``total`` are done, and a ``note`` behind it."""
+        now = self._clock()
+        if not self._visible or now - self._began < PATIENCE:
+            return
+        try:
+            self._show(now, done, total, f", {note}" if note else "")
+        except OSError:  # the terminal is gone; the work continues without it
+            self._visible = False
+
+    def _show(self, now: float, done: int, total: int, note: str) -> None:
+        if self._bar is None:
+            self._bar = bar(self._clock)
+            self._bar.add_task(self._name, total=total, rate="")
+            self._bar.start()
+        (task,) = self._bar.tasks
+        self._bar.update(task.id, completed=done, total=total)
+        share = f"{1000 * done // total / 10:.1f}%"  # rounded down: 100% means completed
+        rate = ""
+        if task.speed:
+            left = timedelta(seconds=round(min((total - done) / task.speed, 1e12)))  # its largest value is 1e14 s
+            rate = f"{task.speed:.3g} {self._unit}/s, {left} left"
+        self._bar.update(task.id, rate=f"{share}  {rate}{note}")
+        pause = min(max(FIRST_LINE, 0.2 * (now - self._began)), LAST_PAUSE)
+        if self._log is not None and self._bar.disable and now - self._reported > pause:
+            self._reported = now
+            self._log(f"{self._name}: {share}, {done} of {total} {self._unit}{', ' * bool(rate)}{rate}{note}")
+
+    def close(self) -> None:
+        """Remove the bar."""
+        if self._bar is not None:
+            with contextlib.suppress(OSError):
+                self._bar.stop()
+            self._bar = None
 
     def __enter__(self) -> Progress:
         return self
 
-    def begin(self, name: str, *experiments: Any, unit: str = "steps") -> None:
-        """Take the name of what is run."""
-        self._name = printable(name)
-
-    def __call__(self, done: int, total: int, note: str = "") -> None:
-        """Show that ``done`` of ``total`` are done, and a ``note`` behind it."""
-        if self._console is None:
-            return
-        now = self._clock()
-        self._pace.add(now, done)
-        if now - self._began < PATIENCE:
-            return
-        if self._bar is None:
-            self._bar = Bar(self._console, self._name)
-        self._bar.show(self._name, done, total, self._pace.text(now, done, total) + (f", {note}" if note else ""))
-
     def __exit__(self, *exception: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        self.close()
+
+
+def bar(clock: Callable[[], float]) -> Any:
+    """Bar of rich in a notebook with widgets or on a terminal; anywhere else, one that only measures the rate."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+    drawn = find_spec("ipywidgets") if console.is_jupyter else console.is_terminal and not console.is_dumb_terminal
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.fields[rate]}", markup=False),
+    )
+    return Bar(*columns, console=console, transient=True, disable=not drawn, get_time=clock)

@@ -1,24 +1,29 @@
-"""``topcli.run`` and ``topcli.sweep``: run experiments, ensembles and sweeps, and store the results in folders."""
+"""``topcli.run``, ``sweep`` and ``motion``: what the commands do, with a result that has a table, a plot and files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from topcli.config.load import load
+from topcli.analysis.motion import Motion, motion_table
+from topcli.config.load import load, load_experiment
+from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
-from topcli.figures.study import on_axes
+from topcli.figures.study import on_axes, picture
 from topcli.runs.report import report_tables
-from topcli.runs.run import CHECKPOINT_SECONDS, RunOptions, RunResult, run_experiment
+from topcli.runs.run import RunOptions, RunResult, run_experiment
 from topcli.show.progress import Progress
-from topcli.show.report import ResultReport
+from topcli.store.files import json_text, write_by_ending
 from topcli.store.series import read_series, series_names
+from topcli.studies.report import PICTURES, html_of
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
 from topcli.sweeps.table import read_rows, require_names
 
@@ -26,8 +31,88 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from topcli.pages.contents import Chapter
+    from topcli.pages.page import Chapter
     from topcli.table import Cells
+
+
+class ResultReport(ABC):
+    """Base class of the reports that ``topcli.run``, ``topcli.sweep`` and ``topcli.motion`` return.
+
+    Attributes
+    ----------
+    table : pandas.DataFrame
+        The main table of the command, with all digits of its numbers.
+    """
+
+    has_page: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def table(self) -> pd.DataFrame:
+        """Main table of the report as a DataFrame."""
+
+    @abstractmethod
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON, as the option ``--json`` of the command prints it."""
+
+    @abstractmethod
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the report into ``ax`` and return the axes; without ``ax``, make new axes."""
+
+    def chapter(self) -> Chapter:
+        """Return the chapter of a page."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def cells(self) -> Cells:
+        """Texts of the table that a notebook shows."""
+
+    @property
+    @abstractmethod
+    def headline(self) -> str:
+        """Subject and result of the report in a sentence."""
+
+    def save(self, path: str | Path) -> Path:
+        """Write the report to a file; an existing file is overwritten.
+
+        If writing fails, no partial file is left, and an existing file stays as it was.
+
+        Parameters
+        ----------
+        path : path or str
+            Name of the file. Its ending chooses the content: ``.html`` gives the page that ``topcli report`` writes
+            (not for a motion), ``.json`` the plain data, ``.csv`` the main table, and ``.png``, ``.pdf`` or ``.svg``
+            the plot.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        UsageError
+            If the name has another ending, or if the folder of the file cannot be written to.
+        RunError
+            If writing fails.
+        """
+        from topcli.pages.page import page_of
+
+        contents: dict[str, Callable[[], str | bytes]] = {
+            ".json": lambda: json_text(self.as_dict()),
+            ".csv": lambda: str(self.table.to_csv()),
+        }
+        if self.has_page:
+            contents = {".html": lambda: page_of([self.chapter()]), **contents}
+        pictures = {ending: partial(picture, self.plot, ending[1:]) for ending in PICTURES}
+        return write_by_ending(path, contents | pictures)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.headline}>"
+
+    def _repr_html_(self) -> str:
+        """Headline and main table for a notebook."""
+        return html_of([self.headline], self.cells())
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,16 +173,10 @@ class RunReport(ResultReport):
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Column of the series by name, shape (m,). Raises UsageError for an unknown name."""
-        self._require([name])
+        names = series_names(self.result.stored.series)
+        if name not in names:
+            raise UsageError(f"unknown column {quoted(name)}; {nearest(name, names)}")
         return read_series(self.result.stored.series, [name])[name]
-
-    def _require(self, names: Sequence[str], place: str = "") -> list[str]:
-        """Columns of the series. Raises UsageError if one of the ``names`` is not among them."""
-        known = series_names(self.result.stored.series)
-        for name in names:
-            if name not in known:
-                raise UsageError(f"{place}unknown column {quoted(name)}; {nearest(name, known)}")
-        return known
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of ``report.json``, with the ``folder`` and the ``status``."""
@@ -105,7 +184,7 @@ class RunReport(ResultReport):
 
     def chapter(self) -> Chapter:
         """Return the chapter of a page."""
-        from topcli.pages.results import run_chapter
+        from topcli.pages.stored import run_chapter
 
         return run_chapter(self.result.stored)
 
@@ -118,18 +197,14 @@ class RunReport(ResultReport):
         """Name of the run, and how it ended."""
         return f"{self.result.report['name']}: {self.result.report['message']}"
 
-    def plot(self, ax: Axes | None = None, *, columns: Sequence[str] = (), deviation: bool = False) -> Axes:
-        """Draw columns of the recorded rows over time; for an ensemble, quantiles of the deviations of all invariants.
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the last vector of the state over time, for example gamma.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Axes to draw into; their style is kept. By default, new axes are made.
-        columns : sequence of str, optional
-            Names of columns. The default is the last vector of the state, for example gamma. If ``deviation`` is true,
-            the default is all recorded invariants.
-        deviation : bool, optional
-            True to draw absolute deviations from the first values, on a logarithmic axis.
+            Axes to draw into; their style is kept. By default, new axes are made. ``report[name]`` gives the columns
+            for other plots.
 
         Returns
         -------
@@ -139,23 +214,17 @@ class RunReport(ResultReport):
         Raises
         ------
         UsageError
-            If a column is unknown, or if ``columns`` are given for an ensemble.
+            For an ensemble.
         """
-        from topcli.figures.run import draw_quantiles, draw_series, quantiles_of, recorded_vectors, series_of
+        from topcli.figures.run import recorded_vectors, run_pictures, series_of
 
         stored = self.result.stored
         if self.is_ensemble:
-            if columns:
-                raise UsageError("plot: an ensemble is drawn by the deviations of its invariants; read columns by name")
-            quantiles = quantiles_of(self.folder, self.result.report)
-            return on_axes(lambda axes: draw_quantiles(axes, quantiles), ax)
-        known = self._require(columns, "plot: ")
+            raise UsageError("plot: an ensemble has no picture; draw one of its trajectories, run by itself")
         experiment = load(stored.manifest["config"])
-        vectors = list(recorded_vectors(known, experiment).values())
-        integrals = [each.name for each in (*experiment.top.invariants(), *experiment.modified) if each.name in known]
-        chosen = list(columns) or (integrals if deviation else (vectors or [integrals])[-1])
-        data = series_of(stored.series, experiment.h, chosen)
-        return on_axes(lambda axes: draw_series(axes, data, chosen, experiment, deviation), ax)
+        data = series_of(stored.series, experiment.h)
+        vectors = recorded_vectors(list(data), experiment)  # their pictures come first
+        return on_axes(run_pictures(data, experiment)[len(vectors) - 1].draw, ax)
 
 
 def run(
@@ -164,7 +233,6 @@ def run(
     *,
     overrides: Sequence[str] = (),
     force: bool = False,
-    checkpoint_every: float = CHECKPOINT_SECONDS,
     threads: int | None = None,
     progress: bool = True,
     **changes: Any,
@@ -182,9 +250,6 @@ def run(
         after ``changes``.
     force : bool, optional
         True to repeat a run that exists already; the earlier result is renamed, not overwritten.
-    checkpoint_every : float, optional
-        Seconds between checkpoints, from which an interrupted run continues when it is run again. With 0, a checkpoint
-        is written after every chunk of steps (the engine divides a run into chunks).
     threads : int, optional
         Number of threads for an ensemble, by default one per CPU. The results do not depend on this number.
     progress : bool, optional
@@ -223,8 +288,9 @@ def run(
     'up to date'
     """
     experiment = load(config, overrides, changes, rename=True)
-    with Progress(experiment.name, progress) as bar:
-        options = RunOptions(force, checkpoint_every, threads, on_progress=bar)
+    with Progress(progress) as bar:
+        bar.begin(experiment.name)
+        options = RunOptions(force, threads=threads, on_progress=bar)
         return RunReport(run_experiment(experiment, Path(out), options))
 
 
@@ -271,14 +337,14 @@ class SweepReport(ResultReport):
 
     def chapter(self) -> Chapter:
         """Return the chapter of a page."""
-        from topcli.pages.results import sweep_chapter
+        from topcli.pages.stored import sweep_chapter
         from topcli.sweeps.store import intact_sweep
 
         return sweep_chapter(intact_sweep(self.folder))
 
     def cells(self) -> Cells:
         """Texts of the first rows."""
-        from topcli.pages.results import rows_table
+        from topcli.pages.stored import rows_table
 
         return rows_table(read_rows(self.folder))
 
@@ -287,28 +353,15 @@ class SweepReport(ResultReport):
         """Name of the sweep, and the number of its rows for each outcome."""
         return f"{self.folder.name}: {', '.join(f'{count} {outcome}' for outcome, count in self.outcomes.items())}"
 
-    def plot(
-        self,
-        ax: Axes | None = None,
-        *,
-        x: str | None = None,
-        y: str | None = None,
-        by: str | None = None,
-        aggregate: str | None = None,
-    ) -> Axes:
-        """Draw a measure against one key of the sweep, with a curve for each value of another key.
+    def plot(self, ax: Axes | None = None, y: str | None = None) -> Axes:
+        """Draw a measure against the numeric key with the most values, with a curve for each scheme or top.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
             Axes to draw into. By default, new axes are made.
-        x, y, by : str, optional
-            ``x`` is the key on the horizontal axis, and ``y`` is the measure on the vertical axis. There is one curve
-            for each value of the key ``by``. If ``x``, ``by`` and ``aggregate`` are all left out, the plot is the one
-            on the page of ``topcli report``: ``x`` is the numeric key with the most values, and ``by`` is the key with
-            the next most.
-        aggregate : {"median", "mean", "max"}, optional
-            Function that combines the values of ``y`` in rows that have the same values of ``x`` and ``by``.
+        y : str, optional
+            Measure; by default the first one. ``table`` gives the rows for other plots.
 
         Returns
         -------
@@ -318,22 +371,18 @@ class SweepReport(ResultReport):
         Raises
         ------
         UsageError
-            If the name of a key or measure is unknown, or if several rows fall on one point of a curve and
-            ``aggregate`` is not given.
+            If the measure is unknown, or if there is nothing to draw.
         """
-        from topcli.figures.sweep import Choice, draw_sweep
-        from topcli.pages.results import sweep_choices
+        from topcli.figures.sweep import draw_sweep
+        from topcli.pages.stored import sweep_choices
 
         rows = read_rows(self.folder)
         if y is not None:
             require_names(rows, "measure", [y], "plot: y")
-        usual = {choice.y: choice for choice in sweep_choices(rows)}
-        if not usual:
-            raise UsageError("plot: no key of the sweep varies, or no measure has a value")
-        choice = usual.get(y or next(iter(usual))) or next(iter(usual.values()))
-        if x or by or aggregate:
-            choice = Choice(x or choice.x, y or choice.y, by, aggregate=aggregate)
-        choice.require(rows)
+        choices = {choice.y: choice for choice in sweep_choices(rows)}
+        choice = choices.get(y or next(iter(choices), ""))
+        if choice is None:
+            raise UsageError("plot: no key of the sweep varies, or the measure has no value")
         return on_axes(lambda axes: draw_sweep(axes, rows, choice), ax)
 
 
@@ -399,6 +448,124 @@ def sweep(
     'step size h'
     """
     loaded = load_sweep(file, overrides)
-    with Progress(loaded.name, progress, unit="rows") as bar:
+    with Progress(progress) as bar:
+        bar.begin(loaded.name, unit="rows")
         options = SweepOptions(force=force, threads=threads, dask=dask, on_progress=bar)
         return SweepReport(run_sweep(loaded, Path(out), options))
+
+
+IRRELEVANT = {"scheme": "taylor", "h": 0.01}
+"""Keys that a config needs and a motion does not."""
+
+
+@dataclass(frozen=True, repr=False)
+class MotionReport(Motion, ResultReport):
+    """Exact motion from an initial state, as returned by ``topcli.motion``.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        Experiment of the config, of which only the top and the initial state matter.
+    table : pandas.DataFrame
+        Value and meaning of each quantity, indexed by the name of the quantity.
+    """
+
+    experiment: Experiment = field(kw_only=True)
+    has_page = False
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """DataFrame of the quantities, one row each, indexed by name."""
+        return motion_table(self).frame()
+
+    def cells(self) -> Cells:
+        """Texts of the quantities."""
+        return motion_table(self).cells()
+
+    @property
+    def headline(self) -> str:
+        """Name of the config, and the class of the motion in words."""
+        return f"{self.experiment.name}: {self.title}"
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the motion.
+
+        The picture depends on the top. For the Kowalevski top, the picture shows the place of the integrals of the
+        motion in the bifurcation diagram. For the Euler top, it shows the polhode (the path of omega in the body) on
+        the energy ellipsoid. For other tops, it shows the path of the symmetry axis in space, or of the vertical in the
+        body, on the unit sphere, and for tops without either the components of the state over time.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Axes to draw into. By default, new axes are made. Polhodes and paths on the sphere are three-dimensional;
+            for them, two-dimensional axes are replaced by three-dimensional ones at their place.
+
+        Returns
+        -------
+        matplotlib Axes
+            The axes of the picture.
+
+        Raises
+        ------
+        RunError
+            If the motion is too fast to be integrated for the picture.
+        """
+        from topcli.analysis.motion.of_top import closed_form_top
+        from topcli.figures.motion import motion_drawing
+
+        draw, projection = motion_drawing(closed_form_top(self.experiment.top), self, self.experiment.name)
+        return on_axes(draw, ax, projection)
+
+
+def motion(
+    config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] = (), **changes: Any
+) -> MotionReport:
+    """Return the class, the frequencies and the periods of an exact motion.
+
+    All results follow from the initial state and the closed form of the motion. Nothing is integrated, so the scheme,
+    ``h`` and ``N`` of the config do not matter. All quantities are dimensionless, as in configs.
+
+    Parameters
+    ----------
+    config : path, str or mapping, optional
+        Config file, name of a scene (a packaged config), or the content of a config, as for ``topcli.simulate``. The
+        keys ``top`` and ``initial`` are enough.
+    overrides : sequence of str
+        Texts ``"key=value"`` that replace keys of the config, as for ``--set`` on the command line. They are applied
+        after ``changes``.
+    **changes
+        Values that replace whole top-level keys of the config.
+
+    Returns
+    -------
+    MotionReport
+        For the Kowalevski top, the report gives the class of the torus, its frequencies and periods, and the distance
+        to the nearest separatrix. For the Euler top, the report gives the class and the period of the polhode. For the
+        Lagrange top, it gives nutation and precession. For a top without a closed form, the report gives only the
+        integrals.
+
+    Raises
+    ------
+    ConfigError
+        If the config cannot be read, is invalid, or describes an ensemble or a sweep.
+    UnknownNameError
+        If no scene has the given name.
+
+    Examples
+    --------
+    >>> import topcli
+    >>> motion = topcli.motion("lagrange_cusps")
+    >>> motion.title
+    'nutation with cusps: the axis stops at one of the bounds'
+    >>> round(motion["period.nutation"], 6)
+    2.15473
+    """
+    if config is None or isinstance(config, Mapping):
+        length = {} if "T" in {**(config or {}), **changes} else {"N": 1}
+        config = {"name": "motion", **IRRELEVANT, **length, **(config or {})}
+    from topcli.analysis.motion.of_top import motion_of
+
+    experiment = load_experiment(config, overrides, changes, any_precision=True)
+    plain = motion_of(experiment.top, experiment.y0)
+    return MotionReport(**{entry.name: getattr(plain, entry.name) for entry in fields(plain)}, experiment=experiment)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SEAL = "content_sha256"
-"""Entry of a study with the checksum of all others."""
+"""Entry of a manifest or a study with the checksum of all others."""
 
 
 class DamagedError(ValueError):
@@ -56,8 +56,8 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def io_failure(error: OSError, path: Path, kept: str = "nothing of this run was stored") -> RunError:
-    """Error message for a failed write to ``path`` that says what was ``kept``.
+def io_failure(error: OSError, path: Path, consequence: str = "nothing of this run was stored") -> RunError:
+    """Error message for a failed write to ``path`` that names the ``consequence`` for what is stored.
 
     If ``error`` names another file, the message names that file in the folder of ``path``.
     """
@@ -65,10 +65,10 @@ def io_failure(error: OSError, path: Path, kept: str = "nothing of this run was 
     if name and not name.startswith(".") and name != path.name:
         path = path / name
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return RunError(f"{path}: no space left on the device; {kept}")
+        return RunError(f"{path}: no space left on the device; {consequence}")
     if error.errno == errno.EFBIG:
-        return RunError(f"{path}: the file would exceed the size limit; {kept}")
-    return RunError(f"{path}: cannot be written ({error.strerror or error}); {kept}")
+        return RunError(f"{path}: the file would exceed the size limit; {consequence}")
+    return RunError(f"{path}: cannot be written ({error.strerror or error}); {consequence}")
 
 
 def require_writable(out: Path) -> None:
@@ -91,12 +91,9 @@ def sha256_of(path: Path) -> str:
 
 def read_json(path: str | Path) -> dict[str, Any]:
     """JSON object in a file. Raises OSError, and DamagedError for any other content."""
-    text = Path(path).read_bytes()
     try:
-        content = json.loads(text)
-    except RecursionError:
-        raise DamagedError("nested too deeply") from None
-    except ValueError as error:
+        content = json.loads(Path(path).read_bytes())
+    except (ValueError, RecursionError) as error:
         raise DamagedError(f"not JSON: {error}") from None
     if not isinstance(content, dict):
         raise DamagedError("not a JSON object")
@@ -129,11 +126,11 @@ def json_text(content: Mapping[str, Any]) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def sealed(content: Mapping[str, Any], seal: str = SEAL) -> dict[str, Any]:
-    """``content`` with the checksum of all its other entries as the last one, called ``seal``."""
-    content = {name: value for name, value in content.items() if name != seal}
+def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """``content`` with the checksum of all its other entries as the last one."""
+    content = {name: value for name, value in content.items() if name != SEAL}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return {**content, seal: hashlib.sha256(text.encode()).hexdigest()}
+    return {**content, SEAL: hashlib.sha256(text.encode()).hexdigest()}
 
 
 def require_new(paths: Iterable[Path], option: str = "--out") -> None:
@@ -151,17 +148,12 @@ def sealed_text(data: Mapping[str, Any]) -> str:
     return json_text(sealed(json.loads(json.dumps(complete, allow_nan=False))))
 
 
-def check_study(data: Mapping[str, Any], text: str | None = None) -> None:
-    """Compare a study with the checksum stored in it and, if ``text`` is given, with the form in which it is written.
-
-    Raises DamagedError.
-    """
-    if not isinstance(data.get(SEAL), str):
-        raise DamagedError(f"holds no {SEAL}; it is not a study that topcli stored")
+def check_seal(data: Mapping[str, Any]) -> None:
+    """Compare a manifest or a study with the checksum stored in it. Raises DamagedError."""
+    if SEAL not in data:
+        raise DamagedError(f"holds no {SEAL}")
     if data[SEAL] != sealed(data)[SEAL]:
         raise DamagedError("its SHA-256 differs from the one stored in it")
-    if text is not None and text != json_text(data):
-        raise DamagedError("its text has changed since it was written")
 
 
 def write_by_ending(path: str | Path, contents: Mapping[str, Callable[[], str | bytes]]) -> Path:

@@ -1,7 +1,7 @@
 """The right to compute a result: ``results/NAME`` holds one result, complete or on its way.
 
 1. ``manifest.json`` is there from the first moment and says what the folder holds: experiment, code and outcome.
-2. Who computes holds a lock, the file ``.NAME.lock`` beside the folder; who wants the same waits and finds the result.
+2. Who computes holds a lock, the file ``.NAME.lock`` beside the folder; others are refused meanwhile.
 3. To run an experiment again is to continue it from its last checkpoint; a complete result is up to date.
 4. No result is deleted, complete or not. One that has to make way, for ``force`` or because the code differs, is
    renamed to NAME-KEY, by the key of what it holds. A different experiment makes way only for ``force``.
@@ -13,16 +13,13 @@ them, and parts of tables before the checkpoint that counts them.
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
-import itertools
 import os
-import secrets
-import shutil
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -30,32 +27,44 @@ from topcli.errors import RunError, UsageError
 from topcli.store.files import (
     DamagedError,
     io_failure,
+    json_text,
     read_arrays,
     require_writable,
+    sealed,
     sha256_of,
     sync,
     write_arrays,
     write_text,
 )
 from topcli.store.provenance import environment, now
-from topcli.store.results import MANIFEST, MANIFEST_VERSION, SWEEP, UNFINISHED, StoredResult, manifest_text, read_result
+from topcli.store.results import MANIFEST, MANIFEST_VERSION, SWEEP, UNFINISHED, StoredResult, read_result
+from topcli.store.sources import digest_of_texts
 
-POLL_SECONDS = 0.1
-"""Seconds between two looks at a lock that another process holds."""
+LOOK_SECONDS = 0.1
+"""Seconds after which a process that only looked at a lock does not hold it any more."""
 _UNCOMPARED = ("name", "output.format")
 
 
-class _Identity(Protocol):
-    """Resolved ``config``, ``digest`` of what it computes and of the ``code``, and a short ``key`` of both digests."""
+COMPUTE, RENAME = "will run", "will run; the earlier result is renamed, not overwritten"
+CONTINUE, UP_TO_DATE = "will continue from its last checkpoint", "up to date"
+"""Actions at the place of a result."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Resolved experiment or ensemble (``config``), the ``digest`` of what it computes, and that of the ``code``.
+
+    Two runs are the same if both digests are equal.
+    """
+
+    config: dict[str, Any]
+    digest: str
+    code: str
 
     @property
-    def config(self) -> dict[str, Any]: ...
-    @property
-    def digest(self) -> str: ...
-    @property
-    def code(self) -> str: ...
-    @property
-    def key(self) -> str: ...
+    def key(self) -> str:
+        """Eight digits that tell results of one name apart."""
+        return digest_of_texts([self.digest, self.code])[:8]
 
 
 class ResultFolder:
@@ -78,45 +87,37 @@ class ResultFolder:
         self.working, self._lock = stored.folder / UNFINISHED, lock
 
     @classmethod
-    def claim(
-        cls,
-        path: Path,
-        identity: _Identity,
-        *,
-        force: bool = False,
-        stop: Callable[[], bool] = lambda: False,
-        tell: Callable[[str], None] = lambda line: None,
-    ) -> ResultFolder:
+    def claim(cls, path: Path, identity: Identity, *, force: bool = False) -> ResultFolder:
         """Folder of the result with this identity at ``path``: complete, or ready to compute or to continue it.
 
-        While another process computes there, wait until ``stop()``. Raises UsageError if something else is at
-        ``path`` that may not be renamed, and RunError if the place is damaged or cannot be written.
+        Raises UsageError if something else is at ``path`` that may not be renamed, and RunError if another process
+        computes there, or if the place is damaged or cannot be written.
         """
-        before = _result_at(path)
-        if before and before.complete and not force and _same(before, identity) and not _rests(path):
-            return cls(before)
+        stored, action = _outlook(path, identity, force)
+        if action == UP_TO_DATE and not (path / UNFINISHED).exists():
+            return cls(stored)
         require_writable(path.parent)
-        lock, waited = _wait_for_lock(path, identity, force, stop, tell)
+        lock = locked(path)
+        if lock is None:
+            time.sleep(LOOK_SECONDS)
+            lock = locked(path)
+        if lock is None:
+            raise RunError(f"{path}: another process is computing this result; run again after its end")
         try:
             for torn in path.glob(".manifest.*"):  # of a process that was killed while it wrote a manifest
                 torn.unlink()
-            stored, aside = _result_at(path), None
-            if waited and stored and not (before and before.complete and _run(before) == _run(stored)):
-                force = False  # another process has just computed, or begun, what was to be computed
-            if stored is None:
-                _require_free(path)
-            elif _valuable(stored):
-                _require_same(stored, identity, force)
-                if force or not _same(stored, identity):
-                    stored, aside = None, set_aside(stored)
-                elif stored.complete:
-                    _remove_rests(path)  # its process was killed before it could do so
-                    release(path, lock)
-                    return cls(stored)
-            if stored is None or not _valuable(stored):
+            stored, action = _outlook(path, identity, force)
+            if action == UP_TO_DATE:
+                _remove_rests(path)  # its process was killed before it could do so
+                release(path, lock)
+                return cls(stored)
+            aside = set_aside(stored) if action == RENAME else None
+            if action != CONTINUE:
                 stored = _begun(path, identity)
             (path / UNFINISHED).mkdir(exist_ok=True)
         except BaseException as error:
+            with contextlib.suppress(OSError):
+                path.rmdir()  # if it is empty
             release(path, lock)
             if isinstance(error, OSError):
                 raise io_failure(error, path, "nothing was lost") from None
@@ -124,20 +125,11 @@ class ResultFolder:
         return cls(stored, lock, aside)
 
     @staticmethod
-    def outlook(path: Path, identity: _Identity, force: bool = False) -> str:
+    def outlook(path: Path, identity: Identity, force: bool = False) -> str:
         """Words for the action that ``claim`` would lead to. Raises UsageError and RunError as ``claim``."""
-        stored = _result_at(path)
         if being_computed(path):
             return "another process is computing it"
-        if stored is None:
-            _require_free(path)
-            return "will run"
-        if not _valuable(stored):
-            return "will run"
-        _require_same(stored, identity, force)
-        if force or not _same(stored, identity):
-            return "will run; the earlier result is renamed, not overwritten"
-        return "up to date" if stored.complete else "will continue from its last checkpoint"
+        return _outlook(path, identity, force)[1]
 
     def __enter__(self) -> ResultFolder:
         return self
@@ -146,17 +138,17 @@ class ResultFolder:
         """Release the lock; a folder in which nothing was stored is removed. Raises RunError for a failed write."""
         if self._lock is None:
             return
-        folder, kept = self.stored.folder, "run again to continue from the last checkpoint"
+        folder, consequence = self.stored.folder, "run again to continue from the last checkpoint"
         with contextlib.suppress(OSError):
             if not _valuable(self.stored):
-                kept = "nothing of this run was stored"
+                consequence = "nothing of this run was stored"
                 _remove_rests(folder)
                 (folder / MANIFEST).unlink()
                 folder.rmdir()
         release(folder, self._lock)
         self._lock = None
         if isinstance(error, OSError):
-            raise io_failure(error, folder, kept) from error
+            raise io_failure(error, folder, consequence) from error
 
     def checkpoint(self) -> dict[str, NDArray[Any]]:
         """Arrays of the last ``save``; empty if there is none. Raises RunError if they are damaged."""
@@ -200,30 +192,25 @@ class ResultFolder:
             _remove_rests(folder)
 
     def _write_manifest(self, entries: Mapping[str, Any]) -> None:
-        self.stored = _with_manifest(self.stored.folder, self.stored.folder, {**self.stored.manifest, **entries})
+        self.stored = _with_manifest(self.stored.folder, {**self.stored.manifest, **entries})
 
 
 def being_computed(path: Path) -> bool:
     """True if a process computes the result at ``path``."""
-    try:
-        handle = os.open(_lock_path(path), os.O_RDWR)
-    except OSError:
+    if not _lock_path(path).exists():
         return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    finally:
-        os.close(handle)
-    return False
+    lock = locked(path)
+    if lock is not None:
+        release(path, lock)
+    return lock is None
 
 
 def difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
     """First differences of two resolved configs in half a line, such as ``h: 0.001 stored, 0.002 requested``."""
     old, new = flattened(there), flattened(here)
     keys = [key for key in {**old, **new} if old.get(key) != new.get(key) and key not in _UNCOMPARED]
-    shown = [f"{key}: {old.get(key, 'nothing')} stored, {new.get(key, 'nothing')} requested" for key in keys[:3]]
-    return "; ".join(shown) + ("; ..." if len(keys) > 3 else "")
+    texts = [f"{key}: {old.get(key, 'nothing')} stored, {new.get(key, 'nothing')} requested" for key in keys[:3]]
+    return "; ".join(texts) + ("; ..." if len(keys) > 3 else "")
 
 
 def flattened(data: Any, path: str = "") -> dict[str, Any]:
@@ -233,124 +220,82 @@ def flattened(data: Any, path: str = "") -> dict[str, Any]:
     return {k: v for key, value in data.items() for k, v in flattened(value, f"{path}.{key}" if path else key).items()}
 
 
-def _same(stored: StoredResult, identity: _Identity) -> bool:
-    """True if a result has this identity, in the same format."""
-    old, new = (config.get("output", {}).get("format") for config in (stored.manifest["config"], identity.config))
-    digests = stored.manifest.get("digest"), stored.manifest.get("code")
-    return digests == (identity.digest, identity.code) and old == new
+def _outlook(path: Path, identity: Identity, force: bool) -> tuple[Any, str]:
+    """Result at ``path``, None if there is none, and the action that follows.
+
+    Raises UsageError if something else is there that may not be renamed, and RunError for a damaged manifest.
+    """
+    stored = read_result(path)
+    if stored is None:
+        foreign = os.path.islink(path) or os.path.isfile(path) or _files(path)
+        if foreign and read_result(path) is None:  # another process may have begun meanwhile
+            raise UsageError(f"{path}: exists and is no result of topcli; choose another name with --set name=NAME")
+        return None, COMPUTE
+    if stored.manifest.get("kind") == SWEEP:
+        raise UsageError(f"{path}: holds a sweep; choose another name with --set name=NAME")
+    if not _valuable(stored):
+        return stored, COMPUTE
+
+    # an equal config with another digest is the same experiment with other code of the user
+    digest, code, config = (stored.manifest[key] for key in ("digest", "code", "config"))
+    if digest != identity.digest and not force and (other := difference(config, identity.config)):
+        raise UsageError(
+            f"{path}: holds a different experiment ({other})",
+            "choose another name with --set name=NAME, or rename the earlier result with --force",
+        )
+    form, new_form = (each.get("output", {}).get("format") for each in (config, identity.config))
+    if force or (digest, code, form) != (identity.digest, identity.code, new_form):
+        return stored, RENAME
+    return stored, UP_TO_DATE if stored.complete else CONTINUE
 
 
-def _run(stored: StoredResult) -> str:
-    """Random word that tells a result from another of the same identity."""
-    return stored.manifest["run"]
-
-
-def _rests(path: Path) -> bool:
-    return (path / UNFINISHED).exists()
+def _files(folder: Path) -> list[str]:
+    """Names in a folder, but for hidden ones, such as that of a manifest that is being written."""
+    return [path.name for path in folder.glob("[!.]*")] if os.path.isdir(folder) else []
 
 
 def _valuable(stored: StoredResult) -> bool:
     """True if a folder holds more than an empty beginning: a result, a checkpoint, or any other file."""
-    others = set(os.listdir(stored.folder)) - {MANIFEST, UNFINISHED}
+    others = {*_files(stored.folder)} - {MANIFEST, UNFINISHED}
     return stored.outcome is not None or stored.checkpoint.exists() or bool(others)
 
 
-def _result_at(path: Path) -> StoredResult | None:
-    """Result at ``path``, if there is one. Raises UsageError for a sweep, and RunError for a damaged manifest."""
-    stored = read_result(path)
-    if stored and stored.manifest.get("kind") == SWEEP:
-        raise UsageError(f"{path}: holds a sweep; choose another name with --set name=NAME")
-    return stored
-
-
-def _require_free(path: Path) -> None:
-    """Raise UsageError if anything is at ``path`` but an empty folder."""
-    if os.path.lexists(path) and (path.is_symlink() or not path.is_dir() or any(path.iterdir())):
-        raise UsageError(f"{path}: exists and is no result of topcli; choose another name with --set name=NAME")
-
-
-def _require_same(stored: StoredResult, identity: _Identity, force: bool) -> None:
-    """Raise UsageError if a folder holds a different experiment, unless it may be renamed.
-
-    An equal config with another digest is the same experiment with other code of the user.
-    """
-    if stored.manifest.get("digest") == identity.digest or force:
-        return
-    if other := difference(stored.manifest["config"], identity.config):
-        raise UsageError(
-            f"{stored.folder}: holds a different experiment ({other})",
-            "choose another name with --set name=NAME, or rename the earlier result with --force",
-        )
-
-
-def _begun(path: Path, identity: _Identity) -> StoredResult:
+def _begun(path: Path, identity: Identity) -> StoredResult:
     """New result at ``path``, which is free or holds an empty beginning."""
-    manifest = {"manifest_version": MANIFEST_VERSION, "name": path.name, "run": secrets.token_hex(8)}
-    manifest |= {"digest": identity.digest, "code": identity.code, "key": identity.key, "config": identity.config}
+    path.mkdir(exist_ok=True)
+    _remove_rests(path)
+    manifest = {"manifest_version": MANIFEST_VERSION, "name": path.name, "digest": identity.digest}
+    manifest |= {"code": identity.code, "key": identity.key, "config": identity.config}
     manifest |= {"outcome": None, "files": {}, "started": now(), "environment": environment()}
-    if (path / MANIFEST).exists():
-        _remove_rests(path)
-        stored = _with_manifest(path, path, manifest)
-    else:  # under another name at first, so that no folder is ever without a manifest
-        new = path.with_name(f".{path.name}.new")
-        shutil.rmtree(new, ignore_errors=True)
-        new.mkdir()
-        stored = _with_manifest(new, path, manifest)
-        new.rename(path)
-        sync(path.parent)
+    stored = _with_manifest(path, manifest)
+    sync(path.parent)
     return stored
 
 
-def _with_manifest(folder: Path, path: Path, manifest: dict[str, Any]) -> StoredResult:
-    """Write a manifest into ``folder``; the result that it describes, at ``path``."""
-    write_text(folder / MANIFEST, manifest_text(manifest))
+def _with_manifest(path: Path, manifest: dict[str, Any]) -> StoredResult:
+    """Write the manifest of the result at ``path``."""
+    write_text(path / MANIFEST, json_text(sealed(manifest)))
     return StoredResult(path, manifest)
 
 
 def _remove_rests(path: Path) -> None:
     """Remove what is needed only to continue."""
-    if _rests(path):
-        for one in (path / UNFINISHED).iterdir():
-            one.unlink()
+    if (path / UNFINISHED).exists():
+        for rest in (path / UNFINISHED).iterdir():
+            rest.unlink()
         (path / UNFINISHED).rmdir()
 
 
 def set_aside(stored: StoredResult) -> Path:
-    """New path of a folder, which is renamed by the key of what it holds."""
-    path = stored.folder
-    for number in itertools.count(1):
-        aside = path.with_name(f"{path.name}-{stored.manifest['key']}" + (f"-{number}" if number > 1 else ""))
-        if os.path.lexists(aside):
-            continue
-        try:
-            path.rename(aside)
-        except OSError as error:
-            if error.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):  # taken meanwhile
-                raise
-        else:
-            return aside
-    raise AssertionError("unreachable: the names do not end")
+    """New path of a folder, which is renamed by the key of what it holds; the caller has its lock."""
+    base = f"{stored.folder.name}-{stored.manifest['key']}"
+    names = (base, *(f"{base}-{number}" for number in range(2, 10**6)))
+    aside = next(path for path in map(stored.folder.with_name, names) if not os.path.lexists(path))
+    return stored.folder.rename(aside)
 
 
 def _lock_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.lock")
-
-
-def _wait_for_lock(
-    path: Path, identity: _Identity, force: bool, stop: Callable[[], bool], tell: Callable[[str], None]
-) -> tuple[int, bool]:
-    """Lock for ``path``, and True if another process held it before. Raises RunError if it is told to stop."""
-    for attempt in itertools.count():
-        if (lock := locked(path)) is not None:
-            return lock, attempt > 0
-        if stored := _result_at(path):
-            _require_same(stored, identity, force)
-        if attempt == 1:  # the first time it may have been a process that only looked
-            tell(f"{path}: another process is computing this result; waiting for it")
-        if stop():
-            raise RunError(f"{path}: another process is computing this result")
-        time.sleep(POLL_SECONDS)
-    raise AssertionError("unreachable: it waits without end")
 
 
 def locked(path: Path) -> int | None:

@@ -8,7 +8,6 @@ is something left to compute, and the folder ``unfinished`` in it holds what is 
 from __future__ import annotations
 
 import errno
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +15,13 @@ from typing import Any
 
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError, nearest
-from topcli.store.files import DamagedError, json_text, read_arrays, read_json, sealed, sha256_of
-from topcli.store.table import PARTS, check_parts
+from topcli.store.files import DamagedError, check_seal, read_arrays, read_json, sha256_of
 
 MANIFEST, REPORT = "manifest.json", "report.json"
 UNFINISHED, CHECKPOINT = "unfinished", "checkpoint.npz"
 MANIFEST_VERSION = 3
 SWEEP = "sweep"
 """Entry ``kind`` of the manifest of a finished sweep."""
-_SEAL = "manifest_sha256"
 
 
 @dataclass(frozen=True)
@@ -73,43 +70,25 @@ class StoredResult:
                 faults[name] = "missing"
             except OSError as error:
                 faults[name] = f"cannot be read ({error.strerror})"
-        if self.complete or not self.checkpoint.exists():
-            return faults
-        try:
-            state = read_arrays(self.checkpoint)
-        except (OSError, DamagedError) as error:
-            return faults | {f"{UNFINISHED}/{CHECKPOINT}": str(error)}
-        return faults | {
-            f"{UNFINISHED}/{name}": fault
-            for key in state
-            if key.endswith(PARTS)
-            for name, fault in check_parts(self.folder / UNFINISHED, _table(key), state[key]).items()
-        }
-
-
-def _table(key: str) -> str:
-    """Name of the table of a key ``NAME.parts``, before which there may be the number of its consumer."""
-    return key.removesuffix(PARTS).rpartition(".")[2]
-
-
-def manifest_text(content: dict[str, Any]) -> str:
-    """Text of a manifest; its last entry is the checksum of the others."""
-    return json_text(sealed(content, _SEAL))
+        if not self.complete and self.checkpoint.exists():
+            try:
+                read_arrays(self.checkpoint)
+            except (OSError, DamagedError) as error:
+                faults[f"{UNFINISHED}/{CHECKPOINT}"] = str(error)
+        return faults
 
 
 def read_result(folder: Path) -> StoredResult | None:
     """Result in ``folder``, finished or not; None if it has no manifest. Raises RunError for a damaged manifest."""
     path = folder / MANIFEST
     try:
-        text = path.read_text(encoding="utf-8")
-        manifest = json.loads(text)
-        if not isinstance(manifest, dict) or text != manifest_text(manifest):
-            raise ValueError("its text has changed since it was written")
+        manifest = read_json(path)
+        check_seal(manifest)
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG):
             return None
         raise RunError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
+    except DamagedError as error:
         raise RunError(f"{path}: damaged ({str(error)[:120]}); move the folder away to run again") from None
     if manifest.get("manifest_version") != MANIFEST_VERSION:
         raise RunError(f"{path}: written by another version of topcli; move the folder away to run again")
@@ -139,13 +118,8 @@ def intact_result(folder: Path) -> StoredResult:
     """
     result = read_result(folder)
     if result is None:
-        hint = ""
-        if not folder.is_dir() and not folder.suffix and len(folder.parts) == 1:
-            hint = "; give the folder of a run, such as results/NAME"
-        elif inside := next(iter(stored_results(folder)), None):
-            hint = f"; give one of the runs in it, such as {folder / inside}"
-        elif names := stored_results(folder.parent):
-            hint = f"; {nearest(folder.name, names)}"
+        inside, beside = ([str(parent / name) for name in stored_results(parent)] for parent in (folder, folder.parent))
+        hint = f"; {nearest(str(folder), inside or beside)}" if inside or beside else ""
         raise UsageError(f"{folder}: no run is stored here ({MANIFEST} is missing){hint}")
     if result.outcome is None:
         raise UsageError(f"{folder}: the run is unfinished; run it again to continue it")

@@ -11,14 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from topcli.errors import RunError
-
-if TYPE_CHECKING:
-    import pyarrow.parquet as pq
 
 INTEGERS = ("n", "trajectory", "left_motion")
 """Names of integer columns."""
@@ -79,22 +76,6 @@ def csv_options() -> Any:
     return csv.WriteOptions(quoting_style="none", quoting_header="none")
 
 
-def open_parquet(path: Path) -> pq.ParquetFile:
-    """Open a Parquet file whose pages are compared with their checksums when they are read.
-
-    The footer has no checksum, and pyarrow would read fewer rows where a bit of their number is flipped; so the number
-    of all rows is compared with that of the row groups. Raises ValueError if they disagree.
-    """
-    import pyarrow.parquet as pq
-
-    file = pq.ParquetFile(path, page_checksum_verification=True)
-    rows = sum(file.metadata.row_group(group).num_rows for group in range(file.num_row_groups))
-    if rows != file.metadata.num_rows:
-        file.close()
-        raise ValueError(f"{file.metadata.num_rows} rows in all, but {rows} in its row groups")
-    return file
-
-
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
     """Raise RunError for a file that cannot be read within the block."""
@@ -112,13 +93,14 @@ def read_series(path: Path, names: Sequence[str] | None = None) -> dict[str, np.
 
     Raises RunError if the file is missing or damaged.
     """
+    import pyarrow.csv as csv
+    import pyarrow.parquet as pq
+
     with _readable(path):
         if path.suffix == ".csv":
-            import pyarrow.csv as csv
-
             table = csv.read_csv(path, convert_options=_csv_types(path))
         else:
-            with open_parquet(path) as file:
+            with pq.ParquetFile(path, page_checksum_verification=True) as file:
                 table = file.read(columns=None if names is None else list(names))
         return {name: table.column(name).to_numpy() for name in (table.column_names if names is None else names)}
 
@@ -141,33 +123,19 @@ def _csv_types(path: Path) -> Any:
     return csv.ConvertOptions(column_types={name: _arrow_type(name) for name in series_names(path)})
 
 
-def series_pieces(path: Path, names: Sequence[str] | None = None) -> Iterator[dict[str, np.ndarray]]:
-    """Yield the rows of a series piece by piece: the row groups of a Parquet file, blocks of about 1 MB of a CSV file.
+def series_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[Mapping[str, np.ndarray]]:
+    """Yield the columns ``names`` of a series, so many ``rows`` at a time; all rows of a CSV file together.
 
-    Only the columns ``names`` are read, by default all. Raises RunError if the file is damaged.
+    Raises RunError if the file is damaged.
     """
-    with _readable(path):
-        if path.suffix == ".csv":
-            import pyarrow.csv as csv
+    import pyarrow.parquet as pq
 
-            tables = csv.open_csv(path, convert_options=_csv_types(path))
-        else:
-            file = open_parquet(path)
-            groups = range(file.num_row_groups)
-            tables = (file.read_row_group(group, columns=None if names is None else list(names)) for group in groups)
-        for table in tables:
-            wanted = table.schema.names if names is None else names
-            yield {name: table.column(name).to_numpy(zero_copy_only=False) for name in wanted}
-
-
-def series_length(path: Path) -> int:
-    """Number of rows of a series. Raises RunError if the file is missing or damaged."""
-    with _readable(path):
-        if path.suffix == ".csv":
-            with path.open("rb") as file:
-                return max(0, sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b"")) - 1)
-        with open_parquet(path) as file:
-            return file.metadata.num_rows
+    if path.suffix == ".csv":
+        yield read_series(path, names)
+        return
+    with _readable(path), pq.ParquetFile(path, page_checksum_verification=True) as file:
+        for batch in file.iter_batches(batch_size=rows, columns=list(names)):
+            yield {name: batch.column(name).to_numpy(zero_copy_only=False) for name in names}
 
 
 def read_metadata(path: Path) -> dict[str, str]:

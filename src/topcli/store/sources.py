@@ -57,13 +57,13 @@ def _module(name: str) -> str:
 
 
 @cache
-def source_digest(modules: tuple[str, ...], own: tuple[str, ...] = ()) -> str:
-    """Digest of modules of the ``ROOMS``, of a user's ``own`` texts, and of all that both import in the rooms."""
+def source_digest(modules: tuple[str, ...], plugins: tuple[str, ...] = ()) -> str:
+    """Digest of modules of the ``ROOMS``, of the texts of ``plugins``, and of all that both import in the rooms."""
     texts: dict[str, str] = {}
-    waiting = [*modules, *(name for text in own for name in _imported(text))]
+    waiting = [*modules, *(name for text in plugins for name in _imported(text))]
     while waiting:
         name = waiting.pop()
         if name not in texts:
             texts[name] = _module(name)
             waiting += _imported(texts[name])
-    return digest_of_texts([*own, *(f"{name}\0{texts[name]}" for name in sorted(texts) if texts[name])])
+    return digest_of_texts([*plugins, *(f"{name}\0{texts[name]}" for name in sorted(texts) if texts[name])])

@@ -1,15 +1,16 @@
 """A table on its way to one Parquet or CSV file, continued after a kill.
 
-Rows are encoded as they come, in row groups of a fixed size: the file depends neither on the pieces in which they come
-nor on how often the run was stopped. An unfinished Parquet file cannot be read, however. Rows therefore go a second
-way, into parts: files ``NAME.000017.arrow`` (Arrow IPC, uncompressed, which pandas and polars read), one from each
-checkpoint to the next. To continue after a kill is to encode the parts again. A table that is finished before its first
-row group is full and before its first checkpoint has no parts.
+Rows are encoded in row groups of a fixed size: the file depends neither on the pieces in which they come nor on how
+often the run was stopped. An unfinished Parquet file cannot be read, however. Rows therefore go a second way, into
+parts: files ``NAME.000017.arrow`` (Arrow IPC, uncompressed, which pandas and polars read), one from each checkpoint to
+the next. To continue after a kill is to encode the parts again. A table that is finished before its first row group is
+full and before its first checkpoint has no parts.
 """
 
 from __future__ import annotations
 
 import contextlib
+import mmap
 import os
 import zlib
 from collections.abc import Mapping, Sequence
@@ -24,10 +25,8 @@ from topcli.store.series import arrow_table, column_type, csv_options, parquet_o
 
 ROW_GROUP = 1 << 17
 """Rows of a Parquet row group, which are held in memory until written."""
-GATHERED = 1 << 13
-"""Rows that are passed on together."""
-PARTS = ".parts"
-"""End of the key under which the state of a table holds the checksums of its parts."""
+MANY_PIECES = 32
+"""Pieces of rows from which on they are short, and are copied into one."""
 
 
 class Table:
@@ -38,14 +37,14 @@ class Table:
 
     def __init__(self, folder: Path, name: str, metadata: Mapping[str, str], form: str = "parquet") -> None:
         self.name, self._folder, self._metadata, self._form = name, folder, metadata, form
-        self._sums: list[int] = []
-        """Checksums of the parts that are complete."""
-        self._pieces: list[Mapping[str, NDArray[Any]]] = []
-        """Pieces of rows that are still to be gathered."""
-        self._gathered = 0
-        self._held: list[Any] = []
-        """Arrow tables of rows that do not yet fill a row group; the first ``_saved`` of ``_rows`` are in a part."""
-        self._rows = self._saved = 0
+        self._rest: list[Any] = []
+        """Arrow tables of rows that are in a part, but do not yet fill a row group."""
+        self._fresh: list[Any] = []
+        """Arrow tables of rows that are in no part."""
+        self._rows = 0
+        """Rows of both lists."""
+        self._parts: list[int] = []
+        """Checksums of the complete parts."""
         self._part: tuple[BinaryIO, Any] | None = None
         self._parquet: tuple[BinaryIO, Any] | None = None
 
@@ -63,16 +62,14 @@ class Table:
 
     def add(self, columns: Mapping[str, NDArray[Any]]) -> None:
         """Append rows: an array (m,) for each column, which must not change afterwards."""
-        if not (rows := len(next(iter(columns.values())))):
-            return
-        self._pieces.append(columns)
-        self._gathered += rows
-        if self._gathered >= min(GATHERED, ROW_GROUP):
-            self._gather()
+        if rows := len(next(iter(columns.values()))):
+            self._fresh.append(arrow_table(columns))
+            self._rows += rows
+            if self._rows >= ROW_GROUP:
+                self._save()
 
-    def commit(self) -> dict[str, NDArray[np.uint32]]:
+    def commit(self) -> dict[str, NDArray[Any]]:
         """Bring all rows to the disk; the state from which ``restore`` continues."""
-        self._gather()
         self._save()
         if self._part:
             file, writer = self._part
@@ -81,34 +78,33 @@ class Table:
             os.fsync(file.fileno())
             file.close()
             self._part = None
-            self._sums.append(_checksum(_part_path(self._folder, self.name, len(self._sums))))
-        return {self.name + PARTS: np.array(self._sums, dtype=np.uint32)}
+            self._parts.append(_checksum(self._part_path(len(self._parts))))
+        return {f"{self.name}.parts": np.array(self._parts, dtype=np.int64)}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Continue from a state of ``commit``. Raises RunError if a part is damaged; later parts are overwritten."""
+        """Continue from a state of ``commit``; later parts are overwritten. Raises RunError for an unreadable part."""
         import pyarrow as pa
 
-        sums = state[self.name + PARTS]
-        for name, fault in check_parts(self._folder, self.name, sums).items():
-            raise RunError(f"{self._folder / name}: damaged ({fault}); run again with --force to start from step 0")
-        for number in range(len(sums)):
-            with pa.memory_map(str(_part_path(self._folder, self.name, number))) as file:
-                self._hold(pa.ipc.open_file(file).read_all())
-            self._saved = self._rows
-            self._encode()
-        self._sums = sums.tolist()
+        self._parts = state[f"{self.name}.parts"].tolist()
+        for number, checksum in enumerate(self._parts):
+            path = self._part_path(number)
+            try:
+                if _checksum(path) != checksum:
+                    raise OSError("its checksum differs from the checkpoint's")
+                with pa.memory_map(str(path)) as file:
+                    self._encode(pa.ipc.open_file(file).read_all())
+            except (OSError, pa.ArrowException) as error:
+                raise RunError(f"{path}: damaged ({error}); run again with --force to start from step 0") from None
 
     def finish(self, columns: Sequence[str], metadata: Mapping[str, str]) -> Path:
         """Complete the file, with more ``metadata``, and return its path; without rows it has these ``columns``."""
         import pyarrow as pa
 
-        self._gather()
-        if not self._held:
-            self._hold(arrow_table({name: np.empty(0, dtype=column_type(name)) for name in columns}))
-        rest = pa.concat_tables(self._held)
-        file, writer = self._opened(rest.schema)
-        if len(rest):
-            writer.write_table(rest)
+        empty = {name: np.empty(0, dtype=column_type(name)) for name in columns}
+        table = pa.concat_tables([*self._rest, *self._fresh] or [arrow_table(empty)])
+        file, writer = self._opened(table.schema)
+        if len(table):
+            writer.write_table(table)
         writer.add_key_value_metadata(dict(metadata))
         writer.close()
         file.close()
@@ -116,45 +112,33 @@ class Table:
         path = self._folder / f"{self.name}.parquet"
         return path if self._form == "parquet" else _to_csv(path)
 
-    def _gather(self) -> None:
-        """Make one Arrow table of the pieces, and write the row groups that are full now."""
-        if not self._gathered:
-            return
-        rows, *others = self._pieces
-        if others:
-            rows = {name: np.concatenate([piece[name] for piece in self._pieces]) for name in rows}
-        self._hold(arrow_table(rows))
-        self._pieces, self._gathered = [], 0
-        if self._rows >= ROW_GROUP:
-            self._save()
-            self._encode()
-
-    def _hold(self, table: Any) -> None:
-        self._held.append(table)
-        self._rows += len(table)
+    def _part_path(self, number: int) -> Path:
+        return self._folder / f"{self.name}.{number:06d}.arrow"
 
     def _save(self) -> None:
-        """Write the rows that are in no part to the current part, which begins here if there is none."""
+        """Write the fresh rows to the current part, which begins here if there is none, and encode them."""
         import pyarrow as pa
 
-        if self._saved == self._rows:
+        if not self._fresh:
             return
-        table = pa.concat_tables(self._held).slice(self._saved)
+        rows = pa.concat_tables(self._fresh)
+        rows = rows.combine_chunks() if len(self._fresh) > MANY_PIECES else rows
+        self._fresh = []
         if self._part is None:
-            file = _part_path(self._folder, self.name, len(self._sums)).open("wb")
-            self._part = file, pa.ipc.new_file(file, table.schema)
-        self._part[1].write_table(table)
-        self._saved = self._rows
+            file = self._part_path(len(self._parts)).open("wb")
+            self._part = file, pa.ipc.new_file(file, rows.schema)
+        self._part[1].write_table(rows)
+        self._encode(rows)
 
-    def _encode(self) -> None:
-        """Write the full row groups to the Parquet file; all rows must have been saved."""
+    def _encode(self, rows: Any) -> None:
+        """Write the row groups that are full with these rows to the Parquet file."""
         import pyarrow as pa
 
-        table, whole = pa.concat_tables(self._held), self._rows - self._rows % ROW_GROUP
+        table = pa.concat_tables([*self._rest, rows])
+        whole = len(table) // ROW_GROUP * ROW_GROUP
         for start in range(0, whole, ROW_GROUP):
             self._opened(table.schema)[1].write_table(table.slice(start, ROW_GROUP))
-        self._held, self._rows = [table.slice(whole)], self._rows - whole
-        self._saved = self._rows
+        self._rest, self._rows = [table.slice(whole)], len(table) - whole
 
     def _opened(self, schema: Any) -> tuple[BinaryIO, Any]:
         """Parquet file, which is begun at the first call, and its writer."""
@@ -167,32 +151,13 @@ class Table:
         return self._parquet
 
 
-def check_parts(folder: Path, table: str, sums: NDArray[Any]) -> dict[str, str]:
-    """Damaged parts of a table by name, with the fault; ``sums`` (k,) are the checksums of all its parts."""
-    faults = {}
-    for number, expected in enumerate(sums):
-        path = _part_path(folder, table, number)
-        try:
-            if _checksum(path) != expected:
-                faults[path.name] = "its CRC-32 differs from that in the checkpoint"
-        except FileNotFoundError:
-            faults[path.name] = "missing"
-        except (OSError, ValueError) as error:  # an empty file cannot be mapped
-            faults[path.name] = str(error)[:120]
-    return faults
-
-
-def _part_path(folder: Path, table: str, number: int) -> Path:
-    return folder / f"{table}.{number:06d}.arrow"
-
-
 def _checksum(path: Path) -> int:
-    """CRC-32 of a file, which takes half the time of SHA-256."""
-    checksum = 0
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            checksum = zlib.crc32(block, checksum)
-    return checksum
+    """CRC-32 of a file that is not empty. Raises OSError, also for an empty one."""
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            return zlib.crc32(content)
+    except ValueError:
+        raise OSError("it is empty") from None
 
 
 def _to_csv(path: Path) -> Path:

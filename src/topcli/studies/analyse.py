@@ -19,12 +19,12 @@ import numpy as np
 from topcli.analysis.reference import reference_states
 from topcli.analysis.series_report import invariant_report, uneven_report
 from topcli.analysis.swings import minima_times
-from topcli.analysis.verdict import InvariantRow
+from topcli.analysis.verdict import NEEDS_EVEN_TIMES, InvariantRow
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, counted, nearest, quoted, shortened
-from topcli.runs.report import COMPARED, invariant_table
+from topcli.runs.report import invariant_table
 from topcli.studies import SILENT, Watch
 from topcli.studies.report import Report, Table
 from topcli.table import ten_digits
@@ -38,6 +38,8 @@ START_AGREEMENT = 1e-6
 """Difference from the config's initial state, relative to its largest component, that writing few digits explains."""
 EVEN = 1e-6
 """Deviation from even times, in units of their spacing, that writing few digits explains."""
+BRIEF = ("max_deviation", "drift", "drift_error", "model", "verdict")
+"""Fields of an invariant that are shown without --verbose."""
 LOOKED_AT = 100
 """Lines of a CSV file from which its form is taken."""
 OPENERS: Mapping[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
@@ -55,8 +57,8 @@ def analyse(
     """Analyse a time series that another program computed.
 
     The report on the series has the same form as the report of a run. The times may start anywhere, increase or
-    decrease, and have uneven spacing. The reference solution starts from the initial state of the config if the first
-    row agrees with this state to 1e-6, and otherwise from the first row.
+    decrease, and have uneven spacing, for which there are deviations but no drifts. The reference solution starts from
+    the initial state of the config if the first row agrees with this state to 1e-6, and otherwise from the first row.
 
     Parameters
     ----------
@@ -99,7 +101,7 @@ def analyse(
         taken, origin = int(n[-1] - n[0]), "column n"
     watch.begin("analyse", experiment)
     invariants, left, kind = _judged(experiment, t, states, n, taken)
-    notes = []
+    notes = [f"no drifts: {NEEDS_EVEN_TIMES}"] if kind == "uneven" else []
     if left is not None:
         notes.append(f"warning: {path}: far off its energy surface at row {left + 1} (t = {t[left]:.6g})")
 
@@ -150,7 +152,7 @@ def analyse(
     laws = invariant_table([row.as_dict() for row in invariants])
     tables = [
         Table("Series", [{"figure": name, "value": value} for name, value in summary.items()]),
-        replace(laws, across=False, detail=[key for key in laws.columns()[1:] if key not in COMPARED]),
+        replace(laws, across=False, detail=[key for key in laws.columns()[1:] if key not in BRIEF]),
         Table(f"Minima of {top.swing}", minima, {"t": ".10g", "reference": ".10g"}, detail=True),
     ]
     title = f"{path}: {top.title}"
@@ -281,6 +283,6 @@ def _judged(
         invariants = (*invariants, *experiment.modified)
     rounding = 4.0 * np.finfo(np.float64).eps * np.abs(t).max()
     if np.abs(t - (t[0] + np.arange(len(t)) * spacing)).max() > EVEN * abs(spacing) + rounding:
-        return *uneven_report(top, invariants, t, states, steps), "uneven"
+        return *uneven_report(top, invariants, states, steps, float(t[-1] - t[0])), "uneven"
     report, step = invariant_report(top, invariants, numbers, h, states, steps)
     return report, None if step is None else int(np.searchsorted(numbers, step)), kind

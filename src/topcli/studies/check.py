@@ -77,9 +77,9 @@ def check(
     rows: list[dict[str, Any]] = []
     broken: list[str] = []
     for done, (label, (form, name)) in enumerate(subjects.items(), start=1):
-        own = experiment if experiment and experiment.top.form == form else None
-        subject, y0 = (own.top, own.y0) if own else (form, None)
-        options = own.options if own and own.scheme.name == name else None
+        configured = experiment if experiment and experiment.top.form == form else None
+        subject, y0 = (configured.top, configured.y0) if configured else (form, None)
+        options = configured.options if configured and configured.scheme.name == name else None
         with code_failures(broken, label):
             traits = check_scheme(name, subject, options, y0) if name else check_top(subject, y0)
             rows += [_row(label, trait) for trait in traits]

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 BIBLIOGRAPHY = Path(__file__).with_name("references.bib")
-OWN = ("topcli", "sogo")
+ALWAYS = ("topcli", "sogo")
 """Keys of topcli and of the paper whose schemes it implements."""
 _ENTRY = re.compile(r"^@\w+\{(\S+),\n.*?^\}$", re.MULTILINE | re.DOTALL)
 _USED = re.compile(r"^  used = \{(.*)\},\n", re.MULTILINE)

@@ -15,8 +15,8 @@ from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Method, Outcome
-from topcli.engine.machine import nanoseconds_per_step
 from topcli.engine.numbers import MAX_DIGITS
+from topcli.engine.timing import nanoseconds_per_step
 from topcli.errors import ExitCode, SchemeCodeError
 from topcli.runs.plans import precise_of, trajectory_of
 from topcli.runs.references import METHODS, reference_of
@@ -121,12 +121,14 @@ def compare(
             "first_swing_spacing": first_swing_spacing(run.t, run[top.swing]),
             "ns_per_step": nanoseconds if complete else None,
         })  # fmt: skip
-        found = [row.as_dict() for row in run.invariant_rows()]
-        own = found[: len(top.invariants())]
-        invariants += [(label, row) for row in own]
-        deviations.append({"scheme": label, **{row["symbol"]: deviation_text(row) for row in own}})
-        drifts.append({"scheme": label, **{row["symbol"]: _drift(row) for row in own}})
-        figures += [{"scheme": label, "invariant": row["symbol"]} | {key: row[key] for key in FIGURES} for row in found]
+        measured = [row.as_dict() for row in run.invariant_rows()]
+        of_top = measured[: len(top.invariants())]
+        invariants += [(label, row) for row in of_top]
+        deviations.append({"scheme": label, **{row["symbol"]: deviation_text(row) for row in of_top}})
+        drifts.append({"scheme": label, **{row["symbol"]: _drift(row) for row in of_top}})
+        figures += [
+            {"scheme": label, "invariant": row["symbol"]} | {key: row[key] for key in FIGURES} for row in measured
+        ]
         for name, values in (("error", error), ("swing", run.states[:, swing])):
             columns[f"{name}:{label}"] = np.append(values, np.full(len(t) - len(values), np.nan))
 
@@ -143,9 +145,9 @@ def compare(
     steps = f"h = {first.h:g}, N = {first.N}" if same_step else f"t from 0 to {base.duration:g}"
     title = f"{base.name}: {top.title}, {steps}" + (f", precision {base.precision}" if base.written else "")
     hidden = ["ns_per_step", *(("h", "N") if same_step else ()), *(() if ended else ("outcome",))]
-    shown = {"h": "g", "its_order": ".2f", "first_swing_spacing": ".4f", "ns_per_step": ".1f"}
+    formats = {"h": "g", "its_order": ".2f", "first_swing_spacing": ".4f", "ns_per_step": ".1f"}
     tables = [
-        Table("Errors, reversal and speed", rows, shown, hidden),
+        Table("Errors, reversal and speed", rows, formats, hidden),
         Table("Largest deviation, relative to the first value", deviations),
         Table("Drift per unit time, with 95 % bounds, or the verdict", drifts),
         Table("Invariants and modified integrals", figures, detail=True),
@@ -173,8 +175,7 @@ def _drift(row: Mapping[str, Any]) -> str | None:
 
 def _step_times(runs: Sequence[tuple[Experiment, Method, Trajectory]]) -> list[float]:
     """Nanoseconds a step of each run; in another precision than double from the run itself."""
-    experiment = runs[0][0]
-    if experiment.written is not None:
+    if runs[0][0].written is not None:
         return [1e9 * run.seconds["run"] / max(run.ending.step, 1) for _, _, run in runs]
-    timed = [(one.top, method, one.y0, one.h) for one, method, _ in runs]
-    return nanoseconds_per_step(timed, steps=min(max(experiment.N, 1000), 50_000))
+    timed = [(experiment.top, method, experiment.y0, experiment.h) for experiment, method, _ in runs]
+    return nanoseconds_per_step(timed)

@@ -10,7 +10,6 @@ from typing import Any
 
 from topcli.contracts import Block, Scheme, Top
 from topcli.errors import UsageError
-from topcli.field.integrals import divergence, further_integrals, polynomial_value, reversal
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.own_tops import forms
 from topcli.schemes.registry import all_schemes, find_scheme, names_for
@@ -144,23 +143,8 @@ def top_data(top: Top) -> dict[str, Any]:
         field = field_of(top)
     except NotPolynomialError as error:
         return {**data, "field": None, "reason": f"the field is not a polynomial: it {error}"}
-    declared = []
-    for invariant in invariants:
-        try:
-            declared += [] if invariant.on else [polynomial_value(invariant.value, len(field))]
-        except NotPolynomialError:
-            continue
-    degree, further = further_integrals(field, declared)
-    signs = reversal(field)
-    return {
-        **data,
-        "field": {name: rate.text(names) for name, rate in zip(names, field, strict=True)},
-        "degree": max(rate.degree for rate in field),
-        "divergence": divergence(field).text(names),
-        "reversal": signs and [name for name, sign in zip(names, signs, strict=True) if sign < 0],
-        "integrals_sought": degree,
-        "further_integrals": [integral.text(names) for integral in further],
-    }
+    rates = {name: rate.text(names) for name, rate in zip(names, field, strict=True)}
+    return {**data, "field": rates, "degree": max(rate.degree for rate in field)}
 
 
 def top_text(top: Top, width: int = 100) -> str:
@@ -171,25 +155,17 @@ def top_text(top: Top, width: int = 100) -> str:
     items: list[str] = []
     for key, parameter in data["parameters"].items():
         value = parameter["value"]
-        shown = DASH if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-        items.append(f"{key}: " + ", ".join(filter(None, (shown, parameter["description"]))))
+        text = DASH if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+        items.append(f"{key}: " + ", ".join(filter(None, (text, parameter["description"]))))
     items += [f"source: {top.citation}"] if top.citation else []
     items += [f"constants p of a step: {', '.join(top.step_constants)}"] if top.step_constants else []
     if data["field"] is None:
         items.append(f"equations: {data['reason']}")
     else:
         items += [f"{component}' = {rate}" for component, rate in data["field"].items()]
-        minus, volume = data["reversal"], " (the flow preserves volume)" if data["divergence"] == "0" else ""
-        items += [
-            f"degree of the equations: {data['degree']}",
-            f"divergence: {data['divergence']}{volume}",
-            f"time reversal: {'change the signs of ' + ', '.join(minus) if minus else 'not by a change of signs'}",
-        ]
+        items.append(f"degree of the equations: {data['degree']}")
     for each in data["integrals"]:
         level = " and ".join(f"{key} = {value:g}" for key, value in each["on"].items())
         items.append(f"integral {each['symbol']}: {each['meaning']}" + (f"; conserved where {level}" if level else ""))
-    if data["field"] is not None:
-        further = ", ".join(data["further_integrals"]) or "none"
-        items.append(f"further polynomial integrals up to degree {data['integrals_sought']}: {further}")
     items.append(f"schemes: {', '.join(data['schemes'])}")
     return "\n".join([*lines, *(_filled(item, width) for item in items)])

@@ -11,10 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from topcli.config.files import is_config
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, counted, printable, quoted, shortened
+from topcli.errors import SchemeCodeError, UsageError, counted, printable, quoted, shortened
 from topcli.schemes.own_tops import forms
 from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import find_scheme, names_for
@@ -68,13 +67,7 @@ def entries_of(base: Experiment, texts: Sequence[str]) -> dict[str, Experiment]:
     experiments: dict[str, Experiment] = {}
     for text in texts:
         label = printable(text.replace(" ", "").lower())
-        try:
-            experiment = entry(base, text)
-        except UnknownNameError as error:
-            if is_config(text):
-                hint = f"topcli compare hk hybrid --config {text}"
-                raise UsageError(f"{quoted(text)} is a config, not a scheme; compare schemes on it: {hint}") from error
-            raise
+        experiment = entry(base, text)
         same = f"{experiment.scheme.name} {experiment.options.model_dump_json()} {experiment.h}"
         if (earlier := labels.setdefault(same, label)) in experiments:
             what = "is named twice" if earlier == label else f"computes the same as {earlier}; keep one of them"
@@ -134,9 +127,9 @@ def experiment_on(
             of = quoted(experiment.top.kind)
             raise UsageError(f"{shortened(str(config))} is of the top {of}, not {quoted(top)}")
         return experiment
-    known, scheme = forms(top), scheme or "hk"
+    bodies, scheme = forms(top), scheme or "hk"
     base = scheme.lower().partition(":")[0].partition("+")[0]
-    body = next((form for form in known if base in names_for(form.form)), known[0]).new()
+    body = next((form for form in bodies if base in names_for(form.form)), bodies[0]).new()
     state = [GENERIC[i % len(GENERIC)] for i in range(len(body.components))]
     initial = {**body.initial_section(state), **({"normalize": True} if body.unit_vectors else {})}
     return load_experiment({"top": body.section(), "initial": initial, "scheme": scheme, "h": h, "N": N}, overrides)

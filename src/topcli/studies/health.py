@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from topcli.errors import RunError, UsageError
-from topcli.store.files import DamagedError, check_study, read_json
+from topcli.store.files import DamagedError, check_seal, read_json
 from topcli.store.results import MANIFEST, read_result
 from topcli.sweeps.store import missing_result
 
@@ -55,7 +55,7 @@ def _folder(folder: Path) -> Checked | None:
 def _study(path: Path) -> Checked:
     """Check a file of a study, which holds its own checksum."""
     try:
-        check_study(read_json(path), path.read_text(encoding="utf-8"))
-    except (DamagedError, UnicodeDecodeError) as error:
+        check_seal(read_json(path))
+    except DamagedError as error:
         return Checked(path.parent, True, (path.name,), {path.name: str(error)})
     return Checked(path.parent, True, (path.name,), {})

@@ -8,8 +8,6 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from topcli.analysis.algebraic_growth import (
     EXPONENTIAL,
     LONGEST_HEIGHT,
@@ -19,7 +17,7 @@ from topcli.analysis.algebraic_growth import (
     DegreeGrowth,
     confirmed_growth,
     degrees,
-    digit_growth,
+    fitted_law,
     heights,
 )
 from topcli.analysis.hk_basis import Density, HKBasis, density, hk_bases
@@ -115,15 +113,11 @@ def integrability(
     measure = _tested(5, watch, lambda seed: density(modular, most, seed))
 
     # what follows from them
-    growth, fit = confirmed_growth(first, bits), digit_growth(np.arange(len(bits)), np.array(bits))
+    growth, (law_of_bits, fit) = confirmed_growth(first, bits), fitted_law(0, bits)
     integrals = max(basis.integrals for basis in bases)
     same = bool(first and again) and all(a == b for a, b in zip(first, again, strict=False))
-    verdict, why = verdict_of(growth, same, integrals, d)
-    fitted = "too few steps"
-    if fit and fit.power is not None:
-        fitted = f"about n^{fit.power:.2f}"
-    elif fit and fit.factor is not None:
-        fitted = f"about {fit.factor:.4g}^n"
+    verdict, why = verdict_on(growth, same, integrals, d)
+    fitted = {None: "too few steps", POLYNOMIAL: f"about n^{fit:.2f}"}.get(law_of_bits, f"about {fit:.4g}^n")
     listed = "; ".join(f"degree {basis.degree}: null space {basis.null} of {basis.monomials}" for basis in bases)
     tests = {
         "degrees": (_listed(first), growth_text(growth)),
@@ -134,7 +128,7 @@ def integrability(
         if measure
         else ("none", f"no polynomial P up to degree {most}"),
     }
-    evidence = [{"test": test, "found": shown, "meaning": meaning} for test, (shown, meaning) in tests.items()]
+    evidence = [{"test": test, "found": result, "meaning": meaning} for test, (result, meaning) in tests.items()]
     iterates = [
         {"n": n, "degree": degree, "repeated": repeated, "bits": size}
         for n, (degree, repeated, size) in enumerate(zip_longest(first, again, bits[1:]), start=1)
@@ -177,7 +171,7 @@ def needed_integrals(d: int) -> int:
     return d - 1 if d <= 3 else d - 2
 
 
-def verdict_of(growth: DegreeGrowth, repeated: bool, integrals: int, d: int) -> tuple[str, str]:
+def verdict_on(growth: DegreeGrowth, repeated: bool, integrals: int, d: int) -> tuple[str, str]:
     """Verdict on a map, and the reason."""
     needed, independent = needed_integrals(d), counted(integrals, "independent integral")
     if not growth.law:
@@ -229,7 +223,7 @@ def _listed(numbers: Sequence[int]) -> str:
 
 def _density_text(measure: Density, names: Sequence[str]) -> str:
     polynomials, count = measure.polynomials(len(names)), len(measure.basis)
-    shown = f"{count} independent polynomials P" if count > 1 else "one polynomial P"
+    density = f"{count} independent polynomials P" if count > 1 else "one polynomial P"
     if count == 1 and polynomials and len(polynomials[0].terms) <= SHOWN_TERMS:
-        shown = f"P = {polynomials[0].text(names)}"
-    return f"measure dx/P with {shown}"
+        density = f"P = {polynomials[0].text(names)}"
+    return f"measure dx/P with {density}"

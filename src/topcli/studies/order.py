@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,13 +14,12 @@ from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judg
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Outcome, Sampler
-from topcli.engine.collect import orbit
-from topcli.engine.machine import Machine
-from topcli.errors import ExitCode, SchemeCodeError, UsageError
+from topcli.contracts import Array
+from topcli.errors import ExitCode, UsageError
 from topcli.schemes.registry import names_for
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import SCHEME, code_failures, entry, refuse_keys, scene_of
+from topcli.studies.ladder import Curve, ladder, measured, scheme_calls
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
 
@@ -33,7 +31,6 @@ INTERVALS = 20
 """Intervals between the evenly spaced times at which errors are measured."""
 SECONDS = 5.0
 """CPU seconds that one run may take."""
-RUNGS = 60
 CEILING = 1e3
 """Larger errors, of step sizes at which a scheme explodes, are not drawn."""
 
@@ -98,9 +95,9 @@ def order(
     interval = base.duration / INTERVALS
     if interval <= 0.0:
         raise UsageError(f"the duration {base.duration:g} must be positive; give another with --set T=...")
-    counts = sorted({_count(size, interval) for size in sizes})
+    chosen_sizes = sorted({_dividing(size, interval) for size in sizes}, reverse=True)
     names = schemes or (DEFAULT if config is None else names_for(base.top.form))
-    chosen, left_out = _with_orders(base, names, bool(schemes))
+    chosen = _with_orders(base, names, bool(schemes))
     watch.begin("order", base, unit="schemes")
     times = np.arange(INTERVALS + 1) * interval
     reference = reference_states(base.top, base.y0, times)
@@ -108,19 +105,21 @@ def order(
     rows: list[dict[str, Any]] = []
     by_size: dict[float, dict[str, Any]] = {}
     columns: dict[str, Array] = {}
-    notes, broken, false = [f"{name} is left out: {reason}" for name, reason in left_out], [], []
-    undecided: dict[str, list[str]] = {}
+    notes, broken, false = [], [], []
     for i, (name, experiment) in enumerate(chosen.items()):
-        points: list[tuple[float, float]] = []
-        failed: list[str] = []
+        steps = [h for h in ladder(experiment, interval) if base.duration <= max_steps * h * (1.0 + 1e-9)]
+        curve = Curve(
+            name, "scheme", "h", chosen_sizes or steps, SECONDS, measured(scheme_calls(experiment, times, []), times)
+        )
         with code_failures(broken, name):
-            points, failed = _ladder(experiment, interval, reference, counts, max_steps)
+            curve.climb(reference)
         watch(i + 1, len(chosen))
         if broken and broken[-1].startswith(f"{name}: "):
             rows.append({"scheme": name, "verdict": "failed"})
             continue
-        if failed:
-            notes.append(f"{name}: {len(failed)} of its step sizes gave no result; {failed[0]}")
+        if curve.failure:
+            notes.append(f"{name}: no result with {curve.failure}")
+        points = [(point.setting, point.error) for point in curve.points]
         h, errors = [point[0] for point in points], [point[1] for point in points]
         observed = convergence(h, errors)
         declared = experiment.scheme.order_for(experiment.options) or 0
@@ -128,7 +127,7 @@ def order(
         if verdict in FALSE:
             false.append(f"{name}: {why}")
         elif why and points:
-            undecided.setdefault(why, []).append(name)
+            notes.append(f"{name}: order undecided: {why}")
         best = min(points, key=lambda point: point[1] if math.isfinite(point[1]) else math.inf, default=(None, None))
         fitted = f"{two_digits(observed.fitted[0])} to {two_digits(observed.fitted[-1])}" if observed.fitted else None
         rows.append({
@@ -139,11 +138,10 @@ def order(
         for size, error in points:
             by_size.setdefault(size, {"h": size})[name] = error
         columns |= {f"{name}:h": np.array(h), f"{name}:error": np.array(errors)}
-    notes += [f"{', '.join(names)}: order undecided: {why}" for why, names in undecided.items()]
     code = ExitCode.VIOLATED if false else ExitCode.SUCCESS
     if broken:
         code = ExitCode.PARTLY_FAILED if len(broken) < len(rows) else ExitCode.WRONG_USAGE
-    elif not all(f"{name}:h" in columns and len(columns[f"{name}:h"]) for name in chosen):
+    elif any(row["at_h"] is None for row in rows):
         code = ExitCode.FAILED
 
     def draw(axes: Any, looks: Callable[..., Any]) -> None:
@@ -157,23 +155,23 @@ def order(
         axes.set(xlabel="step size $h$", ylabel="largest error", title=base.name.replace("$", r"\$"))
 
     small = dict.fromkeys(("round-off", "from h", "smallest_error"), two_digits)
-    shown = {"order": ".2f", **small, "at_h": lambda h: f"{h:.3g}" if float(f"{h:.3g}") == h else two_digits(h)}
+    formats = {"order": ".2f", **small, "at_h": lambda h: f"{h:.3g}" if float(f"{h:.3g}") == h else two_digits(h)}
     errors_at = [by_size[size] for size in sorted(by_size, reverse=True)]
     tables = [
-        Table("Observed orders", rows, shown, detail=("h of the fit", "round-off", "from h")),
+        Table("Observed orders", rows, formats, detail=("h of the fit", "round-off", "from h")),
         Table("Largest error at each h", errors_at, {"h": ".4g", **dict.fromkeys(chosen, two_digits)}, detail=True),
     ]
     title = f"{base.name}: {base.top.title}, t from 0 to {base.duration:g}"
     return Report("order", title, _answer(rows), tables, notes, [*broken, *false], code, base.resolved(), columns, draw)
 
 
-def _count(size: float, interval: float) -> int:
-    """Steps of a ``size`` in the ``interval`` between comparisons. Raises UsageError unless they are whole."""
+def _dividing(size: float, interval: float) -> float:
+    """Step ``size``, rounded to a part of the ``interval`` between comparisons. Raises UsageError if it is none."""
     count = max(1, round(interval / size)) if size > 0.0 else 1
     if abs(interval / count - size) > 1e-9 * size:
         near = f"give for example {interval / count:g}"
         raise UsageError(f"--h {size:g}: must divide {interval:g}, the time between comparisons; {near}")
-    return count
+    return interval / count
 
 
 def _consistent(experiment: Experiment) -> bool:
@@ -181,68 +179,24 @@ def _consistent(experiment: Experiment) -> bool:
     return is_consistent(experiment.top, experiment.method(), np.array(experiment.y0))
 
 
-def _with_orders(
-    base: Experiment, names: Sequence[str], named: bool
-) -> tuple[dict[str, Experiment], list[tuple[str, str]]]:
-    """Experiments of the schemes whose order can be observed, and those left out with the reasons if they are named."""
+def _with_orders(base: Experiment, names: Sequence[str], named: bool) -> dict[str, Experiment]:
+    """Experiments of the schemes whose order can be observed. Raises UsageError for others if they are ``named``."""
     chosen: dict[str, Experiment] = {}
-    left_out: list[tuple[str, str]] = []
-    for text in names:
-        name = text.lower()
+    for name in map(str.lower, names):
         if name in chosen:
             raise UsageError(f"scheme {name!r} is named twice")
         try:
             experiment = entry(base, name)
+            if experiment.scheme.adaptive:
+                raise UsageError(f"{name}: has no order in h: it chooses its steps by a tolerance")
+            if not experiment.scheme.order_for(experiment.options):
+                raise UsageError(f"{name}: has no error that depends on h")
         except UsageError:
             if named:
                 raise
-            continue
-        try:
-            closed = isinstance(experiment.method(), Sampler)
-        except SchemeCodeError:  # reported with the other failures
-            closed = False
-        if experiment.scheme.adaptive:
-            left_out.append((name, "it chooses its steps by a tolerance, not by h"))
-        elif closed or not experiment.scheme.order_for(experiment.options):
-            left_out.append((name, "has no error that depends on h"))
         else:
             chosen[name] = experiment
-    if not chosen:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out)
-        raise UsageError(f"no scheme has an order that can be observed: {reasons}")
-    return chosen, left_out if named else []
-
-
-def _ladder(
-    experiment: Experiment, interval: float, reference: Array, counts: Sequence[int], most: int
-) -> tuple[list[tuple[float, float]], list[str]]:
-    """Step sizes with errors, coarse to fine, until steps or seconds run out or round-off is reached; and failures.
-
-    The steps divide the ``interval``; those that are not given by ``counts`` fall by a factor 2 up to order 2 and
-    otherwise sqrt(2), from an angle of about four radians a step.
-    """
-    machine = Machine(experiment.top, experiment.method())
-    ratio = 2.0 if (experiment.scheme.order_for(experiment.options) or 0) <= 2 else math.sqrt(2.0)
-    first = max(1.0, math.ceil(0.25 * interval * max(map(abs, experiment.y0))))
-    own = [steps for k in range(RUNGS) if (steps := round(first * ratio**k)) * INTERVALS <= most]
-    points: list[tuple[float, float]] = []
-    failed: list[str] = []
-    seconds_per_step = 0.0
-    for steps in counts or dict.fromkeys(own):
-        if seconds_per_step * steps * INTERVALS > SECONDS:
-            break
-        h, started = interval / steps, time.process_time()
-        run = orbit(experiment.top, machine, experiment.y0, h, steps * INTERVALS, steps)
-        seconds_per_step = (time.process_time() - started) / (steps * INTERVALS)
-        if run.ending.outcome is not Outcome.COMPLETED:
-            failed.append(f"h = {h:.2g} {run.ending.message}")
-            continue
-        with np.errstate(over="ignore", invalid="ignore"):
-            points.append((h, float(np.linalg.norm(run.states - reference, axis=1).max())))
-        best = min((error for _, error in points[:-2]), default=1.0)
-        if best < 1e-6 and min(error for _, error in points[-2:]) > 0.5 * best:
-            break  # round-off: finer steps gain nothing
-    return points, failed
+    return chosen
 
 
 def _answer(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -118,9 +118,9 @@ class Report:
 
     def _page(self) -> str:
         from topcli.pages.page import page_of
-        from topcli.pages.studies import record_chapter
+        from topcli.pages.stored import record_chapter
 
-        return page_of([record_chapter(self.record())]).text
+        return page_of([record_chapter(self.record())])
 
     def _text(self, form: str) -> str:
         return "\n".join(table.text(form) for table in self.tables if table.rows)
@@ -177,7 +177,7 @@ def html_of(lines: Sequence[str], cells: Cells) -> str:
 
 def read_record(path: Path) -> dict[str, Any]:
     """Stored report in a JSON file. Raises UsageError for any other file, and RunError for one that was changed."""
-    from topcli.store.files import SEAL, DamagedError, check_study, read_json
+    from topcli.store.files import SEAL, DamagedError, check_seal, read_json
 
     try:
         record = read_json(path)
@@ -189,7 +189,7 @@ def read_record(path: Path) -> dict[str, Any]:
         raise UsageError(f"{path}: not a result of a study")
     if SEAL in record:
         try:
-            check_study(record)
+            check_seal(record)
         except DamagedError as error:
             raise RunError(f"{path}: damaged: {error}") from None
     return record

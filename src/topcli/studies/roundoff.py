@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from topcli.analysis.roundoff import MIN_BLOCKS, growth
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, Sampler
-from topcli.engine.machine import nanoseconds_per_step
+from topcli.engine.timing import nanoseconds_per_step
 from topcli.errors import ExitCode, UsageError, counted
 from topcli.runs.simulate import simulate
 from topcli.studies import SILENT, Watch
@@ -91,7 +90,7 @@ def roundoff(
     watch.begin("roundoff", base, unit="runs")
     # before the runs, which heat the processor; thread time does not depend on other threads
     timed = [(form.top, form.method(), form.y0, form.h) for form in forms.values()]
-    nanoseconds = nanoseconds_per_step(timed, clock=time.thread_time_ns)
+    nanoseconds = nanoseconds_per_step(timed)
     random, y0 = np.random.default_rng(1), np.array(base.y0)
     states = np.array([y0, *(y0 * (1.0 + SHIFT * random.uniform(-1.0, 1.0, len(y0))) for _ in range(copies - 1))])
     rows: list[dict[str, Any]] = []
@@ -131,8 +130,8 @@ def roundoff(
 
     rows.sort(key=lambda row: [each.symbol for each in invariants].index(row["invariant"]))
     small = dict.fromkeys(("rms_drift", "largest_drift", "bias_per_step", "bias_error"), two_digits)
-    shown = {**small, "exponent": ".2f", "exponent_error": ".2f", "ns_per_step": ".1f", "cost": ".2f"}
-    table = Table("Growth of round-off", rows, shown, ("largest_drift", "bias_per_step", "bias_error"))
+    formats = {**small, "exponent": ".2f", "exponent_error": ".2f", "ns_per_step": ".1f", "cost": ".2f"}
+    table = Table("Growth of round-off", rows, formats, ("largest_drift", "bias_per_step", "bias_error"))
     size = f"{counted(every * blocks * ROWS, 'step')}, {counted(copies, 'copy')}"
     title = f"{scheme} on {base.name}: {base.top.title}, h = {base.h:g}, {size}"
     code = ExitCode.FAILED if errors else ExitCode.SUCCESS
@@ -162,8 +161,8 @@ def _lasting(experiment: Experiment, every: int, rows: int) -> Experiment:
 
 def _conserved(experiment: Experiment, scheme: str) -> list[Any]:
     """Invariants of the top and of the scheme that stay but for round-off. Raises UsageError if there are none."""
-    own = [each for each in experiment.top.invariants() if each.name in experiment.scheme.conserves]
-    if invariants := [*own, *experiment.modified]:
+    conserved = [each for each in experiment.top.invariants() if each.name in experiment.scheme.conserves]
+    if invariants := [*conserved, *experiment.modified]:
         return invariants
     raise UsageError(
         f"scheme {scheme!r} conserves nothing exactly on {experiment.name}, so that round-off cannot be told from its "

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,22 +22,17 @@ from numpy.typing import NDArray
 from topcli.analysis.conformance import deviation
 from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
-from topcli.analysis.series_report import invariant_report
 from topcli.analysis.swings import minima_times
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.config.overrides import override_label, parse_override
 from topcli.contracts import Array, Floats, Invariant, Outcome, Scheme, Stepper, Top
 from topcli.engine.collect import Orbit, orbit
 from topcli.engine.machine import machine_of
 from topcli.errors import (
-    ConfigError,
     ExitCode,
     RunError,
-    SchemeCodeError,
     StepTooLongError,
     UnknownNameError,
-    UsageError,
     counted,
     nearest,
     quoted,
@@ -51,6 +45,7 @@ from topcli.schemes.own_tops import forms
 from topcli.schemes.plugins import reason_of, users_error
 from topcli.schemes.registry import find_scheme, names_for, schemes_of
 from topcli.studies import SILENT, Watch
+from topcli.studies.entries import code_failures, entry
 from topcli.studies.report import Report, Table
 from topcli.tops import CATALOGUE, TOPS, gentle_scene
 from topcli.tops.kowalevski import Kowalevski
@@ -219,32 +214,6 @@ def returns(trial: Trial) -> Finding:
     return Finding(DEGRADED, f"{why}; not self-adjoint")
 
 
-def does_not_drift(trial: Trial) -> Finding:
-    """Check over a very long run that no claimed invariant has a slope beyond its uncertainty."""
-    claimed = trial.claimed(trial.h)
-    if not claimed or trial.plain:
-        return Finding(NOT_TRIED, "runs in the interpreter" if claimed else "declares no invariant")
-    run = trial.run(every=max(1, trial.N // 8192))
-    if fault := trial.fault(run, trial.h):
-        return fault
-    rows, _ = invariant_report(trial.top, claimed, run.n, trial.h, run.states)
-    steps, t = int(run.n[-1]), float(trial.h * run.n[-1])
-    biased = ""
-    for row in rows:
-        # an ulp of the terms: the report's bound is 20 sqrt(N) of them
-        ulp = row.round_off_bound / (20.0 * math.sqrt(steps)) or EPS
-        slope, error = row.drift_over_run or 0.0, abs((row.drift_error or 0.0) * t)
-        text = f"{row.symbol} {slope:+.1e} ± {error:.0e} over t = {t:.3g}"
-        if row.verdict in ("drifting", "lost"):
-            return Finding(BROKE, f"drifts: {text}", steps)
-        if error and abs(slope) > 5.0 * error and abs(slope) > 3.0 * math.sqrt(steps) * ulp:
-            biased = biased or text
-    if biased:
-        return Finding(DEGRADED, f"round-off is biased: {biased}")
-    worst = max(rows, key=lambda row: row.max_deviation / (row.round_off_bound or 1.0))
-    return Finding(HELD, f"no drift; largest deviation: {worst.symbol}, {worst.max_deviation:.0e}")
-
-
 @dataclass(frozen=True)
 class Case:
     """Hard case: a ``question``, and the run by which ``check`` answers it.
@@ -260,12 +229,14 @@ class Case:
     N: int = 200
     check: Check = keeps_order
 
-    def experiment(self, scheme: str, overrides: Sequence[str] = ()) -> Experiment:
-        """The case under a scheme. Raises UsageError."""
+    def experiment(self, text: str) -> Experiment:
+        """The case under a scheme, such as ``hybrid`` or ``hybrid:branch=sign``. Raises UsageError."""
         state = self.state() if callable(self.state) else self.state
         h = singular_step(self.top, tuple(state)) if self.h is None else self.h
         start = {"top": self.top.section(), "initial": self.top.initial_section(state)}
-        return load_experiment({"name": "stress", **start, "scheme": scheme, "h": h, "N": self.N}, overrides)
+        scheme = text.partition(":")[0]
+        base = load_experiment({"name": "stress", **start, "scheme": scheme, "h": h, "N": self.N})
+        return base if scheme == text else entry(base, text)
 
 
 def singular_step(top: Top, state: Floats) -> float:
@@ -334,14 +305,12 @@ CASES: dict[str, dict[str, Case]] = {
 
 
 def general_cases(top: Top, state: Floats, regular: Floats) -> dict[str, Case]:
-    """Cases of any top from a ``state``, the long ones from one whose motion is ``regular``."""
+    """Cases of any top from a ``state``, the long one from one whose motion is ``regular``."""
     there = "1e5 steps forward and 1e5 back: is the initial state missed by round-off only?"
-    drift = "run up to t = 1e5: do declared invariants drift beyond the uncertainty of the fit?"
     cases = {
         "backwards": Case("h < 0: is the order the same as for h > 0?", top, state, -0.02),
         "one-step": Case("t = 0.1 in 1, 2 and 4 steps: does the error fall with the order?", top, state, 0.1, 1),
         "there-and-back": Case(there, top, regular, 0.02, 100_000, returns),
-        "drift": Case(drift, top, regular, 0.1, 1_000_000, does_not_drift),
     }
     if has_own_cases(top):
         d, fast, huge = len(state), (3.0, -2.0, 6.0, *GAMMA), (*(1e150 * w for w in OMEGA), *GAMMA)
@@ -354,18 +323,15 @@ def general_cases(top: Top, state: Floats, regular: Floats) -> dict[str, Case]:
     return cases
 
 
-Start = tuple[Top, Floats]
-
-
-def cases_of(form: str, start: Start | None = None) -> dict[str, Case]:
-    """Cases of a form of a top by name; the general ones begin at ``start``, for a top that has no cases of its own."""
-    if start is None and form in CATALOGUE:
+def cases_of(form: str) -> dict[str, Case]:
+    """Cases of a form of a top by name; those of a top of the catalogue begin in the state of its scene."""
+    if form in CATALOGUE:
         scene = load_experiment(gentle_scene(form))
-        start = scene.top, scene.y0
-    if start is None or has_own_cases(start[0]):
+        top, state = scene.top, scene.y0
+    else:
         top = TOPS[form].new()
-        start = top, (GENERIC * len(top.components))[: len(top.components)]
-    return {**CASES.get(form, {}), **general_cases(*start, REGULAR.get(form, start[1]))}
+        state = (GENERIC * len(top.components))[: len(top.components)]
+    return {**CASES.get(form, {}), **general_cases(top, state, REGULAR.get(form, state))}
 
 
 def forms_with_cases() -> list[str]:
@@ -388,64 +354,48 @@ def verdict_of(scheme: Scheme, case: str, outcome: str) -> str:
     return OUTLIVED if declared and "+" not in scheme.name else OK
 
 
-def judged(scheme: Scheme, name: str, case: Case, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """Row of the trial of a scheme in a case."""
-    verdict = ""
-    try:
-        with np.errstate(all="ignore"):
-            finding = case.check(Trial(case.experiment(scheme.name, overrides)))
-    except (StepTooLongError, RunError) as error:
-        finding = Finding(BROKE, f"refused: {str(error).splitlines()[0]}", 0)
-    except ConfigError:
-        raise
-    except (ArithmeticError, ValueError) as error:
-        # the interpreter may raise where machine code returns inf or nan
-        finding = Finding(BROKE, f"failed: {users_error(error) or reason_of(error)}", 0)
-    except Exception as error:
-        known = error if isinstance(error, SchemeCodeError) else users_error(error)
-        if known is None:
-            raise
-        finding, verdict = Finding(BROKE, str(known), 0), CODE_FAILED
-    row = {"scheme": scheme.name, "top": scheme.top, "case": name, "outcome": finding.outcome, "step": finding.step}
-    return {**row, "verdict": verdict or verdict_of(scheme, name, finding.outcome), "why": finding.why}
+def judged(scheme: Scheme, text: str, name: str, case: Case) -> dict[str, Any]:
+    """Row of the trial of a scheme, with the settings in its ``text``, in a case."""
+    finding = Finding(BROKE, "", 0)
+    failures: list[str] = []
+    with code_failures(failures, text), np.errstate(all="ignore"):
+        try:
+            finding = case.check(Trial(case.experiment(text)))
+        except (StepTooLongError, RunError) as error:
+            finding = Finding(BROKE, f"refused: {str(error).splitlines()[0]}", 0)
+        except (ArithmeticError, ValueError) as error:
+            # the interpreter may raise where machine code returns inf or nan
+            finding = Finding(BROKE, f"failed: {users_error(error) or reason_of(error)}", 0)
+    verdict = CODE_FAILED if failures else verdict_of(scheme, name, finding.outcome)
+    row = {"scheme": text, "top": scheme.top, "case": name, "outcome": finding.outcome, "step": finding.step}
+    return {**row, "verdict": verdict, "why": failures[0].partition(": ")[2] if failures else finding.why}
 
 
-Choice = tuple[Scheme, str, Case]
-
-
-def _chosen(names: Sequence[str], wanted: Sequence[str], top: str | None, start: Start | None) -> list[Choice]:
+def _chosen(names: Sequence[str], cases_named: Sequence[str], top: str | None) -> list[tuple[Scheme, str, str, Case]]:
     """Trials of the schemes and cases called so; of all if none is named. Raises UsageError for unknown names."""
-    fits = [one.form for one in forms(top)] if top else sorted(TOPS)
-    schemes = [scheme for form in fits for scheme in schemes_of(form)]
+    fits = [form.form for form in forms(top)] if top else sorted(TOPS)
+    schemes = [(scheme, scheme.name) for form in fits for scheme in schemes_of(form)]
     if names:
-        schemes = [scheme for name in dict.fromkeys(map(str.lower, names)) for scheme in _forms_of(name, fits)]
-    cases = {form: cases_of(form, start) for form in dict.fromkeys(scheme.top for scheme in schemes)}
+        schemes = [pair for name in dict.fromkeys(map(str.lower, names)) for pair in _forms_of(name, fits)]
+    cases = {form: cases_of(form) for form in dict.fromkeys(scheme.top for scheme, _ in schemes)}
     if top is None:  # tops without their own cases are tried if they are the only ones
         cases = {form: cases[form] for form in forms_with_cases() if form in cases} or cases
-    known = dict.fromkeys(name for of in cases.values() for name in of)
-    order = [name.lower() for name in wanted] or list(known)
+    names_of_cases = dict.fromkeys(name for of in cases.values() for name in of)
+    order = [name.lower() for name in cases_named] or list(names_of_cases)
     for name in order:
-        if name not in known:
+        if name not in names_of_cases:
             where = top or "the tops of these schemes"
-            raise UnknownNameError(f"unknown case {quoted(name)} of {where}; {nearest(name, known)}")
-    pairs = [(scheme, name) for scheme in schemes for name in order]
-    return [(scheme, name, cases[scheme.top][name]) for scheme, name in pairs if name in cases.get(scheme.top, ())]
+            raise UnknownNameError(f"unknown case {quoted(name)} of {where}; {nearest(name, names_of_cases)}")
+    pairs = [(scheme, text, name) for scheme, text in schemes for name in order]
+    return [(*pair, cases[pair[0].top][pair[2]]) for pair in pairs if pair[2] in cases.get(pair[0].top, ())]
 
 
-def _forms_of(name: str, fits: Sequence[str]) -> list[Scheme]:
-    """Schemes called ``name``, one for each form that it steps. Raises UnknownNameError or UsageError."""
+def _forms_of(text: str, fits: Sequence[str]) -> list[tuple[Scheme, str]]:
+    """Schemes of a name with settings, one for each form that it steps. Raises UnknownNameError or UsageError."""
+    name = text.partition(":")[0]
     schemes = [find_scheme(name, form) for form in fits if name.partition("+")[0] in names_for(form)]
     # the error of a name that is unknown, or of a scheme for another top
-    return schemes or [find_scheme(name, fits[0])]
-
-
-def _option(text: str) -> str:
-    """Option of a scheme that an override sets. Raises UsageError for other keys."""
-    path, _ = parse_override(text)
-    if path[0] != "scheme" or len(path) != 2 or path[1] in ("name", "compose"):
-        label = override_label(text)
-        raise UsageError(f"{label}: set by the case; only options of schemes can be set, as scheme.KEY=VALUE")
-    return str(path[1])
+    return [(scheme, text) for scheme in schemes or [find_scheme(name, fits[0])]]
 
 
 SHOWN_TRIALS = 40
@@ -454,8 +404,6 @@ SHOWN_TRIALS = 40
 
 def stress(
     *schemes: str,
-    config: str | Path | Mapping[str, Any] | None = None,
-    overrides: Sequence[str] = (),
     case: Sequence[str] = (),
     top: str | None = None,
     watch: Watch = SILENT,
@@ -469,12 +417,7 @@ def stress(
     Parameters
     ----------
     *schemes : str
-        Names of schemes; by default all.
-    config : path, str or mapping, optional
-        Config of an experiment; the schemes are tested on its top. If topcli has no hard cases for this top, general
-        cases are tried, which start from the initial state of the config.
-    overrides : sequence of str, optional
-        Set an option of every scheme that has it, for example scheme.branch=sign.
+        Names of schemes, with options if needed, as in bohlin-a:branch=sign; by default all.
     case : sequence of str, optional
         Try only these hard cases. ``topcli list cases`` shows them.
     top : str, optional
@@ -491,7 +434,7 @@ def stress(
     Raises
     ------
     UsageError
-        If a scheme, case, top or option is unknown.
+        If a scheme, an option, a case or a top is unknown.
 
     Examples
     --------
@@ -502,22 +445,11 @@ def stress(
     >>> report.table["outcome"].tolist()
     ['held', 'held', 'held', 'held']
     """
-    start = None
-    if config is not None:
-        if top is not None:
-            raise UsageError(f"--top {quoted(top)}: --config names a top too; give one of them")
-        experiment = load_experiment(config)
-        top, start = experiment.top.form, (experiment.top, experiment.y0)
-    trials = _chosen(schemes, case, top, start)
-    options = {_option(text): text for text in overrides}
-    known = {name for scheme, *_ in trials for name in scheme.options.model_fields}
-    for key in options.keys() - known:
-        none = "none of the schemes has this option"
-        raise UsageError(f"--set scheme.{shortened(key)}: {none}; {nearest(key, known)}")
+    trials = _chosen(schemes, case, top)
     watch.begin("stress", unit="trials")
     rows: list[dict[str, Any]] = []
-    for scheme, name, one in trials:
-        rows.append(judged(scheme, name, one, [options[key] for key in options if key in scheme.options.model_fields]))
+    for trial in trials:
+        rows.append(judged(*trial))
         watch(len(rows), len(trials))
     return report_of(rows)
 
@@ -535,11 +467,11 @@ def report_of(rows: Sequence[Mapping[str, Any]]) -> Report:
     code = ExitCode.VIOLATED if wrong else ExitCode.SUCCESS
     if failed := verdicts.count(CODE_FAILED):
         code = ExitCode.PARTLY_FAILED if failed < len(rows) else ExitCode.WRONG_USAGE
-    shown = {"top": TOPS.called, "verdict": lambda verdict: "" if verdict == OK else verdict, "why": shortened}
-    tables = [Table("Trials", rows, shown, len(rows) > SHOWN_TRIALS or ("step",))]
+    formats = {"top": TOPS.called, "verdict": lambda verdict: "" if verdict == OK else verdict, "why": shortened}
+    tables = [Table("Trials", rows, formats, len(rows) > SHOWN_TRIALS or ("step",))]
     if len(rows) > SHOWN_TRIALS:
         lost = [row for row in rows if row["outcome"] != HELD]
-        tables.append(Table("Trials that did not hold", lost, shown, ("step",)))
+        tables.append(Table("Trials that did not hold", lost, formats, ("step",)))
     columns = {key: np.array([row[key] for row in rows]) for key in ("scheme", "top", "case", "outcome")}
     title = "schemes in the hard cases of their tops"
     errors = list(dict.fromkeys(errors))
@@ -552,10 +484,10 @@ def _draw(columns: Mapping[str, Any], axes: Any, looks: Callable[..., Any]) -> N
     lost = columns["outcome"] != HELD
     lost = lost if lost.any() else ~lost
     schemes, cases = (list(dict.fromkeys(values[lost].tolist())) for values in (names, columns["case"]))
-    shown = np.isin(names, schemes) & np.isin(columns["case"], cases)
+    drawn = np.isin(names, schemes) & np.isin(columns["case"], cases)
     marks = {HELD: (".", "0.6"), NOT_TRIED: ("_", "0.6"), DEGRADED: ("o", "C1"), BROKE: ("X", "C3")}
     for outcome, (marker, colour) in marks.items():
-        here = shown & (columns["outcome"] == outcome)
+        here = drawn & (columns["outcome"] == outcome)
         x, y = map(cases.index, columns["case"][here]), map(schemes.index, names[here])
         axes.plot(list(x), list(y), marker, color=colour, markersize=4, label=outcome)
     axes.set_xticks(range(len(cases)), cases, rotation=90)

@@ -161,6 +161,7 @@ class Measuring:
     def finished(self, initial: Array, stop: Callable[[], bool] = lambda: False) -> Batch:
         """Batch of the runs from ``initial`` (runs, d); those that ``stop()`` cuts short are interrupted."""
         plan, needs = replace(self._plan, states=np.ascontiguousarray(initial, dtype=np.float64)), self._needs
+        # only what the measures need is recorded
         columns, tally = Memory(self._columns), Tally(self._invariants, drifts=self._drifts)
         memory, errors = Memory(), Errors(self._reference, ERROR in needs)
         optional = {
@@ -224,7 +225,7 @@ def evaluate(measures: Sequence[Measure], batch: Batch) -> tuple[dict[str, Array
         Run, measure and reason of each value that could not be computed although the run took all its steps.
     """
     everything, whole = np.arange(len(batch)), np.flatnonzero(batch.whole)
-    complete, columns, faults = batch.of(whole), {}, []
+    complete, columns, faults = batch if len(whole) == len(batch) else batch.of(whole), {}, []
     for measure in measures:
         which, runs = (everything, batch) if measure.of_failed else (whole, complete)
         columns[measure.name] = column = np.full(len(batch), np.nan)
@@ -255,7 +256,7 @@ def _values(measure: Measure, batch: Batch) -> tuple[Array, Faults]:
             parts = [_values(measure, batch.of(np.array([i]))) for i in range(len(batch))]
             reasons = {i: reason for i, (_, faults) in enumerate(parts) for reason in faults.values()}
             return np.concatenate([values for values, _ in parts]), reasons
-        known = error if isinstance(error, TopcliError) else users_error(error)
-        if known is None:
+        reported = error if isinstance(error, TopcliError) else users_error(error)
+        if reported is None:
             raise
-        return np.full(1, np.nan), {0: str(known)}
+        return np.full(1, np.nan), {0: str(reported)}

@@ -105,8 +105,8 @@ def _results(run: Measuring, states: Array, names: Sequence[str], stop: Stop) ->
 def _failed(error: Exception | str, count: int, names: Sequence[str]) -> list[StoredRow]:
     """Results of rows that did not become runs."""
     if isinstance(error, Exception):
-        known = error if isinstance(error, TopcliError) else users_error(error)
-        error = str(known) if known else f"internal error: {type(error).__name__}: {error}"
+        reported = error if isinstance(error, TopcliError) else users_error(error)
+        error = str(reported) if reported else f"internal error: {type(error).__name__}: {error}"
     return [(FAILED, " ".join(error.split()), np.full(len(names), np.nan).tobytes())] * count
 
 
@@ -185,6 +185,7 @@ def results(
         flying[pool.submit(compute_batch, pieces, names, _never if dask else stop, plugins, code)] = batch
 
     while True:
+        # new batches, or a suspect by itself once nothing else is in flight
         stopping = stop()
         for batch in islice(source, 0 if stopping else max(0, IN_FLIGHT * workers - len(flying))):
             submit(batch)
@@ -193,9 +194,11 @@ def results(
             submit(suspects.pop())
         if not flying:
             return
+        # batches that have not begun are cancelled by a stop, which is asked for while none ends
         while not (ended := wait(flying, POLL_SECONDS, FIRST_COMPLETED).done):
             for future in flying if stop() else ():
                 future.cancel()
+        # rows of a worker that was lost are failed rows; a lost cluster ends the sweep
         for future in ended:
             batch = flying.pop(future)
             try:

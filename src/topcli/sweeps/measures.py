@@ -28,7 +28,6 @@ from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.references import obstacle as error_obstacle
 from topcli.schemes.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
 from topcli.schemes.registry import schemes_of
-from topcli.tops import TOPS
 
 if TYPE_CHECKING:
     from topcli.sweeps.batch import Batch
@@ -69,7 +68,6 @@ class Measure:
     names: Names | None
     obstacle: Obstacle | None
     of_failed: bool
-    reproducible: bool
     origin: str
     """Distribution or file that registered the measure."""
     argument: str = ""
@@ -107,7 +105,6 @@ def measure(
     names: Names | None = None,
     obstacle: Obstacle | None = None,
     of_failed: bool = False,
-    reproducible: bool = True,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register the decorated function ``evaluate(batch)`` as a measure of ``topcli sweep``.
 
@@ -136,8 +133,6 @@ def measure(
         returns an empty text if the measure can be computed.
     of_failed : bool, optional
         True if the measure has a meaning for failed runs. If False, its number is nan for a failed run.
-    reproducible : bool, optional
-        False if the number differs when a run is repeated, as a computing time does.
 
     Returns
     -------
@@ -170,7 +165,7 @@ def measure(
 
     def register(function: Callable[..., Any]) -> Callable[..., Any]:
         MEASURES[name] = Measure(
-            name, function, summary, unit, tuple(needs), names, obstacle, of_failed, reproducible, origin_of(function)
+            name, function, summary, unit, tuple(needs), names, obstacle, of_failed, origin_of(function)
         )
         return function
 
@@ -226,16 +221,6 @@ def _member_names(family: Measure, *of: Any) -> list[str]:
     *experiment, quantities = of
     assert family.names is not None
     return [*family.names(*experiment), *(quantities if COLUMN in family.needs else ())]
-
-
-def measures_of_form(form: str) -> list[Measure]:
-    """Measures that fit the top of this form under any of its schemes, those of families included, sorted by name."""
-    top = TOPS[form].new()
-    named: dict[str, Measure] = {}
-    for scheme in schemes_of(form):
-        with without_users_errors():
-            named |= {each.name: each for each in fitting_measures(top, scheme, scheme.options())}
-    return [named[name] for name in sorted(named)]
 
 
 def resolve_measures(
@@ -452,7 +437,6 @@ def steps(batch: Batch) -> Array:
     "seconds",
     "wall time of the steps; runs computed together in a batch share its time equally; not reproducible",
     "seconds",
-    reproducible=False,
 )
 def seconds(batch: Batch) -> Array:
     """Wall time without compiling and without measuring."""

@@ -6,12 +6,12 @@ the digests of the sweep and those in the store.
 
 from __future__ import annotations
 
-import errno
 import hashlib
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from topcli.runs.identity import code_digest
 from topcli.store.files import io_failure, require_writable, write_text
 from topcli.store.provenance import now
 from topcli.store.result_folder import locked, release, set_aside
-from topcli.store.results import StoredResult, read_result
+from topcli.store.results import MANIFEST, StoredResult, read_result
 from topcli.store.sources import digest_of_texts
 from topcli.sweeps.compute import INTERRUPTED, Piece, code_of_process, executor, results
 from topcli.sweeps.measures import definition_texts, resolve_measures
@@ -36,6 +36,7 @@ from topcli.sweeps.store import (
     COMPLETED,
     DATABASE,
     FAILED,
+    ROWS_FILE,
     SWEEP_FILE,
     RowStore,
     StoredRow,
@@ -129,7 +130,6 @@ def plan_of(sweep: Sweep) -> Plan:
                 resolve_measures(sweep.measures, top, scheme, experiment.options, tuple(quantities))
             except TopcliError as error:
                 sweep.document.fault(("measure",), str(error))
-                sweep.document.check()
             texts = [code_digest(type(top), scheme), experiment.own_code, *definition_texts(sweep.measures)]
             codes[kind] = digest_of_texts([*texts, *sweep.measures])
 
@@ -156,13 +156,10 @@ def planned(sweep: Sweep, out: Path) -> tuple[Plan, NDArray[np.bool_]]:
 
 def require_sweep_folder(folder: Path) -> None:
     """Raise UsageError if ``folder`` holds anything but a sweep and temporary files of a killed process."""
-    try:
-        others = folder.exists() and not is_sweep(folder)
-        if others and (not folder.is_dir() or any(path.name[0] != "." for path in folder.iterdir())):
-            advice = "move it away, or choose another folder with --out, or another name with --set name=..."
-            raise UsageError(f"{folder}: exists and is not a sweep; nothing was written", advice)
-    except OSError as error:
-        raise UsageError(f"{folder}: {(error.strerror or str(error)).lower()}; choose another with --out") from None
+    others = not is_sweep(folder) and os.path.isdir(folder) and any(folder.glob("[!.]*"))
+    if others or os.path.isfile(folder):
+        advice = "move it away, or choose another folder with --out, or another name with --set name=..."
+        raise UsageError(f"{folder}: exists and is not a sweep; nothing was written", advice)
 
 
 def run_sweep(sweep: Sweep, out: Path, options: SweepOptions = SweepOptions()) -> SweepResult:
@@ -193,22 +190,18 @@ def run_sweep(sweep: Sweep, out: Path, options: SweepOptions = SweepOptions()) -
             entries = {"rows": rows, "step": finished, "outcomes": outcomes, "code": code, "seconds": seconds}
             write_manifest(folder, sweep, True, **entries, outcome=outcome, started=started)
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-            raise io_failure(error, folder, "finished rows are kept") from None
-        raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another with --out") from None
+        raise io_failure(error, folder, "finished rows are kept") from None
     return SweepResult(folder, rows, ran, outcomes, options.stop() and finished < rows, seconds)
 
 
 def _up_to_date(folder: Path, sweep: Sweep, code: str) -> StoredResult | None:
     """Stored sweep, if all its rows are finished and neither the sweep nor any code has changed; otherwise None."""
-    try:
+    with suppress(RunError):  # a damaged manifest is written again
         stored = read_result(folder)
-    except RunError:  # the manifest is written again
-        return None
-    if stored is None or not stored.complete or FAILED in stored.manifest["outcomes"]:
-        return None
-    same = (stored.manifest["digest"], stored.manifest["code"]) == (sweep.digest, code)
-    return stored if same and not stored.damage() else None
+        if stored and stored.complete and FAILED not in stored.manifest["outcomes"]:
+            same = (stored.manifest["digest"], stored.manifest["code"]) == (sweep.digest, code)
+            return stored if same and not stored.damage() else None
+    return None
 
 
 @contextmanager
@@ -223,8 +216,8 @@ def _claimed(folder: Path, sweep: Sweep, options: SweepOptions) -> Iterator[None
             earlier = set_aside(StoredResult(folder, {"key": sweep.digest[:8]}))
             options.on_message(f"renamed the earlier sweep to {earlier}")
         folder.mkdir(exist_ok=True)
-        for name in ("manifest", "sweep", "rows"):
-            for torn in folder.glob(f".{name}.*"):  # of a process that was killed while it wrote a file
+        for name in (MANIFEST, SWEEP_FILE, ROWS_FILE):
+            for torn in folder.glob(f".{Path(name).stem}.*"):  # of a process that was killed while it wrote a file
                 torn.unlink()
         yield
     finally:
@@ -234,8 +227,6 @@ def _claimed(folder: Path, sweep: Sweep, options: SweepOptions) -> Iterator[None
 def _run_rows(sweep: Sweep, plan: Plan, store: RowStore, pool: tuple[Executor, int], options: SweepOptions) -> int:
     """Run the rows of a plan that have to run, and store them; return their number."""
     finished = store.read()
-    if store.damaged:
-        options.on_message(f"warning: {store.path}: {store.damaged} damaged rows, which run again")
     waiting = plan.waiting(finished)
     total, to_run, ran = len(plan.digests), int(waiting.sum()), 0
     failed = sum(digest in finished and finished[digest][0] not in (COMPLETED, FAILED) for digest in plan.digests)

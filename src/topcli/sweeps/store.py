@@ -24,14 +24,13 @@ from topcli.config.files import scene_files, sweep_files
 from topcli.config.sweep import Group, Sweep, load_sweep
 from topcli.contracts import Outcome
 from topcli.errors import RunError, UsageError, nearest, quoted
-from topcli.store.files import sha256_of, write_text, write_whole
+from topcli.store.files import json_text, sealed, sha256_of, write_text, write_whole
 from topcli.store.provenance import environment, git_commit, now
 from topcli.store.results import (
     MANIFEST,
     MANIFEST_VERSION,
     SWEEP,
     StoredResult,
-    manifest_text,
     read_result,
     stored_results,
 )
@@ -49,13 +48,12 @@ StoredRow = tuple[str, str, bytes]
 
 
 class RowStore:
-    """Finished rows by digest, open in one process at a time. ``damaged`` counts rows that have changed on the disk."""
+    """Finished rows by digest, open in one process at a time."""
 
     def __init__(self, folder: Path) -> None:
-        self.path, self.damaged = folder / DATABASE, 0
+        self.path = folder / DATABASE
         with self._failures():
             self._file = sqlite3.connect(self.path)
-            self._file.text_factory = lambda text: text.decode(errors="replace")  # a damaged one fails its checksum
             self._file.execute("PRAGMA synchronous = FULL")
             self._file.execute(_CREATE)
 
@@ -72,36 +70,28 @@ class RowStore:
             yield
         except sqlite3.OperationalError as error:
             raise RunError(f"{self.path}: {error}; the rows finished before are kept") from None
-        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter of a damaged text in an error
+        except (sqlite3.DatabaseError, TypeError, ValueError) as error:  # types or texts of a changed row
             raise RunError(f"{self.path}: damaged ({error}); run again with --force to begin anew") from None
 
     def add(self, digests: Sequence[bytes], rows: Sequence[StoredRow]) -> None:
         """Add finished rows, all or none; they are on the disk afterwards. Raises RunError."""
-        entries = [(digest, *row, _checksum(digest, row)) for digest, row in zip(digests, rows, strict=True)]
+        entries = [(digest, *row, _checksum(digest, *row)) for digest, row in zip(digests, rows, strict=True)]
         with self._failures(), self._file:
             self._file.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?, ?, ?)", entries)
 
     def read(self) -> dict[bytes, StoredRow]:
-        """All rows that are as they were written. Raises RunError."""
+        """All rows. Raises RunError."""
         rows: dict[bytes, StoredRow] = {}
-        self.damaged = 0
         with self._failures():
             for digest, outcome, message, numbers, checksum in self._file.execute("SELECT * FROM rows"):
-                row = outcome, message, numbers
-                try:
-                    whole = checksum == _checksum(digest, row)
-                except (AttributeError, TypeError):
-                    whole = False
-                if whole:
-                    rows[digest] = row
-                else:
-                    self.damaged += 1
+                if checksum != _checksum(digest, outcome, message, numbers):
+                    raise sqlite3.DatabaseError("a row has changed")
+                rows[digest] = outcome, message, numbers
         return rows
 
 
-def _checksum(digest: bytes, row: StoredRow) -> int:
-    outcome, message, numbers = row
-    return zlib.crc32(b"\0".join([digest, outcome.encode(), message.encode(errors="surrogatepass"), numbers]))
+def _checksum(digest: bytes, outcome: str, message: str, numbers: bytes) -> int:
+    return zlib.crc32(b"\0".join([digest, f"{outcome}\0{message}".encode(errors="surrogatepass"), numbers]))
 
 
 def write_manifest(folder: Path, sweep: Sweep, ended: bool = False, **entries: Any) -> None:
@@ -112,7 +102,7 @@ def write_manifest(folder: Path, sweep: Sweep, ended: bool = False, **entries: A
     content |= {"environment": environment(), **git_commit(), **entries}
     paths = [folder / name for name in (ROWS_FILE, SWEEP_FILE, DATABASE) if ended]
     content["files"] = {path.name: {"size": path.stat().st_size, "sha256": sha256_of(path)} for path in paths}
-    write_text(folder / MANIFEST, manifest_text(content))
+    write_text(folder / MANIFEST, json_text(sealed(content)))
 
 
 def write_table(
@@ -138,16 +128,15 @@ def write_table(
             table[key] = table[key].astype("str")
 
     # results of the rows that are finished
-    finished = np.array([digest in rows for digest in digests], dtype=bool)
-    values = [rows[digest] for digest in digests if digest in rows]
-    table = table[finished].reset_index()
-    table["outcome"], table["message"] = [row[0] for row in values], [row[1] for row in values]
-    measured = np.frombuffer(b"".join(row[2] for row in values)).reshape(len(values), len(sweep.measures))
-    table[list(sweep.measures)] = measured
-    table["digest"] = [digest.hex() for digest in digests if digest in rows]
-    table.attrs = {"name": sweep.name, "keys": list(sweep.keys), "measures": list(sweep.measures), "log": sweep.log}
+    table = table[np.array([digest in rows for digest in digests], dtype=bool)].reset_index()
+    finished = [digest for digest in digests if digest in rows]
+    outcomes, messages, numbers = zip(*(rows[digest] for digest in finished), strict=True) if finished else ((),) * 3
+    table["outcome"], table["message"] = list(outcomes), list(messages)
+    table[list(sweep.measures)] = np.frombuffer(b"".join(numbers)).reshape(len(finished), len(sweep.measures))
+    table["digest"] = [digest.hex() for digest in finished]
+    table.attrs = {"name": sweep.name, "keys": list(sweep.keys), "measures": list(sweep.measures)}
     write_whole(folder / ROWS_FILE, lambda path: table.to_parquet(path, index=False, write_page_checksum=True))
-    return dict(Counter(row[0] for row in values))
+    return dict(Counter(outcomes))
 
 
 def _drawn(group: Group, name: str) -> list[float]:
@@ -160,15 +149,13 @@ def _drawn(group: Group, name: str) -> list[float]:
 
 def is_sweep(folder: Path) -> bool:
     """True if ``folder`` is that of a sweep."""
-    return (folder / SWEEP_FILE).is_file()
+    return os.path.isfile(folder / SWEEP_FILE)
 
 
 def stored_sweep_file(folder: Path, overrides: Sequence[str] = ()) -> Sweep:
     """Return the sweep in ``folder``. Raises UsageError for a folder without one."""
     if not is_sweep(folder):
-        raise UsageError(
-            f"{folder}: is not the folder of a sweep; give the folder that topcli sweep wrote, such as results/NAME"
-        )
+        raise UsageError(f"{folder}: is not the folder of a sweep; give one such as results/NAME")
     return load_sweep(folder / SWEEP_FILE, overrides)
 
 
@@ -187,12 +174,10 @@ def intact_sweep(folder: Path) -> StoredResult:
 
 def missing_result(place: str, results: Path) -> UsageError:
     """Error for a ``place`` where nothing is stored, with the command that computes it or the nearest stored names."""
-    folder = Path(place)
-    name = folder.name if folder.parent in (Path(), results) else ""
+    name, names = Path(place).name, list(stored_results(results))
     command = "run" if name in scene_files() else "sweep" if name in sweep_files() else ""
-    names = list(stored_results(results))
-    near = f"; {nearest(folder.name, names, 'topcli list runs')}" if names else ""
+    near = f"; {nearest(name, names, 'topcli list runs')}" if names else ""
     if os.path.lexists(usual := Path("results") / place):
         near = f"; did you mean {usual}?"
-    hint = f"; run it first: topcli {command} {name}" if command else near
+    hint = f"; run it first: topcli {command} {name}" if command and name == place else near
     return UsageError(f"{quoted(place)}: no such file or folder, and no run of this name in {results}{hint}")

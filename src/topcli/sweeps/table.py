@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from topcli.analysis.order import convergence
 from topcli.errors import RunError, UnknownNameError, UsageError, nearest, quoted
 from topcli.runs.report import finite
 from topcli.sweeps.store import COMPLETED, ROWS_FILE
@@ -18,10 +18,8 @@ from topcli.table import DASH, Cells, is_number, number, plus_minus, significant
 
 Frame = Any
 """A DataFrame or Series of pandas, whose operations have types that say nothing."""
-ORDER, STEP = "order", "h"
-SPREADS = {"median": "quartiles", "mean": "standard error", "max": "", ORDER: ""}
-"""Aggregates, each with the spread that is given beside it, if there is one; ``order`` is the observed order in h."""
-FORMATS = ("text", "csv", "markdown", "latex")
+SPREADS = {"median": " [quartiles]", "mean": " ± standard error", "max": ""}
+"""Aggregates, each with the spread that is given beside it."""
 ENDS = ("", ":low", ":high")
 CLOSE = 1e-9
 """Relative difference within which a number given for a key is its value in the file."""
@@ -30,8 +28,8 @@ CLOSE = 1e-9
 def read_rows(folder: Path, where: Sequence[str] = ()) -> Frame:
     """Finished rows of the sweep in ``folder`` that satisfy the conditions ``key=value``, in the order of the sweep.
 
-    ``attrs`` of the table holds the ``name`` of the sweep, the names of its ``keys`` and ``measures``, the keys whose
-    range is logarithmic (``log``), the ``path`` of the file, and the conditions (``where``). Several values of one key
+    ``attrs`` of the table holds the ``name`` of the sweep, the names of its ``keys`` and ``measures``, the ``path`` of
+    the file, and the conditions (``where``). Several values of one key
     are alternatives. Raises UsageError if there is no sweep or no such row, UnknownNameError for an unknown key, and
     RunError for a damaged file.
     """
@@ -43,42 +41,31 @@ def read_rows(folder: Path, where: Sequence[str] = ()) -> Frame:
         near = f"; {nearest(folder.name, names)}" if names else ""
         raise UsageError(f"{folder}: no sweep is stored here ({ROWS_FILE} is missing){near}")
     try:
-        rows = pd.read_parquet(path)
-        missing = {"row", "outcome", *rows.attrs["keys"], *rows.attrs["measures"]} - set(rows.columns)
+        rows: Frame = pd.read_parquet(path)
+        keys = rows.attrs["keys"]
     except (OSError, ValueError, KeyError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise RunError(f"{path}: cannot be read ({reason[:120]}); run topcli sweep again") from None
-    if missing:
-        raise RunError(f"{path}: not the rows of a sweep ({min(missing)} is missing)")
-    if rows.empty:
-        raise UsageError(f"{folder}: the sweep has no rows yet")
+        raise RunError(f"{path}: cannot be read ({str(error)[:120]}); run topcli sweep again") from None
     rows.attrs |= {"path": str(path), "where": list(where)}
-    return _selected(rows, where)
-
-
-def _selected(rows: Frame, where: Sequence[str]) -> Frame:
-    """Rows that satisfy the conditions."""
-    equal: dict[str, Any] = {}
+    # conditions on one key are alternatives, those on different keys hold together
+    chosen: dict[str, Any] = {}
     for text in where:
         key, _, value = map(str.strip, text.partition("="))
         if not value:
             raise UsageError(f"--where {quoted(text)}: expected key=value, such as --where h=0.01")
-        known, column = [*rows.attrs["keys"], "outcome"], rows.get(key)
-        if key not in known or column is None:
-            raise UnknownNameError(f"--where: unknown key {quoted(key)}; {nearest(key, known)}")
+        if key not in (*keys, "outcome"):
+            raise UnknownNameError(f"--where: unknown key {quoted(key)}; {nearest(key, [*keys, 'outcome'])}")
+        column: Frame = rows[key]
+        same: Frame = column == value
         if column.dtype.kind in "fi":
-            number = float(value) if is_number(value) else math.nan
-            same = np.isclose(column, number, rtol=CLOSE, atol=0.0)
-        else:
-            same = (column == value).to_numpy()
+            same = np.isclose(column, float(value) if is_number(value) else math.nan, rtol=CLOSE, atol=0.0)
         if not same.any():
             values = ", ".join(key_labels(column).values())
             raise UsageError(f"--where {quoted(text)}: no row has this value; {key} is one of: {values}")
-        equal[key] = equal.get(key, False) | same
-    chosen = rows[np.logical_and.reduce([np.ones(len(rows), dtype=bool), *equal.values()])]
-    if chosen.empty:
-        raise UsageError("--where: no row satisfies all conditions")
-    return chosen
+        chosen[key] = chosen.get(key, False) | same
+    rows = rows[np.logical_and.reduce([np.ones(len(rows), dtype=bool), *chosen.values()])]
+    if rows.empty:
+        raise UsageError(f"{folder}: the sweep has no such row" if where else f"{folder}: the sweep has no rows yet")
+    return rows
 
 
 def names_of(rows: Frame) -> str:
@@ -88,10 +75,10 @@ def names_of(rows: Frame) -> str:
 
 def require_names(rows: Frame, kind: str, names: Sequence[str], options: str) -> None:
     """Raise UnknownNameError for a name that is no key or measure, its ``kind``, and UsageError for one given twice."""
-    known = rows.attrs[f"{kind}s"]
+    present = rows.attrs[f"{kind}s"]
     for name in names:
-        if name not in known:
-            raise UnknownNameError(f"{options}: unknown {kind} {quoted(name)}; {nearest(name, known)}")
+        if name not in present:
+            raise UnknownNameError(f"{options}: unknown {kind} {quoted(name)}; {nearest(name, present)}")
         if names.count(name) > 1:
             raise UsageError(f"{options}: {kind} {quoted(name)} is named twice")
 
@@ -141,27 +128,30 @@ def summary(values: Frame, aggregate: str | None) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Table of a sweep: ``cells`` are an aggregate with its spread; ``title`` and ``notes`` say what they are."""
+    """Table of a sweep: ``values`` are an aggregate with its spread; ``title`` and ``notes`` say what they are."""
 
-    cells: Frame
+    values: Frame
     aggregate: str | None
     title: str
     notes: list[str]
 
-    def lines(self) -> list[list[str]]:
-        """Texts of the table, with rounded numbers, the header first."""
-        texts = self.cells.map(lambda cell: cell_text(cell, self.aggregate)).reset_index()
-        for key in self.cells.index.names:
+    @cached_property
+    def cells(self) -> Cells:
+        """Texts of the table, with rounded numbers."""
+        texts = self.values.map(lambda cell: cell_text(cell, self.aggregate)).reset_index()
+        for key in self.values.index.names:
             texts[key] = texts[key].map(key_labels(texts[key]))
-        return [[str(name) for name in texts.columns], *texts.to_numpy().tolist()]
+        header, keys = [str(name) for name in texts.columns], self.values.index.nlevels
+        numbers = range(keys, len(header))
+        return Cells(self.title, header, texts.to_numpy().tolist(), keys=keys, numbers=numbers)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON, with all digits: each cell holds a value and the ends of its spread."""
         lines = [
             {"row": list(key) if isinstance(key, tuple) else [key], "cells": list(cells)}
-            for key, *cells in self.cells.itertuples()
+            for key, *cells in self.values.itertuples()
         ]
-        names = {"rows": list(self.cells.index.names), "columns": list(map(str, self.cells.columns))}
+        names = {"rows": list(self.values.index.names), "columns": list(map(str, self.values.columns))}
         return finite({"title": self.title, **names, "aggregate": self.aggregate, "table": lines, "notes": self.notes})
 
     def text(self, form: str) -> str:
@@ -170,14 +160,12 @@ class SweepTable:
             import pandas as pd
 
             ends = ENDS if SPREADS.get(self.aggregate or "") else ENDS[:1]
-            wide = {f"{name}{end}": self.cells[name].str[i] for name in self.cells for i, end in enumerate(ends)}
+            wide = {f"{name}{end}": self.values[name].str[i] for name in self.values for i, end in enumerate(ends)}
             return pd.DataFrame(wide).to_csv(lineterminator="\n")
-        header, *lines = self.lines()
-        cells = Cells(self.title, header, lines, ". ".join(self.notes), self.cells.index.nlevels)
         if form == "latex":
-            return "\n".join(cells.latex(self.title)) + "\n"
+            return "\n".join(self.cells.latex(". ".join([self.title, *self.notes]))) + "\n"
         notes = [f"{note}." for note in self.notes]
-        return "\n".join([f"{self.title}:", "", *cells.markdown(), "", *notes]) + "\n"
+        return "\n".join([f"{self.title}:", "", *self.cells.markdown(), "", *notes]) + "\n"
 
 
 def cell_text(cell: tuple[float, ...], aggregate: str | None) -> str:
@@ -189,7 +177,7 @@ def cell_text(cell: tuple[float, ...], aggregate: str | None) -> str:
         return DASH
     value, *spread = cell
     if not spread:
-        return f"{value:.2f}" if aggregate == ORDER else number(value)
+        return number(value)
     low, high = spread
     if aggregate == "mean":
         return plus_minus(value, high - value)
@@ -221,62 +209,33 @@ def sweep_table(
     require_names(rows, "measure", measures, "--value")
     if column and len(measures) > 1:
         raise UsageError(f"--columns {column}: the columns show a single --value; {len(measures)} are given")
-    grouped = grouped_rows(rows, keys, aggregate)
-    cells: Frame = pd.DataFrame({name: aggregated(grouped, name, aggregate) for name in measures})
-    if column:
-        cells = cells[measures[0]].unstack(column)[list(rows[column].unique())]
-        cells.columns = [f"{column} = {label}" for label in key_labels(rows[column]).values()]
-        cells = cells.map(lambda cell: cell if isinstance(cell, tuple) else ())  # where the sweep has no such row
-
-    # title: measures, aggregate with its spread, the keys over which it is taken, and the conditions
-    over = [key for key in rows.attrs["keys"] if key not in keys and (grouped[key].nunique(dropna=False) > 1).any()]
-    title = f"{', '.join(measures)} of {rows.attrs['name']}"
-    if aggregate:
-        spread = {"quartiles": " [quartiles]", "standard error": " ± standard error"}.get(SPREADS[aggregate], "")
-        title += f": {'observed ' * (aggregate == ORDER)}{aggregate}{spread}"
-        title += f" over {', '.join(over)}" if over else ""
-    title = ", ".join([title, *rows.attrs["where"]])
-    few, most = int(grouped.size().min()), int(grouped.size().max())
-    notes = [f"{few if few == most else f'{few} to {most}'} rows in each cell"] if aggregate else []
-    return SweepTable(cells, aggregate, title, [*notes, *missing_notes(rows, measures)])
-
-
-def grouped_rows(rows: Frame, keys: Sequence[str], aggregate: str | None) -> Any:
-    """Rows grouped by ``keys``, in the order of their first appearance: those of a cell.
-
-    Raises UsageError for an unknown aggregate, and if a group has several rows without an ``aggregate``, or several at
-    one h for an order.
-    """
     if aggregate not in (None, *SPREADS):
         raise UsageError(f"--aggregate {quoted(str(aggregate))}: unknown; {nearest(str(aggregate), SPREADS)}")
-    single = list(keys)
-    if aggregate == ORDER:
-        if STEP not in rows.attrs["keys"] or STEP in keys:
-            raise UsageError("--aggregate order: fits a measure against h, which must vary within a cell")
-        single.append(STEP)
-    most = rows.groupby(single, sort=False, dropna=False)
-    if aggregate in (None, ORDER) and (size := int(most.size().max())) > 1:
-        vary = [key for key in rows.attrs["keys"] if key not in single and (most[key].nunique(dropna=False) > 1).any()]
-        advice = f"choose with --where {vary[0]}=VALUE, or add --aggregate median" if vary else "add --aggregate median"
-        because = f", because {', '.join(vary)} still {'varies' if len(vary) == 1 else 'vary'}" if vary else ""
-        raise UsageError(f"up to {size} values fall into one cell{because}", advice)
-    return rows.groupby(list(keys), sort=False, dropna=False)
 
+    # rows of a cell, and the keys that vary in it
+    grouped = rows.groupby(keys, sort=False, dropna=False)
+    sizes, rest = grouped.size(), [key for key in rows.attrs["keys"] if key not in keys]
+    over = [key for key in rest if (grouped[key].nunique(dropna=False) > 1).any()]
+    few, most = int(sizes.min()), int(sizes.max())
+    if aggregate is None and most > 1:
+        advice = f"choose with --where {over[0]}=VALUE, or add --aggregate median" if over else "add --aggregate median"
+        because = f", because {', '.join(over)} still {'varies' if len(over) == 1 else 'vary'}" if over else ""
+        raise UsageError(f"up to {most} values fall into one cell{because}", advice)
+    cells = {name: [summary(part[name], aggregate) for _, part in grouped] for name in measures}
+    values: Frame = pd.DataFrame({name: pd.Series(of, sizes.index, dtype=object) for name, of in cells.items()})
+    if column:
+        values = values[measures[0]].unstack(column)[list(rows[column].unique())]
+        values.columns = [f"{column} = {label}" for label in key_labels(rows[column]).values()]
+        values = values.map(lambda cell: cell if isinstance(cell, tuple) else ())  # where the sweep has no such row
 
-def aggregated(grouped: Any, measure: str, aggregate: str | None) -> Frame:
-    """Aggregate of a measure, with its spread, for each group of rows; empty without a value, or without an order."""
-    import pandas as pd
-
-    cells = {}
-    for keys, rows in grouped:
-        values = rows[measure]
-        if aggregate == ORDER:
-            known = values.notna()
-            order = convergence(rows[STEP][known].tolist(), values[known].tolist()).order if known.any() else None
-            cells[keys] = () if order is None else (order,)
-        else:
-            cells[keys] = summary(values, aggregate)
-    return pd.Series(list(cells.values()), index=grouped.size().index, dtype=object)
+    # title: measures, aggregate with its spread, the keys over which it is taken, and the conditions
+    title = f"{', '.join(measures)} of {rows.attrs['name']}"
+    if aggregate:
+        title += f": {aggregate}{SPREADS[aggregate]}" + (f" over {', '.join(over)}" if over else "")
+    notes = [f"{few if few == most else f'{few} to {most}'} rows in each cell"] if aggregate else []
+    return SweepTable(
+        values, aggregate, ", ".join([title, *rows.attrs["where"]]), [*notes, *missing_notes(rows, measures)]
+    )
 
 
 def missing_notes(rows: Frame, measures: Sequence[str]) -> list[str]:

@@ -9,12 +9,14 @@ import numpy as np
 
 from topcli.contracts import EulerPoisson, Top
 from topcli.errors import UsageError
-from topcli.field.polynomial import Polynomial, required_field
+from topcli.field.polynomial import Polynomial, exact_top, required_field
 
 ROUNDING = 1e-12
 """Relative difference of coefficients that rounded parameters may leave."""
 MOVED = 1e-6
 """Relative change of a vertical that finite differences may leave."""
+EPS = 2.0**-50
+"""Rounding error of a vertical, which finite differences divide by their step."""
 PROBES = 4
 """States at which a vertical is tried."""
 
@@ -55,23 +57,20 @@ def _difference(top: Top, equations: EulerPoisson, needed_by: str) -> str:
         return ""  # numbers of another precision; the same formulas have passed in doubles
     if d not in (3, 6):
         return f"its state has {d} components; expected omega (3), or omega and gamma (6)"
-    field, sign = required_field(top, needed_by), equations.omega_sign
+    field, exact, sign = required_field(top, needed_by), exact_top(top).euler_poisson(), equations.omega_sign
     omega = [sign * Polynomial.variable(i) for i in range(3)]
     gamma = [Polynomial.variable(i) if d == 6 else Polynomial.of(0) for i in range(3, 6)]
-    constants = (*equations.moments, *equations.gravity)
-    A, B, C, x, y, z = (Polynomial.of(value) for value in constants)
-    exact = EulerPoisson(cast(Any, (A, B, C)), cast(Any, (x, y, z))).rates((*omega, *gamma))
-    # J_j - J_k is a difference of the size of J_j + J_k
-    sums = [Polynomial.of(J).constant() for J in ((B + C) / A, (C + A) / B, (A + B) / C)]
-    for i in range(d):
-        expected = exact[i] * (sign if i < 3 else 1)
+    moments, gravity = (tuple(map(Polynomial.of, values)) for values in (exact.moments, exact.gravity))
+    rates = EulerPoisson(cast(Any, moments), cast(Any, gravity)).rates((*omega, *gamma))
+    for i, name in enumerate(top.components):
+        expected = rates[i] * (sign if i < 3 else 1)
         for monomial in sorted({*expected.terms, *field[i].terms}):
             a, b = field[i].terms.get(monomial, 0), expected.terms.get(monomial, 0)
-            size = sums[i] if i < 3 and max(monomial, default=3) < 3 else max(abs(a), abs(b))
-            if abs(a - b) > Fraction(ROUNDING) * size:
+            if abs(a - b) > Fraction(ROUNDING) * max(abs(a), abs(b)):
                 factors = "*".join(top.components[k] for k in monomial) or "1"
-                by = f"{float(a):.10g}*{factors} by the field and {float(b):.10g}*{factors} by the equations"
-                return f"{top.components[i]}' is {by}"
+                return (
+                    f"{name}' is {float(a):.10g}*{factors} by the field and {float(b):.10g}*{factors} by the equations"
+                )
     return ""
 
 
@@ -93,37 +92,38 @@ def checked_rotation(top: Top, needed_by: str) -> None:
             "body, define angular_velocity, three numbers in the body's frame"
         )
     p, d = top.constants(), len(top.components)
-    raised: list[Exception] = []
+    errors: list[Exception] = []
     for probe in range(PROBES):
         y = np.cos(np.arange(1.0, d + 1.0) + d * probe)  # in general position
         try:
-            omega = velocity(tuple(y.tolist()), p)
             rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
-            s = 1e-3 / max(1.0, float(np.abs(rates).max()))
-            if not s > 0.0:  # beyond the range of a double there is nothing to compare
-                continue
-            near = [tuple((y + k * s * rates).tolist()) for k in (0, -2, -1, 1, 2)]
-            along = [vertical(state, p) for state in near] if vertical else []
+            if not (step := 1e-4 / max(1.0, float(np.abs(rates).max()))):
+                continue  # beyond the range of a double there is nothing to compare
+            values = [velocity(tuple(y.tolist()), p)]
+            values += [vertical(tuple((y + k * step * rates).tolist()), p) for k in (-1, 0, 1) if vertical]
         except (ArithmeticError, ValueError) as error:  # outside the domain of a root or a logarithm, perhaps
-            raised.append(error)
+            errors.append(error)
             continue
-        for name, value in (("angular_velocity", omega), ("vertical", along[0] if along else omega)):
+        for name, value in zip(("angular_velocity", "vertical"), values, strict=False):
             if not isinstance(value, tuple) or len(value) != 3:
                 raise UsageError(f"top {top.kind!r}: {name} must return a tuple of three numbers, not {value!r}")
+        if vertical is None:
+            return
         with np.errstate(all="ignore"):
-            v = np.array(along or [omega] * 5, dtype=float)
-            rate, turn = (v[1] - v[4] + 8.0 * (v[3] - v[2])) / (12.0 * s), np.cross(v[0], omega)
-            rounding = np.abs(v).max() * (MOVED * (1.0 + np.abs(omega).max()) + ROUNDING / s)
-            moves = vertical is not None and np.abs(rate - turn).max() > rounding + MOVED * np.abs(rate).max()
-        if moves:
-            shown = [", ".join(f"{value:.6g}" for value in vector) for vector in (rate, turn, y)]
-            raise UsageError(
-                f"top {top.kind!r}: its vertical is not fixed in space: it changes by ({shown[0]}), and "
-                f"vertical x angular_velocity is ({shown[1]}), at ({shown[2]})"
-            )
-    if len(raised) == PROBES:
-        error = f"{type(raised[-1]).__name__}: {raised[-1]}"
-        raise UsageError(f"top {top.kind!r}: angular_velocity or vertical fails at every state that was tried: {error}")
+            omega, before, here, after = np.array(values, dtype=float)
+            rate, turn = (after - before) / (2.0 * step), np.cross(here, omega)
+            size = np.abs(here).max() * (MOVED * (1.0 + np.abs(omega).max()) + EPS / step) + MOVED * np.abs(rate).max()
+            if np.abs(rate - turn).max() > size:
+                texts = [", ".join(f"{value:.6g}" for value in vector) for vector in (rate, turn, y)]
+                raise UsageError(
+                    f"top {top.kind!r}: its vertical is not fixed in space: it changes by ({texts[0]}), and "
+                    f"vertical x angular_velocity is ({texts[1]}), at ({texts[2]})"
+                )
+    if len(errors) == PROBES:
+        reason = f"{type(errors[-1]).__name__}: {errors[-1]}"
+        raise UsageError(
+            f"top {top.kind!r}: angular_velocity or vertical fails at every state that was tried: {reason}"
+        )
 
 
 def moment_warnings(top: Top) -> list[str]:

@@ -112,8 +112,8 @@ class Custom(Declared):
     def section(self, parameters: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the section ``top`` of a config as plain data, with these ``parameters`` in place of the top's own."""
         values = {**self.model_dump(mode="json"), **(parameters or {})}
-        given = {**self.declaration, "parameters": values}
-        return {"kind": self.kind, **{key: given[key] for key in KEYS if given.get(key)}}
+        whole = {**self.declaration, "parameters": values}
+        return {"kind": self.kind, **{key: whole[key] for key in KEYS if whole.get(key)}}
 
     @classmethod
     def parameters_in(cls, section: object) -> dict[str, Any]:
@@ -270,17 +270,17 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
     def of_parameters(*texts: Any) -> Callable[..., Any]:
         return function_of("of_parameters", [parse(str(text), names) for text in texts], (), names)
 
-    made: dict[str, dict[str, Any]] = {"invariants": {}, "hk": {}, "on": {}, "if": {}}
+    functions: dict[str, dict[str, Any]] = {"invariants": {}, "hk": {}, "on": {}, "if": {}}
     for key, more in (("invariants", ()), ("hk", ("h",))):
-        for name, given in (full.get(key) or {}).items():
-            parts = given if isinstance(given, Mapping) else {"value": given}
-            value = made[key][name] = value_of(read(parts["value"], *more), components, (*names, *more))
+        for name, relation in (full.get(key) or {}).items():
+            parts = relation if isinstance(relation, Mapping) else {"value": relation}
+            value = functions[key][name] = value_of(read(parts["value"], *more), components, (*names, *more))
             value.__doc__ = symbols[name][2] if name in symbols else name
             if parts.get("on"):
-                made["on"][name] = parts["on"]
+                functions["on"][name] = parts["on"]
             if parts.get("if"):
-                made["if"][name] = of_parameters(parts["if"])
-    if base is Custom and "energy" not in symbols and "E" not in (*components, *names, *made["invariants"]):
+                functions["if"][name] = of_parameters(parts["if"])
+    if base is Custom and "energy" not in symbols and "E" not in (*components, *names, *functions["invariants"]):
         symbols["energy"] = ("E", "E")
     vectors = {
         name: (components.index(part[0]), components.index(part[-1]) + 1)
@@ -296,11 +296,11 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
         "field": staticmethod(
             function_of("field", [read(full["field"][name]) for name in components], components, names)
         ),
-        "integrals": made["invariants"],
-        "hk": made["hk"],
-        "holds_on": made["on"],
-        "conditions": made["if"],
-        "symbols": {name: tuple(given[:2]) for name, given in symbols.items()},
+        "integrals": functions["invariants"],
+        "hk": functions["hk"],
+        "holds_on": functions["on"],
+        "conditions": functions["if"],
+        "symbols": {name: tuple(relation[:2]) for name, relation in symbols.items()},
         "body_numbers": None,
     }
     if vectors:

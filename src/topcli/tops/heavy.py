@@ -53,7 +53,6 @@ J\dot\omega = J\omega\times\omega + \gamma\times r, \qquad \dot\gamma = \gamma\t
 J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
 """
     swing = "gamma1"
-    step_constants = ("A", "B", "C", "x0", "y0", "z0")
     field = staticmethod(field)
     integrals: ClassVar[Mapping[str, Integral]] = {"gamma_sq": gamma_sq, "m_gamma": m_gamma, "energy": energy}
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {
@@ -68,10 +67,6 @@ J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
     x0: float = Field(default=1.0, description="mg x0, the weight times the first coordinate of the centre of gravity")
     y0: float = Field(default=0.5, description="mg y0, the weight times the second coordinate of the centre of gravity")
     z0: float = Field(default=0.8, description="mg z0, the weight times the third coordinate of the centre of gravity")
-
-    def constants(self) -> Floats:
-        """Return ``(A, B, C, mg x0, mg y0, mg z0)``."""
-        return (self.A, self.B, self.C, self.x0, self.y0, self.z0)
 
     def euler_poisson(self) -> EulerPoisson:
         """Return the coefficients of this top in the general Euler-Poisson equations: its own parameters."""

@@ -12,7 +12,7 @@ from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.table import Table, ten_digits
 
 
-class Quantity(NamedTuple):
+class MotionQuantity(NamedTuple):
     """Number that characterizes a motion; the period of an asymptotic motion is infinite."""
 
     name: str
@@ -39,11 +39,9 @@ class Motion:
         Class of the motion in words.
     state : tuple of float
         Initial state.
-    quantities : tuple of Quantity
+    quantities : tuple of MotionQuantity
         Integrals, frequencies and periods of the motion, and its distance from a separatrix. Each quantity has
         ``name``, ``value`` and ``meaning``.
-    notes : tuple of str
-        Sentences that explain which quantities are not defined for this motion, and why.
 
     Examples
     --------
@@ -59,8 +57,7 @@ class Motion:
     kind: str
     title: str
     state: tuple[float, ...]
-    quantities: tuple[Quantity, ...]
-    notes: tuple[str, ...] = ()
+    quantities: tuple[MotionQuantity, ...]
 
     def __iter__(self) -> Iterator[str]:
         return (quantity.name for quantity in self.quantities)
@@ -86,7 +83,6 @@ class Motion:
                 quantity.name: quantity.value if math.isfinite(quantity.value) else None for quantity in self.quantities
             },
             "meanings": {quantity.name: quantity.meaning for quantity in self.quantities},
-            "notes": list(self.notes),
         }
 
 
@@ -96,13 +92,14 @@ def motion_table(motion: Motion) -> Table:
     return Table("Quantities", rows, {"value": _text}, names={"name": "quantity"})
 
 
-def integrals_of(top: Top, y: Floats) -> tuple[Quantity, ...]:
+def integrals_of(top: Top, y: Floats) -> tuple[MotionQuantity, ...]:
     """Integrals of ``top`` at the state ``y``."""
     import numpy as np
 
     row = np.array([y], dtype=float)
     return tuple(
-        Quantity(invariant.name, float(invariant.value(row)[0]), invariant.meaning) for invariant in top.invariants()
+        MotionQuantity(invariant.name, float(invariant.value(row)[0]), invariant.meaning)
+        for invariant in top.invariants()
     )
 
 

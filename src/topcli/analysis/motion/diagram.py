@@ -83,10 +83,11 @@ def _root(square: Any) -> Any:
     return ((square + abs(square)) / 2) ** 0.5
 
 
-def separatrix_distance(of: Integrals, shrinks: bool) -> float | None:
-    """Smallest change of E or of k that leads from a motion to a separatrix; None if no such change does.
+def separatrix_distance(of: Integrals) -> float | None:
+    """Smallest change of E or of k that leads from a motion to a separatrix.
 
-    ``shrinks`` is true if its torus is one of those that shrink to a motion of Bobylev and Steklov.
+    None if no such change does, and if the answer is not the same for all tori with these integrals: some of them
+    shrink to a motion of Bobylev and Steklov on the way.
     """
     with digits(2 * DIGITS):
         E, L, G, k = 3 * real(of.l1), real(of.L), real(of.G), mp.sqrt(real(of.k_sq))
@@ -100,9 +101,11 @@ def separatrix_distance(of: Integrals, shrinks: bool) -> float | None:
             k_sq, kinds = on_double_root(x, E, L, G)
             if k_sq > 0:
                 roots.append((mp.sqrt(k_sq), kinds))
-        passed = {REGULAR, ""} if shrinks else {REGULAR, BOBYLEV, ""}
-        changes = [*_separatrices(E, energies, passed), *_separatrices(k, roots, passed)]
-        return float(min(changes)) if changes else None
+        all_tori, some = (
+            min([*_separatrices(E, energies, passed), *_separatrices(k, roots, passed)], default=None)
+            for passed in ({REGULAR, BOBYLEV, ""}, {REGULAR, ""})
+        )
+        return float(all_tori) if all_tori is not None and all_tori == some else None
 
 
 def _separatrices(here: Real, values: Sequence[tuple[Real, Kinds]], passed: Collection[str]) -> Iterator[Real]:

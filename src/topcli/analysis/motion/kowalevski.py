@@ -8,60 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from itertools import product
 
-from topcli.analysis.motion import Motion, Quantity
+from topcli.analysis.motion import Motion, MotionQuantity, integrals_of
 from topcli.analysis.motion.diagram import region, separatrix_distance
-from topcli.arithmetic.multiprecision import DIGITS, Real, digits, mp, real
+from topcli.arithmetic.multiprecision import DIGITS, digits, mp, real
 from topcli.contracts import Floats
-from topcli.schemes.kowalevski.curve import Curve, Integrals, separated, series_step
+from topcli.schemes.kowalevski.curve import Curve, Integrals
 from topcli.schemes.kowalevski.separation import ROOT_DIGITS, Separated
 from topcli.tops.kowalevski import Kowalevski, field
 
-SHIFTS = (0, 3, 5)
-"""Times, in 1/32 of the time in which the state turns, at which s1 and s2 are computed until they are determined."""
 DISTANCE = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
-
-
-def _variables(of: Integrals, y: Floats, c: float) -> tuple[list[Real], Real, Real] | None:
-    """State on the orbit of ``y`` with its finite s1 and s2; None if they are undetermined at all times tried."""
-    rate = max(*map(abs, y[:3]), math.sqrt(abs(c) * max(map(abs, y[3:]))))
-    for shift in SHIFTS:
-        start = series_step([real(v) for v in y], mp.mpf(c), mp.mpf(shift) / 32 / mp.mpf(rate), 90 if shift else 0)
-        try:
-            one, two = separated(of, start)
-        except ZeroDivisionError:
-            continue
-        if not mp.isinf(two):
-            return start, one, two
-    return None
-
-
-def shrinks(curve: Curve, y: Floats, c: float) -> bool:
-    """True if the torus of the state ``y`` shrinks to a motion of Bobylev and Steklov where two roots meet.
-
-    Then f_i g_i f_j g_j > 0 for the two roots between the ovals, with f_i g_i = ± sqrt(s1 - e_i) sqrt(s2 - e_i). The
-    state decides the signs by omega1 + i omega2 = x0 + r1 La/N (``separation``).
-    """
-    roots, (first, second, _) = curve.e[:3], curve.occupied()
-    low, high = curve.e[first].real, curve.e[second].real
-    gap = [i for i in range(3) if roots[i].imag == 0 and low < roots[i].real < high]
-    with digits(2 * DIGITS):
-        variables = _variables(curve.of, y, c) if len(gap) == 2 else None
-        if variables is None:
-            return False
-        state, s1, s2 = variables
-        factors = [mp.sqrt(s1 - e) * mp.sqrt(s2 - e) for e in roots]
-        lam = [1 / ((roots[i] - roots[i - 1]) * (roots[i] - roots[i - 2])) for i in range(3)]
-
-        def missed(signs: Sequence[int]) -> float:
-            terms = [s * v * w for s, v, w in zip(signs, factors, lam, strict=True)]
-            N = 1 + sum(v * (e - curve.r2) for v, e in zip(terms, roots, strict=True))
-            return float(abs(curve.x0 + curve.r1 * sum(terms) / N - mp.mpc(state[0], state[1])))
-
-        signs = min(product((1, -1), repeat=3), key=missed)
-        i, j = gap
-        return bool((signs[i] * signs[j] * factors[i] * factors[j]).real > 0)
 
 
 def _coincide(curve: Curve) -> tuple[bool, bool]:
@@ -75,7 +31,7 @@ def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     """Motion of the Kowalevski top from the state ``y`` (6,), with gravity."""
     c = float(top.constants()[0])
     of = Integrals.of(y, c)
-    conserved = _integrals(top, of, c)
+    conserved = integrals_of(top, y)
     w1, w2, w3, _, _, g3 = exact = tuple(map(Fraction, y))
     if not any(field(exact, (Fraction(c),))):  # type: ignore[arg-type]
         return Motion(top.form, "equilibrium", "equilibrium: omega and gamma are constant", y, conserved)
@@ -89,22 +45,11 @@ def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     what = "roots of Kowalevski's curve coincide, so there are no frequencies"
     if point:
         return Motion(top.form, "critical", f"critical motion: {what}", y, conserved)
-    distance = Quantity("separatrix.distance", 0.0, DISTANCE)
+    distance = MotionQuantity("separatrix.distance", 0.0, DISTANCE)
     return Motion(top.form, "separatrix", f"at the integrals of a separatrix: {what}", y, (*conserved, distance))
 
 
-def _integrals(top: Kowalevski, of: Integrals, c: float) -> tuple[Quantity, ...]:
-    """Place in the bifurcation diagram."""
-    unit = Fraction(top.C)
-    return (
-        Quantity("energy", float(3 * of.l1 * unit), "E"),
-        Quantity("two_l", float(2 * of.L / Fraction(c) * unit), "2l, angular momentum about the vertical"),
-        Quantity("gamma_sq", float(of.G / Fraction(c) ** 2), "γ²"),
-        Quantity("k_sq", float(of.k_sq), "k², Kowalevski's integral"),
-    )
-
-
-def _torus(top: Kowalevski, y: Floats, motion: Separated, conserved: Sequence[Quantity]) -> Motion:
+def _torus(top: Kowalevski, y: Floats, motion: Separated, conserved: Sequence[MotionQuantity]) -> Motion:
     where = region(motion.curve)
     period1, period2 = (float(2 / rate) for rate in motion.rates)
     # oscillations of s1 and s2 after which all signs of the state are those of the start
@@ -114,30 +59,29 @@ def _torus(top: Kowalevski, y: Floats, motion: Separated, conserved: Sequence[Qu
     first, second = 1.0 / (n1 * period1), 1.0 / (n2 * period2)
     quantities = [
         *conserved,
-        Quantity("tori", where.tori, "number of tori with these integrals"),
-        Quantity("frequency.1", first, angle("first", "s1", times[n1])),
-        Quantity("frequency.2", second, angle("second", "s2", times[n2])),
-        Quantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"),
-        Quantity("period.s1", period1, "time of one oscillation of s1"),
-        Quantity("period.s2", period2, "time of one oscillation of s2, from one zero of ω2 to the next"),
-        Quantity("period.omega2", n2 * period2, "mean time of a full oscillation of ω2"),
+        MotionQuantity("frequency.1", first, angle("first", "s1", times[n1])),
+        MotionQuantity("frequency.2", second, angle("second", "s2", times[n2])),
+        MotionQuantity("frequency.ratio", first / second, "rotation number frequency.1/frequency.2"),
+        MotionQuantity("period.s1", period1, "time of one oscillation of s1"),
+        MotionQuantity("period.s2", period2, "time of one oscillation of s2, from one zero of ω2 to the next"),
+        MotionQuantity("period.omega2", n2 * period2, "mean time of a full oscillation of ω2"),
     ]
-    distance = separatrix_distance(motion.curve.of, shrinks(motion.curve, y, motion.c))
+    distance = separatrix_distance(motion.curve.of)
     if distance is not None:
-        quantities.append(Quantity("separatrix.distance", distance, DISTANCE))
+        quantities.append(MotionQuantity("separatrix.distance", distance, DISTANCE))
     number = "the only torus" if where.tori == 1 else f"one of {where.tori} tori"
     title = f"quasi-periodic on {number} in region {where.name} of the bifurcation diagram"
     return Motion(top.form, f"torus {where.name}", title, y, tuple(quantities))
 
 
-def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity]) -> Motion:
+def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[MotionQuantity]) -> Motion:
     """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (Bobylev 1896, Steklov 1896)."""
     what = "pendulum (Bobylev-Steklov): ω2 = 0 at all times"
     w1, _, w3, g1, g2, _ = map(Fraction, y)
     xi = (w1 * w1 - Fraction(c) * g1, -Fraction(c) * g2)
     energy, k_sq = w3 * w3 - 2 * xi[0], xi[0] ** 2 + xi[1] ** 2
     if energy >= 0 and energy**2 == 4 * k_sq:
-        period = Quantity("period", math.inf, "time of the homoclinic motion")
+        period = MotionQuantity("period", math.inf, "time of the homoclinic motion")
         return Motion(top.form, "separatrix", f"{what}; homoclinic to its upper equilibrium", y, (*conserved, period))
     with digits(2 * DIGITS):
         k = mp.sqrt(real(k_sq))
@@ -146,8 +90,8 @@ def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[Quantity
         time = float(2 * mp.ellipk(1 / m) / mp.sqrt(k * m) if rotates else 4 * mp.ellipk(m) / mp.sqrt(k))
     quantities = (
         *conserved,
-        Quantity("frequency", 1.0 / time, "cycles per unit time"),
-        Quantity("period", time, "time of one rotation" if rotates else "time of one oscillation"),
+        MotionQuantity("frequency", 1.0 / time, "cycles per unit time"),
+        MotionQuantity("period", time, "time of one rotation" if rotates else "time of one oscillation"),
     )
     way = "rotates" if rotates else "oscillates"
     return Motion(top.form, "pendulum", f"{what}; it {way}", y, quantities)

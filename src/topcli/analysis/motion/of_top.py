@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-from topcli.analysis.motion import Motion, Quantity, integrals_of
+from topcli.analysis.motion import Motion, MotionQuantity, integrals_of
 from topcli.arithmetic.elliptic import third_kind
 from topcli.arithmetic.multiprecision import Real, digits, mp, real
 from topcli.contracts import Floats, Top
@@ -32,7 +32,7 @@ from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
 AXES = "ABC"
-Described = tuple[str, str, Sequence[Quantity]]
+Described = tuple[str, str, Sequence[MotionQuantity]]
 """Kind, title and quantities of a motion."""
 LARGEST = 1e70
 """Largest number of a state or a top; the fourth power of larger ones overflows."""
@@ -51,13 +51,13 @@ def motion_of(top: Top, y0: Floats) -> Motion:
     if max(map(abs, (*y, *top.constants()))) > LARGEST:
         raise UsageError(f"motion: the state or the parameters are too large: more than {LARGEST:g} in magnitude")
     top = closed_form_top(top)
-    free, notes = isinstance(top, Euler) or (isinstance(top, Lagrange) and not any(y[3:])), ()
+    free = isinstance(top, Euler) or (isinstance(top, Lagrange) and not any(y[3:]))
     if isinstance(top, Kowalevski):
         if top.constants()[0] != 0.0 and any(y[3:]):
             from topcli.analysis.motion.kowalevski import kowalevski_motion  # imports mpmath
 
             return kowalevski_motion(top, y)
-        free, notes = True, ("without gravity: the free symmetric top",)
+        free = True
     described: Described = "no closed form", "no closed form is known for a top with these parameters in these axes", ()
     conserved = integrals_of(top, y)
     with digits(ROOT_DIGITS):
@@ -66,7 +66,7 @@ def motion_of(top: Top, y0: Floats) -> Motion:
         elif isinstance(top, Lagrange | LagrangeInertial):
             described = _lagrange(top, y)
     kind, title, quantities = described
-    return Motion(top.form, kind, title, y, (*conserved, *quantities), notes=notes)
+    return Motion(top.form, kind, title, y, (*conserved, *quantities))
 
 
 def closed_form_top(top: Top) -> Top:
@@ -91,38 +91,30 @@ def _free(omega: Floats, moments: Floats) -> Described:
     if not twice:
         return "equilibrium", "at rest", ()
     effective = square / twice
-    quantities = [Quantity("moment", float(effective), "m²/(m·ω), the moment of inertia about the axis of rotation")]
     low, middle, high = sorted(J)
     different = low < middle < high
     motion = free_motion(omega, moments)
     if motion is None:
         speed = math.hypot(*omega) / (2.0 * math.pi)
-        quantities.append(Quantity("frequency.rotation", speed, "revolutions of the body per unit time"))
+        quantity = MotionQuantity("frequency.rotation", speed, "revolutions of the body per unit time")
         stability = "" if not different else "unstable " if effective == middle else "stable "
-        return "steady rotation", f"{stability}steady rotation about a principal axis", quantities
+        return "steady rotation", f"{stability}steady rotation about a principal axis", (quantity,)
     axis, argument = motion.elliptic.axes[0], motion.elliptic.argument
-    rate, quarter = argument.rate, argument.quarter
-    if quarter is None:
-        quantities += [
-            Quantity("period", math.inf, "time from one steady rotation about the middle axis to the other"),
-            Quantity("rate", float(rate), "approach to the steady rotation, in e-foldings per unit time"),
-        ]
-        return "separatrix", "separatrix: asymptotic to the rotation about the middle axis", quantities
-    half, name = 2 * quarter / rate, AXES[axis]
-    quantities += [
-        Quantity("frequency", float(0.5 / half), "cycles of ω along the polhode per unit time"),
-        Quantity("period", float(2 * half), "time in which ω traverses the polhode"),
-        Quantity(
+    if argument.quarter is None:
+        period = MotionQuantity("period", math.inf, "time from one steady rotation about the middle axis to the other")
+        return "separatrix", "separatrix: asymptotic to the rotation about the middle axis", (period,)
+    half, name = 2 * argument.quarter / argument.rate, AXES[axis]
+    quantities = [
+        MotionQuantity("frequency", float(0.5 / half), "cycles of ω along the polhode per unit time"),
+        MotionQuantity("period", float(2 * half), "time in which ω traverses the polhode"),
+        MotionQuantity(
             "frequency.precession", float(motion.turn), f"mean revolutions of the axis {name} about m per unit time"
         ),
     ]
     title = f"regular precession of a symmetric top; ω circles about the axis of {name}"
     if different:
         distance, meaning = float(effective - middle), f"m²/(m·ω) - {float(middle):g}; 0 on the separatrix"
-        quantities += [
-            Quantity("separatrix.distance", distance, meaning),
-            Quantity("separatrix.m1", float(argument.m1), "complementary parameter 1 - k² of the elliptic functions"),
-        ]
+        quantities.append(MotionQuantity("separatrix.distance", distance, meaning))
         size = "smallest" if J[axis] == low else "largest"
         title = f"polhode about the axis of the {size} moment, {name} = {float(J[axis]):g}"
     return f"polhode about {name}", title, quantities
@@ -179,29 +171,19 @@ def _lagrange(top: Lagrange | LagrangeInertial, y: Floats) -> Described:
     try:
         between = oscillation(nutation.polynomial, nutation.c, True)
     except AsymptoticError:
-        return _asymptotic(nutation)
+        period = MotionQuantity("period.nutation", math.inf, "time of one oscillation of cos θ")
+        return "separatrix", "separatrix: asymptotic to the upright position", (period,)
     if between.gap == 0.0:
         return _steady(nutation)
     low, high = max(between.lower, mp.mpf(-1)), min(between.upper, mp.mpf(1))
-    turned = float(nutation.precession(low, high) / (2 * mp.pi))
-    period = between.period
+    turned, period = float(nutation.precession(low, high) / (2 * mp.pi)), between.period
     quantities = (
-        Quantity("frequency.nutation", 1.0 / period, "cycles of cos θ per unit time"),
-        Quantity("period.nutation", period, "time of one oscillation of cos θ"),
-        Quantity("frequency.precession", turned / period, "mean revolutions about the vertical per unit time"),
-        Quantity("precession.per_nutation", turned, "revolutions about the vertical in one nutation"),
-        *_bounds(float(low), float(high), float(between.argument.m1)),
-        *_sleeping(nutation),
+        MotionQuantity("frequency.nutation", 1.0 / period, "cycles of cos θ per unit time"),
+        MotionQuantity("period.nutation", period, "time of one oscillation of cos θ"),
+        MotionQuantity("frequency.precession", turned / period, "mean revolutions about the vertical per unit time"),
+        MotionQuantity("separatrix.distance", float(between.argument.m1), "1 - k² of the elliptic functions; 0 there"),
     )
     return *_curve(nutation, low, high), quantities
-
-
-def _bounds(low: float, high: float, m1: float) -> tuple[Quantity, ...]:
-    return (
-        Quantity("cos_theta.min", low, "smallest cosine of the angle θ between axis and vertical"),
-        Quantity("cos_theta.max", high, "largest cosine of this angle"),
-        Quantity("separatrix.m1", m1, "complementary parameter 1 - k²; 0 on the separatrix"),
-    )
 
 
 def _nutation(top: Lagrange | LagrangeInertial, y: Sequence[Real]) -> Nutation:
@@ -238,13 +220,6 @@ def _curve(nutation: Nutation, low: Real, high: Real) -> tuple[str, str]:
     return "waves", "nutation with waves: precession in one sense"
 
 
-def _sleeping(nutation: Nutation) -> list[Quantity]:
-    if not nutation.nu:
-        return []
-    ratio = float(nutation.ba**2 / (4 * abs(nutation.nu)))
-    return [Quantity("sleeping.ratio", ratio, "(C ω3)²/(4 A |μγ|); upright spinning is stable if ≥ 1")]
-
-
 def _steady(nutation: Nutation) -> Described:
     """Regular precession, or a top that spins or rests about the vertical; theta is constant."""
     cubic, quadratic, *_ = nutation.polynomial
@@ -252,24 +227,16 @@ def _steady(nutation: Nutation) -> Described:
     quantities = []
     if square > 0:
         small = float(mp.sqrt(square) / (2 * mp.pi))
-        quantities.append(Quantity("frequency.nutation", small, "cycles of cos θ per unit time in small nutations"))
+        quantities.append(
+            MotionQuantity("frequency.nutation", small, "cycles of cos θ per unit time in small nutations")
+        )
     if abs(nutation.c) != 1:
         turn = float(nutation.turn(nutation.c) / (1 - nutation.c**2) / (2 * mp.pi))
-        quantities.append(Quantity("frequency.precession", turn, "revolutions about the vertical per unit time"))
-        quantities.append(Quantity("cos_theta.min", float(nutation.c), "constant cosine of the angle θ"))
+        quantities.append(MotionQuantity("frequency.precession", turn, "revolutions about the vertical per unit time"))
         title = "regular precession: θ is constant" if turn else "at rest in a tilted position"
-        return "regular precession", title, (*quantities, *_sleeping(nutation))
+        return "regular precession", title, quantities
     below = nutation.c * nutation.nu < 0
     what = "hanging" if below else "sleeping" if nutation.ba else "upright"
     stable = below or nutation.ba**2 >= 4 * abs(nutation.nu)
     title = f"{what} top: the axis stays vertical; {'stable' if stable else 'unstable'}"
-    return what, title, (*quantities, *_sleeping(nutation))
-
-
-def _asymptotic(nutation: Nutation) -> Described:
-    """Motion whose axis tends to the position in which the top would stand upright."""
-    lowest = float(nutation.ba**2 / (2 * abs(nutation.nu)) - 1)
-    bounds = (lowest, 1.0) if nutation.nu > 0 else (-1.0, -lowest)
-    period = Quantity("period.nutation", math.inf, "time of one oscillation of cos θ")
-    title = "separatrix: asymptotic to the upright position"
-    return "separatrix", title, (period, *_bounds(*bounds, 0.0), *_sleeping(nutation))
+    return what, title, quantities

@@ -36,10 +36,6 @@ CORRECTIONS = 3.0
 """Corrections of every step."""
 NEWTON_LIMIT = 30
 """Maximum number of Newton corrections beyond them; four to six are typical."""
-NO_LONG_STEP = (
-    "If h is longer than about 1/|omega|, the equation for the rotation of the body in a step has no solution. "
-    "The run then ends as `no_convergence`."
-)
 LONG_STEPS = {
     **dict.fromkeys(("euler", "euler+gamma", "heavy", "kowalevski", "lagrange"), ("resonance", "singular-step")),
     "lagrange/inertial": ("resonance",),
@@ -180,32 +176,47 @@ def heavy_change(s: Floats, h: float, p: Floats) -> Floats:
     "dmv",
     top=None,
     requires=partial(checked_equations, needed_by=NEEDED_BY),
-    title="Discrete Moser-Veselov scheme (RATTLE)",
     order=2,
     explicit=False,
     self_adjoint=True,
     conserves=lambda top: all_invariants(top) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ()),
-    citation="Moser, Veselov 1991; McLachlan, Scovel 1995; McLachlan, Zanna 2005 (equal to RATTLE)",
-    formula=r"""
-m^- = m + \tfrac h2\,\gamma\times r, \qquad
-h\,m^-_i = 2\,\bigl(I_i e_0 e_i + (I_k - I_j)\,e_j e_k\bigr), \quad e_0^2 + |e|^2 = 1, \quad (i, j, k) \text{ cyclic}
-
-v \mapsto v + 2e_0\,v\times e + 2\,(v\times e)\times e \ \text{ takes } m^-, \gamma \text{ to } m^+, \gamma'
-
-m' = m^+ + \tfrac h2\,\gamma'\times r
-""",
-    equations="kick h/2 by gamma x g, rotation of m and gamma by the quaternion (e0, e) with "
-    "h m_i = 2 (I_i e0 e_i + (I_k - I_j) e_j e_k), kick h/2",
-    limits=lambda top: dict.fromkeys(LONG_STEPS.get(top.form, ("long steps",)), NO_LONG_STEP),
+    limits=lambda top: LONG_STEPS.get(top.form, ("long steps",)),
 )
 def build(top: Top, options: NoOptions) -> Stepper:
-    """A kick (gravity alone for h/2), a discrete Moser-Veselov step of the free body for h, and another kick for h/2.
+    r"""Discrete Moser-Veselov scheme (RATTLE).
+
+    A kick (gravity alone for h/2), a discrete Moser-Veselov step of the free body for h, and another kick for h/2.
 
     The scheme is implicit, self-adjoint and canonical (a Poisson map). `dmv` conserves gamma² and m·gamma; the
     deviation of the energy oscillates, is of size h² and does not drift. For a free body the scheme is the integrable
     Moser-Veselov map, which also conserves m² and the energy.
 
     If |h| |omega| exceeds about 1, a step has no solution, and the run ends as `no_convergence`.
+
+    Source
+    ------
+    Moser, Veselov 1991; McLachlan, Scovel 1995; McLachlan, Zanna 2005 (equal to RATTLE)
+
+    Equations
+    ---------
+    kick h/2 by gamma x g, rotation of m and gamma by the quaternion (e0, e) with h m_i = 2 (I_i e0 e_i + (I_k - I_j)
+    e_j e_k), kick h/2
+
+    Formula
+    -------
+    m^- = m + \tfrac h2\,\gamma\times r, \qquad
+    h\,m^-_i = 2\,\bigl(I_i e_0 e_i + (I_k - I_j)\,e_j e_k\bigr), \quad e_0^2 + |e|^2 = 1,
+    \quad (i, j, k) \text{ cyclic}
+
+    v \mapsto v + 2e_0\,v\times e + 2\,(v\times e)\times e \ \text{ takes } m^-, \gamma \text{ to } m^+, \gamma'
+
+    m' = m^+ + \tfrac h2\,\gamma'\times r
+
+    Limits
+    ------
+    resonance, singular-step, long steps
+        If h is longer than about 1/|omega|, the equation for the rotation of the body in a step has no solution.
+        The run then ends as `no_convergence`.
     """
     equations, d = checked_equations(top, NEEDED_BY), state_length(top, NEEDED_BY)
     A, B, C = equations.moments

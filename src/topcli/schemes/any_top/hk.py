@@ -7,7 +7,6 @@ Of a step of some motion the linear system is singular for certain lengths of th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -15,7 +14,7 @@ from topcli.contracts import Floats, Invariant, NoOptions, StepFunction, Stepper
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import required_field
 from topcli.field.straight_line import function_of
-from topcli.schemes.limits import LONG_HK, SINGULAR, has_own_cases, linear_invariants
+from topcli.schemes.limits import has_own_cases, linear_invariants
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import first
 
@@ -23,17 +22,6 @@ NEEDED_BY = "scheme 'hk'"
 NEAR_SINGULAR = "near_singular_solves"
 SMALL = 2.0**-10
 """Determinant, which is 1 at h = 0, below which a step is counted: three digits are lost to cancellation."""
-GAMMA_GROWS = (
-    "The conserved m²/K and m·omega/K keep omega bounded. The modified integral that HK conserves in place of "
-    "gamma² is a quadratic form in gamma. For short steps the form is positive definite and keeps gamma bounded. If h "
-    "is about the time of one revolution of the body, the form may be indefinite, and gamma then grows without bound. "
-    "The page Tops gives the exact condition."
-)
-DIGITS_LOST = (
-    "If h is about the time of one revolution of the body, terms of the linear system that are much larger than the "
-    "change cancel. The modified integrals then deviate by up to ten times more than round-off of the state explains."
-)
-LONG_EULER = {"euler": DIGITS_LOST, "euler+gamma": GAMMA_GROWS}
 
 
 def _tangent(top: Top) -> Stepper:
@@ -80,45 +68,65 @@ def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
     return top.modified_invariants("hk", h)
 
 
-def limits(top: Top) -> Mapping[str, str]:
+def limits(top: Top) -> tuple[str, ...]:
     """Hard cases of the tops of the paper in which steps are too long."""
-    if not has_own_cases(top) or top.form == "lagrange/inertial":  # its determinant does not vanish
-        return {}
-    return {"singular-step": SINGULAR, "resonance": LONG_EULER.get(top.form, LONG_HK)}
+    far = has_own_cases(top) and top.form != "lagrange/inertial"  # whose determinant does not vanish
+    return ("singular-step", "resonance") if far else ()
 
 
 @scheme(
     "hk",
     top=None,
     requires=partial(required_field, needed_by=NEEDED_BY, degree=2),
-    title="Hirota-Kimura scheme (Kahan's method)",
     order=2,
     explicit=True,
     self_adjoint=True,
     conserves=linear_invariants,
     modified=modified,
-    citation="Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Petrera, Pfadler, Suris 2011 (integrability); "
-    "Celledoni, McLachlan, Owren, Quispel, J. Phys. A 46 (2013) 025201; "
-    "Sogo, Discrete Spinning Tops, sections 1.2, 2.1 and 3.2.1",
-    formula=r"""
-\frac{y_i' - y_i}{h} = \sum_{jk} a_{ijk}\,\tfrac12\,(y_j y_k' + y_j' y_k) + \sum_j b_{ij}\,\bar y_j + c_i, \qquad
-\dot y_i = \sum_{jk} a_{ijk}\,y_j y_k + \sum_j b_{ij}\,y_j + c_i
-
-J\,\frac{\omega' - \omega}{h} = \tfrac12\,(J\omega\times\omega' + J\omega'\times\omega) + \bar\gamma\times r, \qquad
-\frac{\gamma' - \gamma}{h} = \tfrac12\,(\gamma\times\omega' + \gamma'\times\omega)
-""",
-    equations="(dEulerPoisson) of the paper, with the last line corrected so that it ends with "
-    "gamma_2^n omega_1^{n+1}; for any top (y' - y)/h = 2 f((y + y')/2) - f(y)/2 - f(y')/2",
     limits=limits,
     changes=True,
 )
 def build(top: Top, options: NoOptions) -> Stepper:
-    """Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
+    r"""Hirota-Kimura scheme (Kahan's method).
+
+    Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
 
     The code of the step is generated from the equations of motion. In these equations every product y z of two
     variables becomes (y' z + y z')/2, and every linear term y becomes the mean (y + y')/2; a prime marks a value after
     the step. The step is self-adjoint. HK conserves linear integrals; for small h the deviations of the other integrals
     are of size h². Some tops have modified integrals, which HK conserves exactly for every h.
+
+    Source
+    ------
+    Kahan 1993; Hirota, Kimura 2000; Kimura, Hirota 2000; Petrera, Pfadler, Suris 2011 (integrability); Celledoni,
+    McLachlan, Owren, Quispel, J. Phys. A 46 (2013) 025201; Sogo, Discrete Spinning Tops, sections 1.2, 2.1 and 3.2.1
+
+    Equations
+    ---------
+    (dEulerPoisson) of the paper, with the last line corrected so that it ends with gamma_2^n omega_1^{n+1}; for any top
+    (y' - y)/h = 2 f((y + y')/2) - f(y)/2 - f(y')/2
+
+    Formula
+    -------
+    \frac{y_i' - y_i}{h} = \sum_{jk} a_{ijk}\,\tfrac12\,(y_j y_k' + y_j' y_k) + \sum_j b_{ij}\,\bar y_j + c_i, \qquad
+    \dot y_i = \sum_{jk} a_{ijk}\,y_j y_k + \sum_j b_{ij}\,y_j + c_i
+
+    J\,\frac{\omega' - \omega}{h} = \tfrac12\,(J\omega\times\omega' + J\omega'\times\omega) + \bar\gamma\times r, \qquad
+    \frac{\gamma' - \gamma}{h} = \tfrac12\,(\gamma\times\omega' + \gamma'\times\omega)
+
+    Limits
+    ------
+    singular-step
+        For certain step sizes of the order of 1/|omega| and larger, the determinant of HK's linear system vanishes,
+        and the state jumps far away: the run ends as `left_motion` or `blew_up`. Choose h such that |h| |omega| is
+        well below 1.
+    resonance
+        If h is about the time of one revolution of the body, the determinant of HK's linear system changes sign
+        along the motion. The state jumps far away whenever the determinant is close to zero. For the Euler top,
+        terms of the linear system that are much larger than the change cancel, and the modified integrals deviate
+        by up to ten times more than round-off of the state explains. With the vertical, m²/K and m·omega/K keep
+        omega bounded, but the modified integral in place of gamma², a quadratic form in gamma, may be indefinite
+        for such steps; gamma then grows without bound. The page Tops gives the exact condition.
     """
     field, d = required_field(top, NEEDED_BY, 2), len(top.components)
     code = generated(KahanStep, field, len(top.constants()))

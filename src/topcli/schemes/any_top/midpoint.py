@@ -14,16 +14,15 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any
 
-from topcli.arithmetic.fused import follow_precision
+from topcli.arithmetic.fused import defined, follow_precision
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
 from topcli.field.implicit import MidpointTangent, NewtonStep, generated
 from topcli.field.polynomial import Field, NotPolynomialError, field_of, strongly_connected
 from topcli.field.straight_line import function_of
-from topcli.schemes.limits import NO_SOLUTION, quadratic_invariants
+from topcli.schemes.limits import quadratic_invariants
 from topcli.schemes.registry import scheme
-from topcli.schemes.steppers import stepper
+from topcli.schemes.steppers import first, stepper
 
 NEWTON_LIMIT = 25
 """Maximum number of Newton iterations; three or four are typical."""
@@ -108,10 +107,10 @@ def _differenced_change(field: Callable[[Floats, Floats], Floats], d: int) -> St
         lines += [f"b{i} = (b{i}{''.join(f' - a{i}_{j} * b{j}' for j in range(i + 1, d))}) / a{i}_{i}"]
     outputs = "".join([*(f"s[{d + i}] + b{i}, " for i in every), *(f"z{i}, " for i in every)])
     text = "def newton(s, h, p):\n    " + "\n    ".join([*lines, f"return ({outputs})"])
-    scope: dict[str, Any] = {"field": field, "NEAR": NEAR, "NEAREST": NEAREST, "__name__": __name__}
-    exec(compile(text, f"<difference quotients {d}>", "exec"), scope)
+    names = {"field": field, "NEAR": NEAR, "NEAREST": NEAREST, "__name__": __name__}
+    newton = defined(text, f"difference quotients {d}", **names)["newton"]
     # at rest one iteration solves the equation, but its derivative has the error of the quotients until the next one
-    return _change(scope["newton"], d, [(i,) for i in every], "iterations > 1.0")
+    return _change(newton, d, [(i,) for i in every], "iterations > 1.0")
 
 
 def _change(newton: StepFunction, d: int, kinds: Sequence[Sequence[int]], *conditions: str) -> StepFunction:
@@ -141,16 +140,8 @@ def _change(newton: StepFunction, d: int, kinds: Sequence[Sequence[int]], *condi
         new=listed("v[{i}]"),
         changes=listed("2.0 * u[{i}]"),
     )
-    scope: dict[str, Any] = {
-        "newton": newton,
-        "nan": math.nan,
-        "NEWTON_LIMIT": NEWTON_LIMIT,
-        "SETTLED": SETTLED,
-        "FAR": FAR,
-        "__name__": __name__,
-    }
-    exec(compile(text, f"<midpoint rule {d}>", "exec"), scope)
-    return scope["change"]
+    limits = {"nan": math.nan, "NEWTON_LIMIT": NEWTON_LIMIT, "SETTLED": SETTLED, "FAR": FAR}
+    return defined(text, f"midpoint rule {d}", newton=newton, __name__=__name__, **limits)["change"]
 
 
 _TANGENT = """
@@ -158,76 +149,77 @@ def step(s, h, p):
     x = change(({state}), h, p)
     w = tangent(({state}{half}{vector}), h, p)
     return ({new}{image}x[{d}])
-
-def enter(y, h, p):
-    return (*y, 0.0)
-
-def leave(s, h, p):
-    return s[:-1]
 """
 
 
 @lru_cache(maxsize=256)
-def _tangent_functions(newton: NewtonStep, made: MidpointTangent) -> dict[str, StepFunction]:
-    """Functions ``step``, ``enter`` and ``leave`` of the rule with its tangent map; the last slot is the status."""
+def _tangent_stepper(newton: NewtonStep, tangent: MidpointTangent) -> Stepper:
+    """The rule with its tangent map; the last slot is the status."""
     d = len(newton.field)
 
     def listed(text: str) -> str:
         return "".join(text.format(i=i, v=d + i) + ", " for i in range(d))
 
-    text = _TANGENT.format(
-        state=listed("s[{i}]"),
-        half=listed("0.5 * x[{i}]"),
-        vector=listed("s[{v}]"),
-        new=listed("s[{i}] + x[{i}]"),
-        image=listed("w[{i}]"),
-        d=d,
-    )
-    scope: dict[str, Any] = {
+    parts = {"state": "s[{i}]", "half": "0.5 * x[{i}]", "vector": "s[{v}]", "new": "s[{i}] + x[{i}]", "image": "w[{i}]"}
+    functions = {
         "change": _generated_change(newton),
-        "tangent": function_of(made.graph, "tangent", made.outputs),
+        "tangent": function_of(tangent.graph, "tangent", tangent.outputs),
         "__name__": __name__,
     }
-    exec(compile(text, f"<tangent map of the midpoint rule {d}>", "exec"), scope)
-    return scope
+    text = _TANGENT.format(d=d, **{name: listed(part) for name, part in parts.items()})
+
+    def enter(y: Floats, h: float, p: Floats) -> Floats:
+        return (*y, 0.0)
+
+    step = defined(text, f"tangent map of the midpoint rule {d}", **functions)["step"]
+    constants = (*newton.constants, *tangent.constants)
+    return Stepper(step, 2 * d + 1, enter, first(2 * d), iterative=True, constants=constants)
 
 
 def _midpoint_tangent(field: Field, top: Top, newton: NewtonStep) -> Stepper:
     """The midpoint rule with its tangent map."""
-    made = generated(MidpointTangent, field, len(top.constants()) + len(newton.constants))
-    found = _tangent_functions(newton, made)
-    return Stepper(
-        found["step"],
-        2 * len(field) + 1,
-        found["enter"],
-        found["leave"],
-        iterative=True,
-        constants=(*newton.constants, *made.constants),
-    )
+    tangent = generated(MidpointTangent, field, len(top.constants()) + len(newton.constants))
+    return _tangent_stepper(newton, tangent)
 
 
 @scheme(
     "midpoint",
     top=None,
     requires=lambda top: None,
-    title="Implicit midpoint rule",
     order=2,
     explicit=False,
     self_adjoint=True,
     conserves=quadratic_invariants,
-    citation="Cooper 1987; Sogo, Discrete Spinning Tops, section 1.2 (for Euler's top)",
-    formula=r"y' = y + h\,f(\bar y)",
-    equations="y' - y = h f((y' + y)/2); for Euler's top the last difference equations of section 1.2 of the paper",
-    limits=lambda top: dict.fromkeys(LONG_STEPS.get(top.form, ()), NO_SOLUTION),
+    limits=lambda top: LONG_STEPS.get(top.form, ()),
     changes=True,
 )
 def build(top: Top, options: NoOptions) -> Stepper:
-    """An implicit step: Newton's method solves its equation, y' = y + h f((y + y')/2), to round-off.
+    r"""Implicit midpoint rule.
+
+    An implicit step: Newton's method solves its equation, y' = y + h f((y + y')/2), to round-off.
 
     The step is self-adjoint. For any top the midpoint rule conserves every quadratic integral exactly, such as gamma²,
     m·gamma and the energy of a heavy top. Kowalevski's integral k² has degree four and is conserved only approximately.
     If the equations of motion are polynomials, the code of the step is generated from them; otherwise Newton's method
     uses difference quotients. If a step does not converge, the run ends as `no_convergence`.
+
+    Source
+    ------
+    Cooper 1987; Sogo, Discrete Spinning Tops, section 1.2 (for Euler's top)
+
+    Equations
+    ---------
+    y' - y = h f((y' + y)/2); for Euler's top the last difference equations of section 1.2 of the paper
+
+    Formula
+    -------
+    y' = y + h\,f(\bar y)
+
+    Limits
+    ------
+    resonance, singular-step
+        If h is the time of one revolution of the body or longer, Newton's method may find no solution. The run then
+        ends as `no_convergence`.
     """
     d = len(top.components)
     of_change = partial(stepper, d=d, counters=("iterations",), iterative=True)

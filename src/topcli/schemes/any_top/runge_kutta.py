@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache, partial
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from topcli.arithmetic.fused import defined
 from topcli.contracts import Array, Floats, NoOptions, StepFunction, Stepper, Top, check_stop
 from topcli.schemes.limits import has_own_cases, linear_invariants
 from topcli.schemes.registry import scheme
 
-NO_FAR_STEPS = (
-    "The method is explicit and does not conserve the energy. If h is about the time of one revolution of the body, "
-    "the state grows without bound within a few steps."
-)
 VectorField = Callable[[Floats, Floats], Floats]
 Axpy = Callable[[Floats, float, Floats], Floats]
 Add = Callable[[Floats, Floats], Floats]
@@ -30,30 +26,15 @@ def vector_operations(d: int) -> tuple[Axpy, Add]:
         f"def axpy(s, a, k):\n    return ({', '.join(f's[{i}] + a * k[{i}]' for i in range(d))},)\n"
         f"def add(v, w):\n    return ({', '.join(f'v[{i}] + w[{i}]' for i in range(d))},)\n"
     )
-    scope: dict[str, Any] = {"__name__": __name__}
-    exec(compile(text, f"<vectors {d}>", "exec"), scope)
-    return scope["axpy"], scope["add"]
+    functions = defined(text, f"vectors {d}", __name__=__name__)
+    return functions["axpy"], functions["add"]
 
 
-def explicit_limits(top: Top) -> Mapping[str, str]:
-    """Limits of explicit Runge-Kutta methods."""
+def limits(top: Top) -> tuple[str, ...]:
+    """Hard cases in which an explicit Runge-Kutta method fails."""
     if not has_own_cases(top):
-        return {}
-    limits = {"resonance": NO_FAR_STEPS}
-    if top.form != "lagrange/inertial":
-        limits["singular-step"] = NO_FAR_STEPS
-    return limits
-
-
-def rk2_limits(top: Top) -> Mapping[str, str]:
-    """Limits of the explicit midpoint rule."""
-    limits = dict(explicit_limits(top))
-    if top.kind == "lagrange":
-        limits["drift"] = (
-            "The energy grows steadily, at a rate of about h³. With h = 0.1 the run ends as `blew_up` after about 1e4 "
-            "steps, and the linear integral is lost as well."
-        )
-    return limits
+        return ()
+    return ("resonance",) if top.form == "lagrange/inertial" else ("resonance", "singular-step")
 
 
 def rk2_step(field: VectorField, axpy: Axpy) -> StepFunction:
@@ -83,32 +64,67 @@ runge_kutta = partial(scheme, top=None, explicit=True, self_adjoint=False, conse
 
 @runge_kutta(
     "rk2",
-    title="Explicit midpoint rule",
     order=2,
-    citation="Runge 1895",
-    formula=r"y' = y + h\,f\bigl(y + \tfrac h2 f(y)\bigr)",
-    equations="y' = y + h f(y + h/2 f(y))",
-    limits=rk2_limits,
+    limits=lambda top: (*limits(top), "long runs") if top.kind == "lagrange" else limits(top),
 )
 def build_rk2(top: Top, options: NoOptions) -> Stepper:
-    """A general-purpose method of order 2. The method is not reversible and conserves only linear integrals."""
+    r"""Explicit midpoint rule.
+
+    A general-purpose method of order 2. The method is not reversible and conserves only linear integrals.
+
+    Source
+    ------
+    Runge 1895
+
+    Equations
+    ---------
+    y' = y + h f(y + h/2 f(y))
+
+    Formula
+    -------
+    y' = y + h\,f\bigl(y + \tfrac h2 f(y)\bigr)
+
+    Limits
+    ------
+    resonance, singular-step
+        The method is explicit and does not conserve the energy. If h is about the time of one revolution of the
+        body, the state grows without bound within a few steps.
+    long runs
+        The energy grows steadily, at a rate of about h³. With h = 0.1 the run ends as `blew_up` after about 1e4
+        steps, and the linear integral is lost as well.
+    """
     return Stepper(rk2_step(top.field, vector_operations(len(top.components))[0]), len(top.components))
 
 
 @runge_kutta(
     "rk4",
-    title="Classical Runge-Kutta method",
     order=4,
-    citation="Kutta 1901",
-    formula=r"""
-y' = y + \tfrac h6\,(k_1 + 2k_2 + 2k_3 + k_4), \qquad
-k_1 = f(y), \quad k_2 = f(y + \tfrac h2 k_1), \quad k_3 = f(y + \tfrac h2 k_2), \quad k_4 = f(y + h k_3)
-""",
-    equations="y' = y + h/6 (k1 + 2 k2 + 2 k3 + k4)",
-    limits=explicit_limits,
+    limits=limits,
 )
 def build_rk4(top: Top, options: NoOptions) -> Stepper:
-    """A general-purpose method of order 4. The method is not reversible and conserves only linear integrals."""
+    r"""Classical Runge-Kutta method.
+
+    A general-purpose method of order 4. The method is not reversible and conserves only linear integrals.
+
+    Source
+    ------
+    Kutta 1901
+
+    Equations
+    ---------
+    y' = y + h/6 (k1 + 2 k2 + 2 k3 + k4)
+
+    Formula
+    -------
+    y' = y + \tfrac h6\,(k_1 + 2k_2 + 2k_3 + k_4), \qquad
+    k_1 = f(y), \quad k_2 = f(y + \tfrac h2 k_1), \quad k_3 = f(y + \tfrac h2 k_2), \quad k_4 = f(y + h k_3)
+
+    Limits
+    ------
+    resonance, singular-step
+        The method is explicit and does not conserve the energy. If h is about the time of one revolution of the
+        body, the state grows without bound within a few steps.
+    """
     return Stepper(rk4_step(top.field, *vector_operations(len(top.components))), len(top.components))
 
 
@@ -116,10 +132,6 @@ MAX_EVALUATIONS = 1_000_000
 """Evaluations of the equations in one step: some ten seconds."""
 TRIAL = 500
 """Evaluations after which a step is given up that would need a hundred times as many as it may, at 12 an inner step."""
-SQUARE_OVERFLOWS = (
-    "SciPy divides the estimated error by the tolerance and squares the quotient. With rtol = 1e-12 the square "
-    "overflows if |omega| exceeds about 1e140. Choose a unit of time in which omega has a moderate size."
-)
 
 
 class Tolerances(BaseModel):
@@ -133,20 +145,15 @@ class Tolerances(BaseModel):
 
 @runge_kutta(
     "dop853",
-    title="Dormand-Prince method of order 8 (SciPy)",
     order=8,
     adaptive=True,
-    citation="Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993; scipy.integrate.DOP853",
-    formula=r"""
-y_{j+1} = y_j + h_j\sum_{i=1}^{12} b_i k_i, \qquad
-k_i = f\Bigl(y_j + h_j\sum_{l<i} a_{il} k_l\Bigr), \qquad \sum_j h_j = h
-""",
-    equations="DOP853 from t to t + h, in as many inner steps as the tolerances require",
     options=Tolerances,
-    limits=lambda top: {"huge": SQUARE_OVERFLOWS} if has_own_cases(top) else {},
+    limits=lambda top: ("huge",) if has_own_cases(top) else (),
 )
 def build_dop853(top: Top, options: Tolerances) -> Stepper:
-    """A widely used adaptive integrator, controlled by tolerances instead of a step size.
+    r"""Dormand-Prince method of order 8 (SciPy).
+
+    A widely used adaptive integrator, controlled by tolerances instead of a step size.
 
     DOP853 chooses inner steps within each h and reaches every t = n h exactly. DOP853 is therefore most efficient if h
     is longer than the inner steps. The method runs in the Python interpreter and is about a thousand times slower than
@@ -154,6 +161,25 @@ def build_dop853(top: Top, options: Tolerances) -> Stepper:
 
     The run ends as `no_convergence` if the inner steps shrink below round-off, or if one step of h takes more than a
     million evaluations of the equations of motion.
+
+    Source
+    ------
+    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993; scipy.integrate.DOP853
+
+    Equations
+    ---------
+    DOP853 from t to t + h, in as many inner steps as the tolerances require
+
+    Formula
+    -------
+    y_{j+1} = y_j + h_j\sum_{i=1}^{12} b_i k_i, \qquad
+    k_i = f\Bigl(y_j + h_j\sum_{l<i} a_{il} k_l\Bigr), \qquad \sum_j h_j = h
+
+    Limits
+    ------
+    huge
+        SciPy divides the estimated error by the tolerance and squares the quotient. With rtol = 1e-12 the square
+        overflows if |omega| exceeds about 1e140. Choose a unit of time in which omega has a moderate size.
     """
     from scipy.integrate import DOP853
 

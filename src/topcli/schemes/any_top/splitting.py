@@ -102,11 +102,6 @@ def leaving(equations: EulerPoisson, d: int) -> StepFunction:
 
 
 NEEDED_BY = "scheme 'splitting'"
-LONG = {
-    "singular-step": "If the body turns by several radians in a step, the kicks and rotations no longer approximate "
-    "the exact motion: the energy deviates by several times its first value."
-}
-"""Limits of the tops with weight."""
 Free = Callable[[Vector, Vector, Floats, float], tuple[Vector, Vector, Vector]]
 """``free(m, gamma, c, h)``: changes of m and gamma in a step of the free body, and the new gamma."""
 
@@ -177,26 +172,16 @@ def kicked_change(free: Free) -> StepFunction:
     "splitting",
     top=None,
     requires=partial(checked_equations, needed_by=NEEDED_BY),
-    title="Splitting into kicks and rotations",
     order=2,
     explicit=True,
     self_adjoint=True,
     conserves=lambda top: KEPT.get(top.form, ()),
-    citation="McLachlan 1993; Reich 1994; Touma, Wisdom 1994; Hairer, Lubich, Wanner, Geometric Numerical Integration, "
-    "section VII.5",
-    formula=r"""
-\Phi_h = K_{h/2}\circ F_h\circ K_{h/2}, \qquad
-K_\tau:\ m \mapsto m + \tau\,\gamma\times r, \qquad
-F_h:\ \text{the free body, if } A = B
-
-F_h = R^1_{h/2}\circ R^2_{h/2}\circ R^3_h\circ R^2_{h/2}\circ R^1_{h/2} \ \text{otherwise}, \qquad
-R^i_\tau:\ \dot v = v\times\frac{m_i}{I_i}\,e_i \ \text{ for } v = m, \gamma
-""",
-    equations="kick h/2 by gamma x g, rotations about the axes 1, 2 (h/2), 3 (h), 2, 1 (h/2), kick h/2",
-    limits=lambda top: LONG if top.form in ("kowalevski", "lagrange", "heavy") else {},
+    limits=lambda top: ("singular-step",) if top.form in ("kowalevski", "lagrange", "heavy") else (),
 )
 def build(top: Top, options: NoOptions) -> Stepper:
-    """A step combines exact motions: gravity alone for h/2 (a kick), the free body for h, gravity alone for h/2.
+    r"""Splitting into kicks and rotations.
+
+    A step combines exact motions: gravity alone for h/2 (a kick), the free body for h, gravity alone for h/2.
 
     If A = B, the motion of the free body is computed in closed form; otherwise it is split into rotations about the
     axes of the body. The scheme is explicit, self-adjoint and canonical (a Poisson map). `splitting` conserves gamma²
@@ -204,6 +189,30 @@ def build(top: Top, options: NoOptions) -> Stepper:
 
     If A = B, the error is proportional to the torque of gravity and independent of the spin, so steps may be long for a
     fast top.
+
+    Source
+    ------
+    McLachlan 1993; Reich 1994; Touma, Wisdom 1994; Hairer, Lubich, Wanner, Geometric Numerical Integration, section
+    VII.5
+
+    Equations
+    ---------
+    kick h/2 by gamma x g, rotations about the axes 1, 2 (h/2), 3 (h), 2, 1 (h/2), kick h/2
+
+    Formula
+    -------
+    \Phi_h = K_{h/2}\circ F_h\circ K_{h/2}, \qquad
+    K_\tau:\ m \mapsto m + \tau\,\gamma\times r, \qquad
+    F_h:\ \text{the free body, if } A = B
+
+    F_h = R^1_{h/2}\circ R^2_{h/2}\circ R^3_h\circ R^2_{h/2}\circ R^1_{h/2} \ \text{otherwise}, \qquad
+    R^i_\tau:\ \dot v = v\times\frac{m_i}{I_i}\,e_i \ \text{ for } v = m, \gamma
+
+    Limits
+    ------
+    singular-step
+        If the body turns by several radians in a step, the kicks and rotations no longer approximate the exact
+        motion: the energy deviates by several times its first value.
     """
     equations, d = checked_equations(top, NEEDED_BY), state_length(top, NEEDED_BY)
     free = closed if equations.moments[0] == equations.moments[1] else axes

@@ -41,15 +41,7 @@ _LOOP = """
 define i64 @advance(ptr %work, ptr %out, ptr %params, double %h, i64 %steps, i64 %every, i64 %until) #0 {{
 entry:
 {arrays}
-  %lop = getelementptr double, ptr %work, i64 {lanes}
-  %stepp = getelementptr double, ptr %work, i64 {step_slot}
-  %partp = getelementptr double, ptr %work, i64 {part}
-  %lagp = getelementptr double, ptr %work, i64 {lag}
-  %timep = getelementptr double, ptr %work, i64 {time}
-  %levelp = getelementptr double, ptr %work, i64 {level}
-  %unitp = getelementptr double, ptr %work, i64 {unit}
-  %statusp = getelementptr double, ptr %work, i64 {status}
-  %countp = getelementptr double, ptr %work, i64 {count}
+{pointers}
   %hi0 = load {v}, ptr %work, align 8
   %lo0 = load {v}, ptr %lop, align 8
   %stepd = load double, ptr %stepp, align 8
@@ -210,27 +202,18 @@ def series_loop(a: Arrangement, order: int, extended_precision: bool) -> str:
     hi = moving.add(new, rest)
     lo = moving.sub(rest, moving.sub(hi, new))
     arrays = ["y", *(f"{side}{v}" for v in range(len(a.products)) for side in ("left", "right"))]
-    tables = (
-        f"  %table{k}p = getelementptr double, ptr %work, i64 {base + UNITS + (k + 1) * a.lanes}\n"
-        f"  %table{k} = load {expansion.vector}, ptr %table{k}p, align 8"
-        for k in range(len(a.tables))
-    )
+    slots = {"lop": a.lanes, "stepp": base + STEP, "partp": base + FRACTION, "lagp": base + LAG, "timep": base + TIME}
+    slots |= {"levelp": base + LOG2_TOL, "unitp": base + UNITS}
+    slots |= {"statusp": series_width(a) - 2, "countp": series_width(a) - 1}
+    slots |= {f"table{k}p": base + UNITS + (k + 1) * a.lanes for k in range(len(a.tables))}
+    v, align = expansion.vector, 8 * a.lanes
     return _LOOP.format(
         declarations=DECLARATIONS,
-        v=expansion.vector,
-        arrays="\n".join(
-            f"  %{name} = alloca [{order + 1} x {expansion.vector}], align {8 * a.lanes}" for name in arrays
-        ),
-        tables="\n".join(tables),
+        v=v,
+        arrays="\n".join(f"  %{name} = alloca [{order + 1} x {v}], align {align}" for name in arrays),
+        pointers="\n".join(f"  %{name} = getelementptr double, ptr %work, i64 {slot}" for name, slot in slots.items()),
+        tables="\n".join(f"  %table{k} = load {v}, ptr %table{k}p, align 8" for k in range(len(a.tables))),
         lanes=a.lanes,
-        step_slot=base + STEP,
-        part=base + FRACTION,
-        lag=base + LAG,
-        time=base + TIME,
-        level=base + LOG2_TOL,
-        status=series_width(a) - 2,
-        count=series_width(a) - 1,
-        unit=base + UNITS,
         budget=MAX_EXPANSIONS,
         exact=literal(EXACT_REACH),
         shortest=literal(SHORTEST_REACH),
@@ -292,22 +275,17 @@ def log2_tolerance(tol: float) -> float:
     "taylor",
     top=None,
     requires=partial(required_field, needed_by="scheme 'taylor'"),
-    title="Taylor series",
     order=None,
     explicit=True,
     self_adjoint=False,
     adaptive=True,
     conserves=linear_invariants,
-    citation="Jorba, Zou, Experimental Mathematics 14 (2005) 99",
-    formula=r"""
-y(t + \delta) = \sum_i y_i\,\delta^i, \qquad f(y) = Q(y, y) + B y + b, \qquad y_1 = f(y_0), \qquad
-(i + 1)\,y_{i+1} = \sum_{k=0}^i Q(y_k, y_{i-k}) + B y_i \quad (i \geq 1)
-""",
-    equations="y(t + d) = sum of y_i d^i, with coefficients y_i that follow recursively from the equations of motion",
     options=Tolerance,
 )
 def build(top: Top, options: Tolerance) -> Block:
-    """An adaptive Taylor series with a tolerance that may be as small as round-off; h only sets the recorded times.
+    r"""Taylor series.
+
+    An adaptive Taylor series with a tolerance that may be as small as round-off; h only sets the recorded times.
 
     Each series is accurate over a certain time, its reach. If h is shorter than the reach, the series is evaluated as a
     polynomial at every recorded t = n h. If h is longer, several series are used within one h. Times do not accumulate
@@ -317,6 +295,19 @@ def build(top: Top, options: Tolerance) -> Block:
     Only linear integrals are conserved by construction. At the default tolerance, however, all integrals are conserved
     to round-off, which grows as sqrt(t). The counter `expansions` is the number of series. If the reach of a series is
     less than 1.5e-8 h, one step would take 7e7 series or more, and the run ends as `no_convergence`.
+
+    Source
+    ------
+    Jorba, Zou, Experimental Mathematics 14 (2005) 99
+
+    Equations
+    ---------
+    y(t + d) = sum of y_i d^i, with coefficients y_i that follow recursively from the equations of motion
+
+    Formula
+    -------
+    y(t + \delta) = \sum_i y_i\,\delta^i, \qquad f(y) = Q(y, y) + B y + b, \qquad y_1 = f(y_0), \qquad
+    (i + 1)\,y_{i+1} = \sum_{k=0}^i Q(y_k, y_{i-k}) + B y_i \quad (i \geq 1)
     """
     return series_block(required_field(top, "scheme 'taylor'", exact=Fraction), options.tol)
 
@@ -347,6 +338,5 @@ def series_block(field: VectorField, tol: float) -> Block:
         series_width(a),
         ("expansions",),
         iterative=True,
-        advice=lambda work, h: f"a step of {h:g} would need {1.0 / SHORTEST_REACH:.0e} series or more",
         tangent=lambda: series_block(variational(field), tol),
     )

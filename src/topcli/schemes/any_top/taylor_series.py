@@ -16,8 +16,7 @@ share one vector:
 The state has more than double precision, and at the largest order so has the first coefficient. The other coefficients,
 with their rounding errors, are multiplied by powers of a step well below one.
 
-The algorithm is written in terms of the methods of ``taylor_vectors.IRWriter``, so that the generation of LLVM IR and a
-plain interpreter in the tests share it; both give the same bits.
+The algorithm is written in terms of the methods of ``taylor_vectors.IRWriter``, which append instructions in LLVM IR.
 """
 
 from __future__ import annotations
@@ -81,12 +80,12 @@ class Arrangement:
         self.identity = tuple(range(self.lanes))
         self.tables: list[tuple[Entry | None, ...]] = []
         place = self._places(rows)
-        wanted = self._wanted(place)
-        self.stages = [self._stage(rows, place, level, wanted) for level in range(1 + max(self.level))]
+        needed = self._needed(place)
+        self.stages = [self._stage(rows, place, level, needed) for level in range(1 + max(self.level))]
         columns = [lanes for lanes, *_ in self.stages[0].jacobian]
         sides = [
             tuple(side.get(lane, (columns[c] if c < len(columns) else self.identity)[lane]) for lane in self.identity)
-            for c, side in enumerate(wanted)
+            for c, side in enumerate(needed)
         ]
         self.products = list(zip(sides[::2], sides[1::2], strict=True))
 
@@ -133,13 +132,13 @@ class Arrangement:
             place[factors] = next(free)
         return place
 
-    def _wanted(self, place: dict[Factors, tuple[int, int]]) -> list[dict[int, int]]:
+    def _needed(self, place: dict[Factors, tuple[int, int]]) -> list[dict[int, int]]:
         """Component that each lane of the left and the right factors of each vector has; other lanes are free."""
-        wanted: list[dict[int, int]] = [{} for _ in range(2 + 2 * max((v for v, _ in place.values()), default=-1))]
+        needed: list[dict[int, int]] = [{} for _ in range(2 + 2 * max((v for v, _ in place.values()), default=-1))]
         for factors, (vector, lane) in place.items():
             for side, component in enumerate(factors):
-                wanted[2 * vector + side][lane] = component
-        return wanted
+                needed[2 * vector + side][lane] = component
+        return needed
 
     def _table(self, entries: Iterable[Entry | None]) -> int | None:
         """Number of the table with these coefficients; None if all are zero."""
@@ -155,16 +154,16 @@ class Arrangement:
         rows: list[list[tuple[Entry, Factors]]],
         place: dict[Factors, tuple[int, int]],
         level: int,
-        wanted: list[dict[int, int]],
+        needed: list[dict[int, int]],
     ) -> Stage:
         stage = Stage()
         mine = [row if self.level[i] == level else [] for i, row in enumerate(rows)]
-        for vector in range(len(wanted) // 2):
-            found = [
+        for vector in range(len(needed) // 2):
+            entries = [
                 [(place[factors][1], entry) for entry, factors in row if place.get(factors, (-1, 0))[0] == vector]
                 for row in mine
             ]
-            stage.sums += [(vector, lanes, table) for lanes, table in self._columns(found)]
+            stage.sums += [(vector, lanes, table) for lanes, table in self._columns(entries)]
         stage.linear = self._columns([[(f[0], entry) for entry, f in row if len(f) == 1] for row in mine])
         stage.constant = self._table(next((entry for entry, f in row if not f), None) for row in mine)
         slopes: list[list[tuple[int, int | None, Entry]]] = [[] for _ in rows]
@@ -172,10 +171,10 @@ class Arrangement:
             for entry, f in row:
                 slope += [(f[0], f[1], entry), (f[1], f[0], entry)] if len(f) == 2 else [(*f, None, entry)] if f else []
         count = max(map(len, slopes))
-        wanted = [wanted[c] if c < len(wanted) else {} for c in range(count)]
-        ordered = [self._ordered(slope, [side.get(i) for side in wanted]) for i, slope in enumerate(slopes)]
+        needed = [needed[c] if c < len(needed) else {} for c in range(count)]
+        ordered = [self._ordered(slope, [side.get(i) for side in needed]) for i, slope in enumerate(slopes)]
         for c, column in enumerate(zip(*ordered, strict=True)):
-            lanes = tuple(wanted[c].get(i, i) if slope is None else slope[0] for i, slope in enumerate(column))
+            lanes = tuple(needed[c].get(i, i) if slope is None else slope[0] for i, slope in enumerate(column))
             of = tuple(i if slope is None or slope[1] is None else slope[1] for i, slope in enumerate(column))
             quadratic = self._table(slope and slope[2] if slope and slope[1] is not None else None for slope in column)
             linear = self._table(slope and slope[2] if slope and slope[1] is None else None for slope in column)
@@ -183,16 +182,16 @@ class Arrangement:
         return stage
 
     def _ordered(
-        self, slopes: list[tuple[int, int | None, Entry]], wanted: list[int | None]
+        self, slopes: list[tuple[int, int | None, Entry]], needed: list[int | None]
     ) -> list[tuple[int, int | None, Entry] | None]:
         """Slopes of a row in the columns of the Jacobian, so that these are permutations that the products need."""
         left = list(slopes)
-        row: list[tuple[int, int | None, Entry] | None] = [None] * len(wanted)
-        for c, component in enumerate(wanted):
+        row: list[tuple[int, int | None, Entry] | None] = [None] * len(needed)
+        for c, component in enumerate(needed):
             if (fit := next((slope for slope in left if slope[0] == component), None)) is not None:
                 row[c] = fit
                 left.remove(fit)
-        free = sorted((c for c, slope in enumerate(row) if slope is None), key=lambda c: wanted[c] is not None)
+        free = sorted((c for c, slope in enumerate(row) if slope is None), key=lambda c: needed[c] is not None)
         for c, slope in zip(free, left, strict=False):
             row[c] = slope
         return row
@@ -236,10 +235,10 @@ def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) 
     part of coefficient 1, which is None if ``y0`` has no low part; coefficient 1 then has double precision only.
     """
     for level, stage in enumerate(a.stages[1:], start=1):  # these lanes hold the series of the last step
-        found = _first(o, a, stage, y0)
-        kept = o.constant(tuple(float(of != level) for of in a.level))
-        low = None if y0[1] is None or found[1] is None else o.fma(y0[1], kept, found[1])
-        y0 = o.fma(y0[0], kept, found[0]), low
+        auxiliary = _first(o, a, stage, y0)
+        mask = o.constant(tuple(float(of != level) for of in a.level))
+        low = None if y0[1] is None or auxiliary[1] is None else o.fma(y0[1], mask, auxiliary[1])
+        y0 = o.fma(y0[0], mask, auxiliary[0]), low
     at = _store(o, a, 0, y0[0])
     columns = [_jacobian(o, stage, at) for stage in a.stages]
     y, missed = _first(o, a, a.stages[0], y0)
@@ -247,11 +246,11 @@ def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) 
     step: tuple[Scalar, Scalar] = (None, None)
     for m in range(1, order):
         for stage, jacobian in zip(a.stages[1:], columns[1:], strict=True):
-            y = o.add(y, _slope(stage, jacobian, o, _permuted(o, a, y), sums.known(m, stage)))
+            y = o.add(y, _slope(stage, jacobian, o, _permuted(o, a, y), sums.earlier(m, stage)))
         at = _store(o, a, m, y)
         if m == order - STEP_SIZE_LEAD:
             step = step_size(o, order, log2_tol)
-        y = _slope(a.stages[0], columns[0], o, at, sums.known(m, a.stages[0]))
+        y = _slope(a.stages[0], columns[0], o, at, sums.earlier(m, a.stages[0]))
         inverse = 1.0 / (m + 1)
         missing = float(Fraction(1, m + 1) - Fraction(inverse))
         if missing != 0.0 and m < EXACTLY_DIVIDED:
@@ -269,12 +268,12 @@ Permuted = Callable[[Lanes], Vector]
 
 def _permuted(o: IRWriter, a: Arrangement, y: Vector) -> Permuted:
     """Function that permutes the lanes of ``y``, each way once."""
-    known = {a.identity: y}
+    permuted = {a.identity: y}
 
     def lanes(order: Lanes) -> Vector:
-        if order not in known:
-            known[order] = o.permute(y, order)
-        return known[order]
+        if order not in permuted:
+            permuted[order] = o.permute(y, order)
+        return permuted[order]
 
     return lanes
 
@@ -321,9 +320,9 @@ def _jacobian(o: IRWriter, stage: Stage, at: Permuted) -> list[Vector]:
     return columns
 
 
-def _slope(stage: Stage, columns: list[Vector], o: IRWriter, at: Permuted, known: Vector | None) -> Vector:
-    """Sum of the products of columns and permutations, plus ``known``; in two halves, for a short dependency chain."""
-    halves = [known, None]
+def _slope(stage: Stage, columns: list[Vector], o: IRWriter, at: Permuted, earlier: Vector | None) -> Vector:
+    """Sum of the products of columns and permutations, plus ``earlier``; in two halves, for a short chain."""
+    halves = [earlier, None]
     for k, (column, (lanes, *_)) in enumerate(zip(columns, stage.jacobian, strict=True)):
         half, y = halves[k % 2], at(lanes)
         halves[k % 2] = o.mul(column, y) if half is None else o.fma(column, y, half)
@@ -374,7 +373,7 @@ class _ProductSums:
             sums.append(self.o.add(*both) if len(both) == 2 else both[0])
         return sums
 
-    def known(self, m: int, stage: Stage) -> Vector | None:
+    def earlier(self, m: int, stage: Stage) -> Vector | None:
         """Terms of a stage that contain y_1..y_(m-1) only."""
         if m == 1 or not stage.sums:
             return None
@@ -382,9 +381,9 @@ class _ProductSums:
             self.sums[m] = self._complete(m)
         total, o = None, self.o
         for v, lanes, table in stage.sums:
-            found = self.sums[m][v]
-            found = found if lanes == self.a.identity else o.permute(found, lanes)
-            total = o.mul(found, o.table(table)) if total is None else o.fma(found, o.table(table), total)
+            product = self.sums[m][v]
+            product = product if lanes == self.a.identity else o.permute(product, lanes)
+            total = o.mul(product, o.table(table)) if total is None else o.fma(product, o.table(table), total)
         return total
 
 

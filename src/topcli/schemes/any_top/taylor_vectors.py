@@ -1,4 +1,4 @@
-"""Vector operations of the Taylor series, implemented for floats and in LLVM IR.
+"""Vector operations of the Taylor series in LLVM IR.
 
 LLVM maps a vector of eight doubles to the registers of the processor: one of AVX-512, two of AVX2, four of NEON.
 """
@@ -66,7 +66,7 @@ DECLARATIONS = """declare void @llvm.codeview.annotation(metadata)
 class IRWriter:
     """Operations on scalars, vectors of ``lanes`` floats and named arrays of vectors, as IR instructions in ``lines``.
 
-    A method returns the name of its result; an interpreter has the same methods and returns numbers.
+    A method returns the name of its result.
     """
 
     def __init__(self, lanes: int, names: Iterator[int]) -> None:
@@ -95,6 +95,9 @@ class IRWriter:
         kind = self.kind(x)
         return (self.emit_scalar if kind == "double" else self.emit)(f"{word} {kind} {x}, {y}")
 
+    number = staticmethod(literal)
+    """Scalar constant."""
+
     def constant(self, values: tuple[float, ...]) -> str:
         """Return a vector constant."""
         return "<" + ", ".join(f"double {literal(x)}" for x in values) + ">"
@@ -105,13 +108,9 @@ class IRWriter:
 
     def splat(self, x: str) -> str:
         """Return a vector with the scalar in every lane."""
-        one = self.emit(f"insertelement {self.vector} poison, double {x}, i32 0")
+        first = self.emit(f"insertelement {self.vector} poison, double {x}, i32 0")
         zeros = ", ".join(["i32 0"] * self.lanes)
-        return self.emit(f"shufflevector {self.vector} {one}, {self.vector} poison, <{self.lanes} x i32> <{zeros}>")
-
-    def number(self, x: float) -> str:
-        """Return a scalar constant."""
-        return literal(x)
+        return self.emit(f"shufflevector {self.vector} {first}, {self.vector} poison, <{self.lanes} x i32> <{zeros}>")
 
     def add(self, x: str, y: str) -> str:
         """Return x + y."""
@@ -174,8 +173,8 @@ class IRWriter:
         """
         n = self.lanes
         bits = self.emit(f"bitcast {self.vector} {x} to <{n} x i64>")
-        kept = ", ".join(["i64 9223372036854775807"] * n)
-        size = self.emit(f"and <{n} x i64> {bits}, <{kept}>")
+        mask = ", ".join(["i64 9223372036854775807"] * n)
+        size = self.emit(f"and <{n} x i64> {bits}, <{mask}>")
         largest = self.emit(f"call i64 @llvm.vector.reduce.smax.v{n}i64(<{n} x i64> {size})")
         number = self.emit_scalar(f"sitofp i64 {largest} to double")
         return self.fma(number, literal(2.0**-52), literal(-1023.0))

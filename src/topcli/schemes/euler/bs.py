@@ -14,7 +14,6 @@ from functools import partial
 from topcli.arithmetic.fused import follow_precision
 from topcli.arithmetic.vectors import Vector, cayley_increment, solve3
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
-from topcli.schemes.limits import NO_SOLUTION
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import stepper
 
@@ -140,16 +139,23 @@ bobenko_suris = partial(
 
 @bobenko_suris(
     "bs",
-    title="Bobenko-Suris (BS) scheme with the old omega",
     explicit=True,
-    formula=r"m' - m = h\,\bar m\times\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega",
-    equations="(EulerBS) and, for gamma, (A) of the paper",
 )
 def build_bs(top: Top, options: NoOptions) -> Stepper:
-    """The scheme rotates m and gamma by a Cayley transform of the old omega, and so conserves m², gamma² and m·gamma.
+    r"""Bobenko-Suris (BS) scheme with the old omega.
+
+    The scheme rotates m and gamma by a Cayley transform of the old omega, and so conserves m², gamma² and m·gamma.
 
     The old omega is omega before the step. The scheme does not conserve m·omega, which grows until the top rotates
     about the axis of its smallest moment of inertia.
+
+    Equations
+    ---------
+    (EulerBS) and, for gamma, (A) of the paper
+
+    Formula
+    -------
+    m' - m = h\,\bar m\times\omega, \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega
     """
     d = len(top.components)
     return stepper(explicit_change(d), d)
@@ -157,19 +163,31 @@ def build_bs(top: Top, options: NoOptions) -> Stepper:
 
 @bobenko_suris(
     "bs-implicit",
-    title="Bobenko-Suris (BS) scheme with the new omega",
     explicit=False,
-    formula=r"m' - m = h\,\bar m\times\omega', \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega'",
-    equations="(EulerBS) and, for gamma, (A) of the paper, both with omega^{n+1} in place of omega^n",
-    limits={"singular-step": NO_SOLUTION},
 )
 def build_bs_implicit(top: Top, options: NoOptions) -> Stepper:
-    """The scheme rotates m and gamma by a Cayley transform of the new omega.
+    r"""Bobenko-Suris (BS) scheme with the new omega.
+
+    The scheme rotates m and gamma by a Cayley transform of the new omega.
 
     The new omega is omega after the step. A step of length h undoes a step of ``bs`` of length -h. Newton's method
     determines the new omega to round-off. The scheme conserves m², gamma² and m·gamma; m·omega decreases until the top
     rotates about the axis of its largest moment of inertia. If a step does not converge, the run ends as
     `no_convergence`.
+
+    Equations
+    ---------
+    (EulerBS) and, for gamma, (A) of the paper, both with omega^{n+1} in place of omega^n
+
+    Formula
+    -------
+    m' - m = h\,\bar m\times\omega', \qquad \gamma' - \gamma = h\,\bar\gamma\times\omega'
+
+    Limits
+    ------
+    singular-step
+        If h is the time of one revolution of the body or longer, Newton's method may find no solution. The run then
+        ends as `no_convergence`.
     """
     d = len(top.components)
     return stepper(implicit_change(d), d, iterative=True)

@@ -186,27 +186,35 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
 @scheme(
     "exact",
     top=("euler", "euler+gamma"),
-    title="Solution in closed form",
     order=None,
     explicit=True,
     self_adjoint=True,
     conserves=all_invariants,
-    citation="Jacobi 1850; Landau, Lifshitz, Mechanics, section 37",
-    formula=r"""
-\omega_1 = a_1\,\mathrm{dn}(u; k), \quad \omega_2 = a_2\,\mathrm{sn}(u; k), \quad
-\omega_3 = a_3\,\mathrm{cn}(u; k), \quad u = \lambda\,(t - t_0) \qquad (A > B > C,\ m^2 > 2TB)
-
-a_1^2 = \frac{m^2 - 2TC}{A(A - C)}, \quad a_2^2 = \frac{2TA - m^2}{B(A - B)}, \quad
-a_3^2 = \frac{2TA - m^2}{C(A - C)}, \quad
-\lambda^2 = \frac{(A - B)(m^2 - 2TC)}{ABC}, \quad k^2 = \frac{(B - C)(2TA - m^2)}{(A - B)(m^2 - 2TC)}
-""",
-    equations="the equations of motion, solved by Jacobi elliptic functions and Carlson integrals",
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """The scheme computes omega by Jacobi functions sn, cn, dn, and gamma by an elliptic integral of the third kind.
+    r"""Solution in closed form.
+
+    The scheme computes omega by Jacobi functions sn, cn, dn, and gamma by an elliptic integral of the third kind.
 
     Every state is computed directly from the initial state. The error of a state is a few ulp (units in the last place)
     at any time, including on and near the separatrix. Rotations about a principal axis and the spherical top have
     formulas of their own.
+
+    Source
+    ------
+    Jacobi 1850; Landau, Lifshitz, Mechanics, section 37
+
+    Equations
+    ---------
+    the equations of motion, solved by Jacobi elliptic functions and Carlson integrals
+
+    Formula
+    -------
+    \omega_1 = a_1\,\mathrm{dn}(u; k), \quad \omega_2 = a_2\,\mathrm{sn}(u; k), \quad
+    \omega_3 = a_3\,\mathrm{cn}(u; k), \quad u = \lambda\,(t - t_0) \qquad (A > B > C,\ m^2 > 2TB)
+
+    a_1^2 = \frac{m^2 - 2TC}{A(A - C)}, \quad a_2^2 = \frac{2TA - m^2}{B(A - B)}, \quad
+    a_3^2 = \frac{2TA - m^2}{C(A - C)}, \quad
+    \lambda^2 = \frac{(A - B)(m^2 - 2TC)}{ABC}, \quad k^2 = \frac{(B - C)(2TA - m^2)}{(A - B)(m^2 - 2TC)}
     """
     return Sampler(exact_states)

@@ -64,31 +64,41 @@ def hk_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
 @scheme(
     "hk-exact",
     top="euler",
-    title="Closed-form solution of the Hirota-Kimura map",
     order=2,
     explicit=True,
     self_adjoint=True,
     modified=lambda top, h, options: hk_integrals(top, h),
-    citation="Hirota, Kimura 2000; Petrera, Suris 2010",
-    formula=r"""
-\omega_1 = a_1\,\mathrm{cn}\,\varphi_n, \quad \omega_2 = a_2\,\mathrm{sn}\,\varphi_n, \quad
-\omega_3 = a_3\,\mathrm{dn}\,\varphi_n, \quad \varphi_n = \varphi_0 + 2nv, \qquad
-K_i = 1 - \tfrac{h^2}{4}\,\alpha_j\alpha_k\,\omega_i^2
-
-\mathrm{sn}^2 v = 1 - \frac{K_2}{K_3}, \qquad k^2\,\mathrm{sn}^2 v = 1 - \frac{K_2}{K_1}
-
-\text{(second moment of inertia between the others; first and third axis exchanged if } k > 1)
-""",
-    equations="the first difference equations of section 1.2 of the paper, solved by Jacobi elliptic functions",
-    limits={
-        "singular-step": "For steps of the order of 2/|omega| and longer, the phase of the map may not be real. The "
-        "scheme refuses such steps, and the message names the largest admissible step.",
-    },
 )
 def build_hk_exact(top: Top, options: NoOptions) -> Sampler:
-    """The scheme computes the states of ``hk`` without its round-off, by Jacobi elliptic functions of a phase.
+    r"""Closed-form solution of the Hirota-Kimura map.
+
+    The scheme computes the states of ``hk`` without its round-off, by Jacobi elliptic functions of a phase.
 
     The orbits of HK lie on the elliptic curves defined by the modified integrals of HK. The phase grows by 2 v in each
     step. Both v and the modulus of the elliptic functions depend on h.
+
+    Source
+    ------
+    Hirota, Kimura 2000; Petrera, Suris 2010
+
+    Equations
+    ---------
+    the first difference equations of section 1.2 of the paper, solved by Jacobi elliptic functions
+
+    Formula
+    -------
+    \omega_1 = a_1\,\mathrm{cn}\,\varphi_n, \quad \omega_2 = a_2\,\mathrm{sn}\,\varphi_n, \quad
+    \omega_3 = a_3\,\mathrm{dn}\,\varphi_n, \quad \varphi_n = \varphi_0 + 2nv, \qquad
+    K_i = 1 - \tfrac{h^2}{4}\,\alpha_j\alpha_k\,\omega_i^2
+
+    \mathrm{sn}^2 v = 1 - \frac{K_2}{K_3}, \qquad k^2\,\mathrm{sn}^2 v = 1 - \frac{K_2}{K_1}
+
+    \text{(second moment of inertia between the others; first and third axis exchanged if } k > 1)
+
+    Limits
+    ------
+    singular-step
+        For steps of the order of 2/|omega| and longer, the phase of the map may not be real. The scheme refuses such
+        steps, and the message names the largest admissible step.
     """
     return Sampler(hk_states)

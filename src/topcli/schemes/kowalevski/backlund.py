@@ -334,60 +334,23 @@ def domain(top: Top, y0: Floats, options: BacklundOptions) -> float:
 
 PLAIN = Stepper(plain_step, 8, enter, leave, iterative=True, checked=6)
 NODES = Stepper(nodes_step, 16, enter_nodes, leave_nodes, iterative=True, checked=6)
-DOMAIN = "The h of this case is so long that round-off would spoil the integrals; the run is refused before its start."
 
 
 @scheme(
     "backlund",
     top="kowalevski",
-    title="Bäcklund transformation, an integrable map",
     order=2,
     explicit=True,
     self_adjoint=True,
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
-    citation="after Kuznetsov, Vanhaecke 2000 (Bäcklund transformations); Bobenko, Reyman, Semenov-Tian-Shansky 1989 "
-    "(Lax pair)",
-    formula=r"""
-L'(\lambda)\,U(\lambda) = U(\lambda)\,L(\lambda), \qquad
-(a, b, n) = -\tfrac h2\,(\omega_1, \omega_2, \tfrac12\omega_3), \quad d = \tfrac18 c h^2\,\gamma, \quad t = 2 - \tau
-
-\begin{aligned}
-(t - d_1)\,x - d_2\,y - a\,z &= b - d_3\\
--d_2\,x + (t + d_1)\,y - (b + d_3)\,z &= -a\\
-a\,x + (b - d_3)\,y + (2 + t - d_1)\,z &= 2n + d_2
-\end{aligned}
-
-e = (1;\ y, -x, -z), \qquad \gamma' \text{ and } \omega' \text{ rational in } e
-""",
-    equations="L' U = U L with the 5x5 Lax matrix L, U the product of two dressing matrices with poles at ±2/h",
     options=BacklundOptions,
-    limits={
-        "resonance": DOMAIN,
-        "singular-step": DOMAIN,
-        "long steps": "A run is refused if its h exceeds 3.6/sqrt(2E + 2k) or 3.6/sqrt|c gamma|; the map itself exists "
-        "for longer steps too. In an ensemble, a motion for which h is too long ends as `no_convergence` at step 1.",
-        "compositions": "The variables of a step depend on h, so that steps of several lengths are not composed; with "
-        "`nodes: exact` the error is zero.",
-        "tiny steps": "If |h| is below 1e-290, the run ends as `no_convergence`, because omega times h would lose "
-        "digits.",
-        "spin about the third axis": "If k is between about E/30 and E/8, the body mainly spins about the third axis. "
-        "If then |h omega3| is between about 2.9 and 3.3, deviations of the integrals grow instead of shrinking, and "
-        "all integrals are lost within 1e5 steps. The key `project: 16` of the scheme prevents this.",
-        "hanging top": "Within a distance of about 1e-2 of the hanging equilibrium, deviations of the integrals "
-        "hardly decrease. If h exceeds 0.1/sqrt(c), the integral 2l, which is small there, deviates by more than "
-        "round-off after 1e5 steps. The key `project: 16` of the scheme prevents this.",
-        "no gravity": "Without gravity (c0 = 0), omega rotates uniformly, and the rounding errors of gamma repeat "
-        "with each rotation. After 1e5 steps gamma² deviates by up to 15 times the bound expected for "
-        "round-off. The key `project: 16` of the scheme prevents this.",
-        "exact nodes": "The longest h with exact nodes is 0.8 to 2.2 times the longest plain step, with a median of "
-        "1.6. The set-up takes 3 to 20 ms for each initial state, also in an ensemble. The integrals of some motions "
-        "with long steps deviate within 1e5 steps; the key `project: 16` of the scheme prevents this.",
-    },
     longest_step=domain,
     order_with=lambda options: None if options.nodes == "exact" else 2,
 )
 def build(top: Top, options: BacklundOptions) -> Stepper:
-    """Each step is a translation on the torus of the exact motion, given by explicit rational formulas.
+    r"""Bäcklund transformation, an integrable map.
+
+    Each step is a translation on the torus of the exact motion, given by explicit rational formulas.
 
     The map conserves gamma², 2l, E and k², preserves the Poisson bracket, commutes with the exact motion and with steps
     of other lengths, and has a discrete Lax pair. We know of no earlier integrable map for this top. The states stay on
@@ -400,5 +363,55 @@ def build(top: Top, options: BacklundOptions) -> Stepper:
     With `nodes: exact`, the position on the torus has no error either. A step then consists of three or four steps of
     one length and one backward step of another length. The two lengths are chosen such that these steps together are
     the exact motion over a time h.
+
+    Source
+    ------
+    after Kuznetsov, Vanhaecke 2000 (Bäcklund transformations); Bobenko, Reyman, Semenov-Tian-Shansky 1989 (Lax pair)
+
+    Equations
+    ---------
+    L' U = U L with the 5x5 Lax matrix L, U the product of two dressing matrices with poles at ±2/h
+
+    Formula
+    -------
+    L'(\lambda)\,U(\lambda) = U(\lambda)\,L(\lambda), \qquad
+    (a, b, n) = -\tfrac h2\,(\omega_1, \omega_2, \tfrac12\omega_3), \quad d = \tfrac18 c h^2\,\gamma, \quad t = 2 - \tau
+
+    \begin{aligned}
+    (t - d_1)\,x - d_2\,y - a\,z &= b - d_3\\
+    -d_2\,x + (t + d_1)\,y - (b + d_3)\,z &= -a\\
+    a\,x + (b - d_3)\,y + (2 + t - d_1)\,z &= 2n + d_2
+    \end{aligned}
+
+    e = (1;\ y, -x, -z), \qquad \gamma' \text{ and } \omega' \text{ rational in } e
+
+    Limits
+    ------
+    resonance, singular-step
+        The h of this case is so long that round-off would spoil the integrals; the run is refused before its start.
+    long steps
+        A run is refused if its h exceeds 3.6/sqrt(2E + 2k) or 3.6/sqrt|c gamma|; the map itself exists for longer steps
+        too. In an ensemble, a motion for which h is too long ends as `no_convergence` at step 1.
+    compositions
+        The variables of a step depend on h, so that steps of several lengths are not composed; with `nodes: exact` the
+        error is zero.
+    tiny steps
+        If |h| is below 1e-290, the run ends as `no_convergence`, because omega times h would lose digits.
+    spin about the third axis
+        If k is between about E/30 and E/8, the body mainly spins about the third axis. If then |h omega3| is between
+        about 2.9 and 3.3, deviations of the integrals grow instead of shrinking, and all integrals are lost within 1e5
+        steps. The key `project: 16` of the scheme prevents this.
+    hanging top
+        Within a distance of about 1e-2 of the hanging equilibrium, deviations of the integrals hardly decrease. If h
+        exceeds 0.1/sqrt(c), the integral 2l, which is small there, deviates by more than round-off after 1e5 steps. The
+        key `project: 16` of the scheme prevents this.
+    no gravity
+        Without gravity (c0 = 0), omega rotates uniformly, and the rounding errors of gamma repeat with each rotation.
+        After 1e5 steps gamma² deviates by up to 15 times the bound expected for round-off. The key `project: 16` of the
+        scheme prevents this.
+    exact nodes
+        The longest h with exact nodes is 0.8 to 2.2 times the longest plain step, with a median of 1.6. The set-up
+        takes 3 to 20 ms for each initial state, also in an ensemble. The integrals of some motions with long steps
+        deviate within 1e5 steps; the key `project: 16` of the scheme prevents this.
     """
     return NODES if options.nodes == "exact" else PLAIN

@@ -25,34 +25,8 @@ from topcli.arithmetic.vectors import (
     root_sign,
 )
 from topcli.contracts import Floats, StepFunction, Stepper, Top
-from topcli.schemes.limits import OVERFLOW
 from topcli.schemes.registry import scheme
 
-XI = r"\xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)"
-FORMULA = rf"""
-\omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
-(\omega_1' + i\omega_2')^2 = e^{{-ih\bar\omega_3}}\,\xi + c\,(\gamma_1' + i\gamma_2'), \qquad {XI}
-"""
-FIXED_POINT = (
-    "If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state is a "
-    "fixed point of the map: the state never changes."
-)
-LIMITS = {
-    "homoclinic-spacing": "The motion of this case is close to the homoclinic orbit. The error of a method of order 1 "
-    "acts like a larger distance from this orbit and shortens the time between two swings (falls and rises) of the "
-    "top. In the paper's Figure 2 this time is 15.3 instead of 28.17.",
-    "rest-on-axis": FIXED_POINT,
-    "delone-sleeping": FIXED_POINT,
-    "huge": OVERFLOW,
-}
-POLE = (
-    "The coordinate z of gamma is infinite at gamma3 = -1. Where gamma comes close to this direction, Euler's "
-    "rule for z has a large error, and the new gamma may be rounded to (0, 0, -1): the run then ends as `blew_up`."
-)
-FAR = (
-    "If the body turns by a radian or more in a step, Euler's rule squares a large z, the coordinate of gamma, in each "
-    "step, until gamma is rounded to (0, 0, -1), where z is infinite: the run ends as `blew_up`."
-)
 Root = Callable[[float, float, float, float], Complex]
 Method = Callable[[float, float, float, float, float, float, float], Vector]
 ROOTS: dict[str, Root] = {"nearest": root_nearest, "sign": root_sign}
@@ -139,15 +113,11 @@ bohlin = partial(
 )
 
 
-@bohlin(
-    "bohlin-a",
-    title="Bohlin's method with gamma advanced by the Bobenko-Suris scheme",
-    formula=r"\gamma' - \gamma = h\,\bar\gamma\times\omega" + "\n" + FORMULA,
-    equations="(A), (Kxi) and (direct) of the paper",
-    limits=LIMITS,
-)
+@bohlin("bohlin-a")
 def build_a(top: Top, options: BranchOptions) -> Stepper:
-    """The scheme rotates gamma by a Cayley transform of the old omega, and computes the new omega by a rotation of xi.
+    r"""Bohlin's method with gamma advanced by the Bobenko-Suris scheme.
+
+    The scheme rotates gamma by a Cayley transform of the old omega, and computes the new omega by a rotation of xi.
 
     The old omega is omega before the step. The Cayley transform is that of the Bobenko-Suris scheme (`bs`). The new
     omega3 follows by the trapezoidal rule. The variable xi = (omega1 + i omega2)² - c (gamma1 + i gamma2) rotates by
@@ -157,49 +127,114 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
 
     If the body rests with gamma along the third axis, then xi = 0. This state is a fixed point of all three schemes of
     Bohlin's method (`bohlin-a`, `bohlin-b` and `bohlin-c`), although a real top would start to fall.
+
+    Equations
+    ---------
+    (A), (Kxi) and (direct) of the paper
+
+    Formula
+    -------
+    \gamma' - \gamma = h\,\bar\gamma\times\omega
+
+    \omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
+    (\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2'), \qquad
+    \xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)
+
+    Limits
+    ------
+    homoclinic-spacing
+        The motion of this case is close to the homoclinic orbit. The error of a method of order 1 acts like a
+        larger distance from this orbit and shortens the time between two swings (falls and rises) of the top. In
+        the paper's Figure 2 this time is 15.3 instead of 28.17.
+    rest-on-axis, delone-sleeping
+        If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state
+        is a fixed point of the map: the state never changes.
+    huge
+        |xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega
+        has a moderate size.
     """
     return Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6)
 
 
-@bohlin(
-    "bohlin-b",
-    title="Bohlin's method with gamma advanced in a stereographic coordinate",
-    formula=r"""
-z' - z = \tfrac{ih}{2}\,\bigl((\omega_1 + i\omega_2) - 2\omega_3 z - (\omega_1 - i\omega_2)\,z^2\bigr), \qquad
-z = \frac{\gamma_1 + i\gamma_2}{1 + \gamma_3}
-"""
-    + FORMULA,
-    equations="(B), (Kxi) and (direct) of the paper",
-    limits={
-        **LIMITS,
-        **dict.fromkeys(("pole", "there-and-back", "drift"), POLE),
-        **dict.fromkeys(("resonance", "singular-step"), FAR),
-    },
-)
+@bohlin("bohlin-b")
 def build_b(top: Top, options: BranchOptions) -> Stepper:
-    """The scheme advances a stereographic coordinate z of gamma by Euler's rule, and computes omega as in `bohlin-a`.
+    r"""Bohlin's method with gamma advanced in a stereographic coordinate.
+
+    The scheme advances a stereographic coordinate z of gamma by Euler's rule, and computes omega as in `bohlin-a`.
 
     The coordinate z = (gamma1 + i gamma2)/(1 + gamma3) is infinite at gamma3 = -1: where gamma comes close to that
     direction, the error of a step is large, and the run ends as `blew_up` if gamma is rounded to it.
+
+    Equations
+    ---------
+    (B), (Kxi) and (direct) of the paper
+
+    Formula
+    -------
+    z' - z = \tfrac{ih}{2}\,\bigl((\omega_1 + i\omega_2) - 2\omega_3 z - (\omega_1 - i\omega_2)\,z^2\bigr), \qquad
+    z = \frac{\gamma_1 + i\gamma_2}{1 + \gamma_3}
+
+    \omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
+    (\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2'), \qquad
+    \xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)
+
+    Limits
+    ------
+    homoclinic-spacing
+        The motion of this case is close to the homoclinic orbit. The error of a method of order 1 acts like a larger
+        distance from this orbit and shortens the time between two swings (falls and rises) of the top. In the paper's
+        Figure 2 this time is 15.3 instead of 28.17.
+    rest-on-axis, delone-sleeping
+        If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state is a
+        fixed point of the map: the state never changes.
+    huge
+        |xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega has a
+        moderate size.
+    pole, there-and-back
+        The coordinate z of gamma is infinite at gamma3 = -1. Where gamma comes close to this direction, Euler's rule
+        for z has a large error, and the new gamma may be rounded to (0, 0, -1): the run then ends as `blew_up`.
+    resonance, singular-step
+        If the body turns by a radian or more in a step, Euler's rule squares a large z, the coordinate of gamma, in
+        each step, until gamma is rounded to (0, 0, -1), where z is infinite: the run ends as `blew_up`.
     """
     return Stepper(bohlin_step(method_b, ROOTS[options.branch]), 6)
 
 
-@bohlin(
-    "bohlin-c",
-    title="Bohlin's method with gamma advanced by an instantaneous rotation",
-    formula=r"\gamma' = e^{-h\hat\omega}\,\gamma, \qquad \hat\omega v = \omega\times v" + "\n" + FORMULA,
-    equations="(C), (Kxi) and (direct) of the paper",
-    limits={
-        **LIMITS,
-        "drift": "The scheme does not conserve the energy. In this case, with h = 0.1, the energy rises from 2.1 "
-        "to more than 200 within t = 6500, and the run ends as `left_motion`; gamma² and k² stay constant.",
-    },
-)
+@bohlin("bohlin-c")
 def build_c(top: Top, options: BranchOptions) -> Stepper:
-    """The scheme rotates gamma about the old omega by the angle h |omega|, and computes omega as in `bohlin-a`.
+    r"""Bohlin's method with gamma advanced by an instantaneous rotation.
+
+    The scheme rotates gamma about the old omega by the angle h |omega|, and computes omega as in `bohlin-a`.
 
     The old omega is omega before the step. Rodrigues' formula gives the rotated gamma without a division by |omega|, so
     omega = 0 is a regular point.
+
+    Equations
+    ---------
+    (C), (Kxi) and (direct) of the paper
+
+    Formula
+    -------
+    \gamma' = e^{-h\hat\omega}\,\gamma, \qquad \hat\omega v = \omega\times v
+
+    \omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
+    (\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2'), \qquad
+    \xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)
+
+    Limits
+    ------
+    homoclinic-spacing
+        The motion of this case is close to the homoclinic orbit. The error of a method of order 1 acts like a larger
+        distance from this orbit and shortens the time between two swings (falls and rises) of the top. In the paper's
+        Figure 2 this time is 15.3 instead of 28.17.
+    rest-on-axis, delone-sleeping
+        If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state is a
+        fixed point of the map: the state never changes.
+    huge
+        |xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega has a
+        moderate size.
+    long runs
+        The scheme does not conserve the energy. In this case, with h = 0.1, the energy rises from 2.1 to more than 200
+        within t = 6500, and the run ends as `left_motion`; gamma² and k² stay constant.
     """
     return Stepper(bohlin_step(method_c, ROOTS[options.branch]), 6)

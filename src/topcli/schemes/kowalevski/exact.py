@@ -130,33 +130,45 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
 @scheme(
     "exact",
     top="kowalevski",
-    title="Closed form by separation of variables",
     order=None,
     explicit=True,
     self_adjoint=True,
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
-    citation="Kowalevski 1889; Kötter 1893; Golubev, Lectures on Integration of the Equations of Motion",
-    formula=r"""
-(s_1 - s_2)^2\,\dot s_i^2 = -\Phi(s_i), \qquad \Phi(s) = 4\prod_{i=1}^5 (s - e_i)
-""",
-    equations="(K1) and (K2) of the paper, solved by hyperelliptic integrals of genus two",
-    limits={
-        "huge": "The product c gamma is computed as a difference of terms of the size of |omega|², so gamma has an "
-        "error of about eps |omega|²/c, with the machine epsilon eps and c = c0/C. A motion is refused if this exceeds "
-        "1e-7 |gamma|.",
-        "critical orbits": "A motion is refused if s1 or s2 stays at a double root of the cubic factor of Phi, as for "
-        "omega = (0, 1, 2), gamma = (0, 0, 1), c0 = 2. Motions near such a motion are computed.",
-        "weak gravity": "The error eps |omega|²/c of gamma is about 1e-10 for c = 1e-6 and |omega| = 1. A motion is "
-        "refused if it exceeds 1e-7 |gamma|.",
-        "near a separatrix": "The initial state is taken as exact. Near an unstable motion, an error of one ulp (unit "
-        "in the last place) in the initial state grows exponentially, and this limits the accuracy of later states. "
-        "A state exactly on a separatrix, or on an unstable motion, is computed until a deviation has grown by 2^150, "
-        "and refused at later times.",
-    },
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """The scheme evaluates the exact motion of the Kowalevski top at any time, from Kowalevski's variables s1 and s2.
+    r"""Closed form by separation of variables.
+
+    The scheme evaluates the exact motion of the Kowalevski top at any time, from Kowalevski's variables s1 and s2.
 
     The set-up for an initial state takes about a tenth of a second.
+
+    Source
+    ------
+    Kowalevski 1889; Kötter 1893; Golubev, Lectures on Integration of the Equations of Motion
+
+    Equations
+    ---------
+    (K1) and (K2) of the paper, solved by hyperelliptic integrals of genus two
+
+    Formula
+    -------
+    (s_1 - s_2)^2\,\dot s_i^2 = -\Phi(s_i), \qquad \Phi(s) = 4\prod_{i=1}^5 (s - e_i)
+
+    Limits
+    ------
+    huge
+        The product c gamma is computed as a difference of terms of the size of |omega|², so gamma has an error of about
+        eps |omega|²/c, with the machine epsilon eps and c = c0/C. A motion is refused if this exceeds 1e-7 |gamma|.
+    critical orbits
+        A motion is refused if s1 or s2 stays at a double root of the cubic factor of Phi, as for omega = (0, 1, 2),
+        gamma = (0, 0, 1), c0 = 2. Motions near such a motion are computed.
+    weak gravity
+        The error eps |omega|²/c of gamma is about 1e-10 for c = 1e-6 and |omega| = 1. A motion is refused if it exceeds
+        1e-7 |gamma|.
+    near a separatrix
+        The initial state is taken as exact. Near an unstable motion, an error of one ulp (unit in the last place) in
+        the initial state grows exponentially, and this limits the accuracy of later states. A state exactly on a
+        separatrix, or on an unstable motion, is computed until a deviation has grown by 2^150, and refused at later
+        times.
     """
     return Sampler(exact_states)

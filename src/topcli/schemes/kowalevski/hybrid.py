@@ -29,8 +29,7 @@ from topcli.arithmetic.fused import fma, follow_precision
 from topcli.arithmetic.vectors import Vector, cayley_increment, cayley_rotated, resolvent, rotation_increment, solve3
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
 from topcli.schemes.any_top.hk import build as build_hk
-from topcli.schemes.kowalevski.bohlin import FORMULA, ROOTS, XI, BranchOptions, Root
-from topcli.schemes.limits import NEWTON_SINGULAR, NO_SOLUTION, OVERFLOW, SINGULAR
+from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import first, stepper
 
@@ -43,10 +42,6 @@ SETTLED = 4.0 * 2.0**-52
 TINY = 1e-300
 """Avoids 0/0 in the residual of a body at rest."""
 follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=1, TINY=20)
-FAR_OVERFLOW = (
-    "The determinant of the linear system in Newton's method grows as |omega|³ and overflows if |omega| exceeds about "
-    "1e103. The run then ends as `no_convergence`."
-)
 
 
 def hybrid_step(hk: StepFunction, root: Root) -> StepFunction:
@@ -70,39 +65,56 @@ def hybrid_step(hk: StepFunction, root: Root) -> StepFunction:
 @scheme(
     "hybrid",
     top="kowalevski",
-    title="Hybrid of HK and Bohlin's method",
     order=2,
     explicit=True,
     self_adjoint=False,
     conserves=("gamma_sq", "k_sq"),
-    citation="Sogo, Discrete Spinning Tops, section 3.2.3",
-    formula=r"""
-\gamma' - \gamma = h\,\bar\gamma\times\frac{\omega + \omega^{\mathrm{HK}}}{2}, \qquad
-\omega_3' = \omega_3^{\mathrm{HK}}, \qquad
-(\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2')
-"""
-    + XI,
-    equations="(dEulerPoisson), the modified BS scheme and (Kxi) of the paper",
-    limits={"singular-step": SINGULAR, "huge": OVERFLOW},
     options=BranchOptions,
 )
 def build_hybrid(top: Top, options: BranchOptions) -> Stepper:
-    """HK gives omega3, a rotation with HK's mean omega gives gamma, and Bohlin's method gives omega1 + i omega2.
+    r"""Hybrid of HK and Bohlin's method.
+
+    HK gives omega3, a rotation with HK's mean omega gives gamma, and Bohlin's method gives omega1 + i omega2.
 
     HK is the Hirota-Kimura scheme (`hk`); its mean omega is the mean of omega before and after HK's step. The scheme
     conserves |gamma| and k = |xi|, where xi = (omega1 + i omega2)² - c (gamma1 + i gamma2). Contrary to what the paper
     states, the step is not self-adjoint: a step forward followed by a step back has an error of O(h⁴), and 2l and E
     drift. Where omega1 + i omega2 passes through 0, the square root in Bohlin's method is singular, and the order is
     reduced to 3/2. HK with the key `project: 1` of the scheme also conserves k² and has order 2 there.
+
+    Source
+    ------
+    Sogo, Discrete Spinning Tops, section 3.2.3
+
+    Equations
+    ---------
+    (dEulerPoisson), the modified BS scheme and (Kxi) of the paper
+
+    Formula
+    -------
+    \gamma' - \gamma = h\,\bar\gamma\times\frac{\omega + \omega^{\mathrm{HK}}}{2}, \qquad
+    \omega_3' = \omega_3^{\mathrm{HK}}, \qquad
+    (\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2')
+    \xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)
+
+    Limits
+    ------
+    singular-step
+        For certain step sizes of the order of 1/|omega| and larger, the determinant of HK's linear system vanishes, and
+        the state jumps far away: the run ends as `left_motion` or `blew_up`. Choose h such that |h| |omega| is well
+        below 1.
+    huge
+        |xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega has a
+        moderate size.
     """
     hk = build_hk(top, NoOptions())
     step = hybrid_step(hk.step, ROOTS[options.branch])
     return Stepper(step, 6, constants=hk.constants, source=hk.source)
 
 
-def length_correction(now: float, wanted: float) -> float:
+def length_correction(now: float, target: float) -> float:
     """Relative correction of a vector of squared length ``now`` to the close value ``wanted``; 0 if that is 0."""
-    return 0.5 * ((wanted - now) / wanted) if wanted > 0.0 else 0.0
+    return 0.5 * ((target - now) / target) if target > 0.0 else 0.0
 
 
 def enter_carried(y: Floats, h: float, p: Floats) -> Floats:
@@ -212,18 +224,15 @@ def hybrid_sym_change(hk: StepFunction) -> StepFunction:
 @scheme(
     "hybrid-sym",
     top="kowalevski",
-    title="Self-adjoint hybrid of HK and Bohlin's method",
     order=2,
     explicit=False,
     self_adjoint=True,
     conserves=("gamma_sq", "k_sq"),
-    citation="after Sogo, Discrete Spinning Tops, section 3.2.3",
-    formula=r"\gamma' - \gamma = h\,\bar\gamma\times\bar\omega" + "\n" + FORMULA,
-    equations="the modified BS scheme and (Kxi) of the paper, with the new omega instead of HK's",
-    limits={"resonance": NO_SOLUTION, "singular-step": NEWTON_SINGULAR, "huge": FAR_OVERFLOW},
 )
 def build_sym(top: Top, options: NoOptions) -> Stepper:
-    """The scheme solves all equations of `hybrid` at once, with its own new omega in place of HK's.
+    r"""Self-adjoint hybrid of HK and Bohlin's method.
+
+    The scheme solves all equations of `hybrid` at once, with its own new omega in place of HK's.
 
     HK is the Hirota-Kimura scheme (`hk`). Newton's method solves the equations; it starts from HK's step. The scheme is
     self-adjoint. `hybrid-sym` conserves |gamma| and k = |xi|, where xi = (omega1 + i omega2)² - c (gamma1 + i gamma2);
@@ -232,8 +241,36 @@ def build_sym(top: Top, options: NoOptions) -> Stepper:
     If a step does not converge, the run ends as `no_convergence`. Convergence may fail where omega1 + i omega2 comes so
     close to 0 that its two possible values, the two square roots, nearly coincide. There, errors do not fall regularly
     with h.
+
+    Source
+    ------
+    after Sogo, Discrete Spinning Tops, section 3.2.3
+
+    Equations
+    ---------
+    the modified BS scheme and (Kxi) of the paper, with the new omega instead of HK's
+
+    Formula
+    -------
+    \gamma' - \gamma = h\,\bar\gamma\times\bar\omega
+
+    \omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
+    (\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2'), \qquad
+    \xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)
+
+    Limits
+    ------
+    resonance
+        If h is the time of one revolution of the body or longer, Newton's method may find no solution. The run then
+        ends as `no_convergence`.
+    singular-step
+        The iteration for the step starts from a step of HK (the scheme `hk`), whose linear system is singular for the h
+        of this case. The iteration does not converge, and the run ends as `no_convergence`.
+    huge
+        The determinant of the linear system in Newton's method grows as |omega|³ and overflows if |omega| exceeds about
+        1e103. The run then ends as `no_convergence`.
     """
     hk = build_hk(top, NoOptions())
     change = hybrid_sym_change(hk.step)
-    made = stepper(change, 8, 2, counters=("iterations",), iterative=True, enter=enter_carried, leave=first(6))
-    return replace(made, constants=hk.constants, source=hk.source)
+    method = stepper(change, 8, 2, counters=("iterations",), iterative=True, enter=enter_carried, leave=first(6))
+    return replace(method, constants=hk.constants, source=hk.source)

@@ -121,8 +121,8 @@ class Separated:
     def phases(self, n: NDArray[Any], h: float) -> tuple[Phase, Phase]:
         """Phases after ``n`` (m,) steps of ``h``, which may be fractions."""
         with digits(DIGITS):
-            one, two = (phase(start, rate * real(h), n) for start, rate in zip(self.starts, self.rates, strict=True))
-        return one, two
+            first, second = (phase(x, rate * real(h), n) for x, rate in zip(self.starts, self.rates, strict=True))
+        return first, second
 
     def states(self, n: NDArray[Any], h: float) -> Array:
         """States (m, 6) after ``n`` (m,) steps of ``h``."""
@@ -134,34 +134,34 @@ class Separated:
         with np.errstate(all="ignore"):
             for begin in range(0, len(states), CHUNK):
                 part = slice(begin, begin + CHUNK)
-                one, two = ((whole[part], rest[part]) for whole, rest in (first, second))
-                states[part] = self.at(*self.places(one, two))
+                here, there = ((whole[part], rest[part]) for whole, rest in (first, second))
+                states[part] = self.at(*self.places(here, there))
         return states
 
     def places(self, first_phase: Phase, second_phase: Phase, nudge: bool = True) -> tuple[Place, Place]:
         """Places of s1 and s2; with ``nudge``, a common passage through a double root is left a little later."""
-        one, two, (k1, at1), (k2, at2) = self.one, self.two, first_phase, second_phase
-        (a, P), (b, Q) = one.halves, two.halves
-        p, q, slope = P * at1, Q * at2, one.slope + two.slope
+        bounded, unbounded, (k1, at1), (k2, at2) = self.one, self.two, first_phase, second_phase
+        (a, P), (b, Q) = bounded.halves, unbounded.halves
+        p, q, slope = P * at1, Q * at2, bounded.slope + unbounded.slope
 
         def equation(x: Array, i: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-            first, A = one.place(k1[i], p[i] + x, 1)
-            second, B = two.place(k2[i], q[i] - x, 1)
-            rate = 1.0 / one.gap(first) + second.C * second.C / two.gap(second)
-            return slope * x + A - B, rate, np.abs(A) + np.abs(B) + one.slope * np.abs(x)
+            first, A = bounded.place(k1[i], p[i] + x, 1)
+            second, B = unbounded.place(k2[i], q[i] - x, 1)
+            rate = 1.0 / bounded.gap(first) + second.C * second.C / unbounded.gap(second)
+            return slope * x + A - B, rate, np.abs(A) + np.abs(B) + bounded.slope * np.abs(x)
 
         x = _solved(equation, len(p), 2.02 * float(a + b) / slope, min(1.0, P, Q))
-        first, A = one.place(k1, p + x, 1)
-        second, B = two.place(k2, q - x, 1)
-        u1, u2 = one.gap(first), two.gap(second) / np.maximum(second.C * second.C, TINY)
+        first, A = bounded.place(k1, p + x, 1)
+        second, B = unbounded.place(k2, q - x, 1)
+        u1, u2 = bounded.gap(first), unbounded.gap(second) / np.maximum(second.C * second.C, TINY)
         if nudge and (by := (u1 < PASSAGE * self.near) & (u2 < PASSAGE * self.near)).any():
             at1, at2 = (at + np.where(by, AFTER * float(v), 0.0) for at, v in zip((at1, at2), self.rates, strict=True))
             return self.places((k1, at1), (k2, at2), False)
         # next to sigma, p does not determine the angle well, but the integral of ds/|w| does: that of the other angle
         if (by := (u1 <= u2) & (u1 < self.near)).any():
-            first = _replaced(first, by, one.place(k1[by], (a * at1 + B - two.slope * x)[by], 0)[0])
+            first = _replaced(first, by, bounded.place(k1[by], (a * at1 + B - unbounded.slope * x)[by], 0)[0])
         if (by := (u2 < u1) & (u2 < self.near)).any():
-            second = _replaced(second, by, two.place(k2[by], (b * at2 + A + one.slope * x)[by], 0)[0])
+            second = _replaced(second, by, unbounded.place(k2[by], (b * at2 + A + bounded.slope * x)[by], 0)[0])
         return first, second
 
     def at(self, first: Place, second: Place) -> Array:
@@ -258,8 +258,8 @@ def _improved(mixed: Sequence[Any], h: Any, k: Any, tau: Array, i: int, j: int) 
     terms = np.maximum(_square(h[i]), _square(k[i])) + np.maximum(_square(h[j]), _square(k[j]))
     sums = (h[i], -k[j], 1.0), (h[i], k[j], tau), (h[j], k[i], tau)
     return [
-        np.where(np.maximum(_square(one), _square(other)) < 0.1 * terms, (one + other) / scale, value)
-        for value, (one, other, scale) in zip(mixed, sums, strict=True)
+        np.where(np.maximum(_square(left), _square(right)) < 0.1 * terms, (left + right) / scale, value)
+        for value, (left, right, scale) in zip(mixed, sums, strict=True)
     ]
 
 

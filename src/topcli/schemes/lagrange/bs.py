@@ -35,20 +35,30 @@ def bs_integrals(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...
 @scheme(
     "bs",
     top="lagrange/inertial",
-    title="Bobenko-Suris scheme",
     order=1,
     explicit=True,
     self_adjoint=False,
     conserves=("a_sq", "m_p", "m_a"),
     modified=bs_integrals,
-    citation="Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3",
-    formula=r"m' - m = h\,p\times a, \qquad a' - a = h\,m'\times\bar a",
-    equations="(L1) and (L2) of the paper",
 )
 def build(top: Top, options: NoOptions) -> Stepper:
-    """The new m is m + h p x a. A Cayley transform then rotates the axis a of the top about the new m.
+    r"""Bobenko-Suris scheme.
+
+    The new m is m + h p x a. A Cayley transform then rotates the axis a of the top about the new m.
 
     The scheme conserves a², m·p, m·a and a modified energy exactly; the modified energy differs from E by a term of
     size h. The map is integrable. Although the scheme has order 1 and is not self-adjoint, no integral drifts.
+
+    Source
+    ------
+    Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3
+
+    Equations
+    ---------
+    (L1) and (L2) of the paper
+
+    Formula
+    -------
+    m' - m = h\,p\times a, \qquad a' - a = h\,m'\times\bar a
     """
     return Stepper(bs_step, 6)

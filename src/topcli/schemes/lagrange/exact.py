@@ -19,7 +19,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,16 +29,9 @@ from topcli.arithmetic.elliptic import Argument, phase
 from topcli.arithmetic.multiprecision import Real, cubic_roots, digits, mp, real
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
+from topcli.schemes.limits import all_invariants
 from topcli.schemes.registry import scheme
 
-LAGRANGE_AXIS = r"""
-\dot u^2 = (2E - s^2 - 2u)(1 - u^2) - (l - su)^2, \qquad
-u = u_1 + (u_2 - u_1)\,\mathrm{sn}^2\Bigl(\sqrt{\tfrac{u_3 - u_1}{2}}\;(t + t_0)\,;\ k\Bigr), \quad
-k^2 = \frac{u_2 - u_1}{u_3 - u_1}
-
-u = \gamma_3 = a\cdot p, \quad s = m\cdot e_3 = m\cdot a, \quad l = m\cdot\gamma = m\cdot p, \quad
-E = \tfrac12 m^2 + u, \qquad u_1 \leq u_2 \leq u_3 \text{ the zeros of } \dot u^2; \quad A = \mu = 1
-"""
 MAX_SAMPLES = 1 << 15
 NOTHING = 1e-30
 """Squares that vanish are below this, relative to the largest, because of rounding."""
@@ -275,56 +268,50 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     return np.column_stack([omega.real, omega.imag, np.full(len(n), s), vertical.real, vertical.imag, a3])
 
 
-WEAK_GRAVITY = (
-    "The nutation of a body that rotates very fast is too small to be resolved. The motion is refused, and the message "
-    "names the scheme `taylor`."
-)
-
-
-closed_form = partial(
-    scheme,
+@scheme(
     "exact",
-    title="Closed form by elliptic functions",
+    top=("lagrange", "lagrange/inertial"),
     order=None,
     explicit=True,
     self_adjoint=True,
-    citation="Lagrange 1788; Whittaker, Analytical Dynamics, section 71",
-    formula=LAGRANGE_AXIS,
-)
-
-
-@closed_form(
-    top="lagrange",
-    conserves=("gamma_sq", "m_gamma", "energy", "m_axis"),
-    equations="(Euler) and (Poisson) of the paper with A = B, x0 = y0 = 0",
-    limits={
-        "huge": WEAK_GRAVITY,
-        "sleeping-threshold": "The scheme refuses motions that tend to the upright position, because their period is "
-        "infinite. At the stability limit of the upright top it also refuses motions within 1e-6 of the upright "
-        "position, because their period is too long to resolve.",
-    },
+    conserves=all_invariants,
+    limits=lambda top: ("huge", "sleeping-threshold") if top.form == "lagrange" else ("huge",),
 )
 def build_exact(top: Top, options: NoOptions) -> Sampler:
-    """The scheme computes gamma3 by Jacobi functions and the angle of precession by a Fourier series.
+    r"""Closed form by elliptic functions.
+
+    The scheme computes gamma3, or a·p in the inertial frame, by Jacobi functions, and the angle of precession by a
+    Fourier series.
 
     The nutation is accurate to round-off at any time, and the angle of precession to a few ulp of its size, which grows
     with time. The scheme refuses motions that tend to the upright position, because they are not periodic, and motions
     in which the axis stays nearly, but not exactly, in a vertical plane.
+
+    Source
+    ------
+    Lagrange 1788; Whittaker, Analytical Dynamics, section 71
+
+    Equations
+    ---------
+    (Euler) and (Poisson) of the paper with A = B, x0 = y0 = 0; in the inertial frame m' = p x a, a' = m x a
+
+    Formula
+    -------
+    \dot u^2 = (2E - s^2 - 2u)(1 - u^2) - (l - su)^2, \qquad
+    u = u_1 + (u_2 - u_1)\,\mathrm{sn}^2\Bigl(\sqrt{\tfrac{u_3 - u_1}{2}}\;(t + t_0)\,;\ k\Bigr), \quad
+    k^2 = \frac{u_2 - u_1}{u_3 - u_1}
+
+    u = \gamma_3 = a\cdot p, \quad s = m\cdot e_3 = m\cdot a, \quad l = m\cdot\gamma = m\cdot p, \quad
+    E = \tfrac12 m^2 + u, \qquad u_1 \leq u_2 \leq u_3 \text{ the zeros of } \dot u^2; \quad A = \mu = 1
+
+    Limits
+    ------
+    huge
+        The nutation of a body that rotates very fast is too small to be resolved. The motion is refused, and the
+        message names the scheme `taylor`.
+    sleeping-threshold
+        The scheme refuses motions that tend to the upright position, because their period is infinite. At the stability
+        limit of the upright top it also refuses motions within 1e-6 of the upright position, because their period is
+        too long to resolve.
     """
-    return Sampler(body_states)
-
-
-@closed_form(
-    top="lagrange/inertial",
-    conserves=("a_sq", "m_p", "m_a", "energy"),
-    equations="m' = p x a, a' = m x a",
-    limits={"huge": WEAK_GRAVITY},
-)
-def build_exact_inertial(top: Top, options: NoOptions) -> Sampler:
-    """The scheme computes a·p by Jacobi functions and the angle of precession by a Fourier series.
-
-    The nutation is accurate to round-off at any time, and the angle of precession to a few ulp of its size, which grows
-    with time. The scheme refuses motions that tend to the upright position, because they are not periodic, and motions
-    in which the axis stays nearly, but not exactly, in a vertical plane.
-    """
-    return Sampler(inertial_states)
+    return Sampler(body_states if top.form == "lagrange" else inertial_states)
