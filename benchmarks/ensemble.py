@@ -19,7 +19,7 @@ from steps import GENERIC, H, ratio, stepping, straightforward
 
 from topcli.engine.drive import drive
 from topcli.engine.machine import Machine
-from topcli.engine.plan import Plan
+from topcli.engine.rows import Plan
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 

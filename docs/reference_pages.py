@@ -35,7 +35,7 @@ CODE = (
 KEYS = ("key", "type", "default", "meaning")
 TYPES = (
     *("studies.report.Report", "table.Table", "show.results.RunReport", "show.results.SweepReport"),
-    *("show.results.MotionReport", "contracts.Stepper", "contracts.Scheme", "contracts.Invariant", "contracts.Sampler"),
+    *("contracts.Stepper", "contracts.Scheme", "contracts.Invariant", "contracts.Sampler"),
     *("contracts.Block", "sweeps.batch.Batch"),
 )
 """Types of arguments and results outside ``topcli`` itself, named from it on."""
@@ -45,8 +45,8 @@ MEMBERS = {
     "Motion": "",
     "studies.report.Report": "table, plot, save, as_dict",
     "table.Table": "frame, text",
-    "show.results.RunReport": "folder, outcome, status, is_ensemble, series, plot, save, as_dict",
-    "show.results.SweepReport": "folder, outcomes, plot, save, as_dict",
+    "show.results.RunReport": "folder, outcome, status, series, table, as_dict",
+    "show.results.SweepReport": "folder, outcomes, table, plot, as_dict",
     "contracts.Scheme": "",
 }
 """Members of classes that the page shows."""

@@ -102,16 +102,6 @@ def own_registry() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(params=["gmpy2", "mpmath"])
-def library(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Library of numbers of other precisions: gmpy2, or mpmath as where gmpy2 is not installed."""
-    if request.param == "mpmath":
-        monkeypatch.setitem(sys.modules, "gmpy2", None)
-    else:
-        pytest.importorskip("gmpy2")
-    return request.param
-
-
 @pytest.fixture
 def in_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working folder."""

@@ -519,6 +519,8 @@ class Scheme:
     formula: str = ""
     """Step as display formulas in LaTeX, without delimiters, separated by empty lines. A prime marks the new state, a
     bar marks the mean of the old and the new state, and f is the right-hand side of the equations of motion."""
+    maker: Any = None
+    """The decorated function."""
 
     def order_for(self, options: Any) -> int | None:
         """Order of convergence if the scheme has these ``options``."""

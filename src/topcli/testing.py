@@ -30,7 +30,7 @@ from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judg
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Invariant, Method, Scheme, Stepper, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.field.integrals import exact_rate
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.registry import find_scheme
@@ -44,11 +44,11 @@ SIZES = (0.2, 0.1, 0.05)
 """Step sizes of one step there and back."""
 REVERSED = 1e-13
 """Largest component missed by one step there and back, relative to the state; schemes of topcli miss 1e-14."""
-EXACT = 1e-13
+_EXACT = 1e-13
 """Largest error of a solution in closed form, relative to the state."""
 STEPS, FEW = 5000, 400
 """Steps of the runs that show invariants; in the interpreter fewer."""
-LONG = 0.05
+_LONG = 0.05
 """Step size of these runs."""
 RATE = 1e-7
 """Rate of change of an integral on random states that differences may leave, relative to its gradient and the field."""
@@ -126,15 +126,15 @@ def _traits(scheme: Scheme, top: Top, options: Any, method: Method, y0: Array) -
         defect = max(filter(math.isfinite, defects), default=math.nan)  # a long step may fail
         yield Trait("self-adjoint", defect, REVERSED * max(1.0, float(np.abs(states).max())))
     exact = [each for each in top.invariants() if each.name in scheme.conserves]
-    modified = scheme.modified(top, LONG, options) if scheme.modified else ()
+    modified = scheme.modified(top, _LONG, options) if scheme.modified else ()
     if exact or modified:
         N = FEW if plain else STEPS
-        states = completed(top, method, start, LONG, N)
+        states = completed(top, method, start, _LONG, N)
         for trait, invariants in (("exact invariants", exact), ("modified invariants", modified)):
             if not invariants:
                 continue
             if states is None:
-                yield Trait(trait, math.nan, 1.0, f"a run of {N} steps of {LONG:g} does not complete")
+                yield Trait(trait, math.nan, 1.0, f"a run of {N} steps of {_LONG:g} does not complete")
             else:
                 yield _conserved(trait, states, invariants, N)
 
@@ -176,7 +176,7 @@ def _order(declared: int | None, top: Top, method: Method, y0: Array, plain: boo
         if observed.plateau is not None:
             break
     if declared is None:
-        return Trait("solution in closed form", max(errors), EXACT * size)
+        return Trait("solution in closed form", max(errors), _EXACT * size)
     verdict, why = judge_order(declared, observed, moved, lambda: is_consistent(top, method, y0))
     if verdict is OrderVerdict.UNDECIDED or observed.order is None:
         return Trait(f"order {declared}", math.nan, 0.1, why)

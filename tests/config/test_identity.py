@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from topcli.config.load import load
-from topcli.config.models import changed_name, name_fault
+from topcli.config.models import changed_name, folder_name_fault
 
 RUN = """
 top.c0=1.0000000000000002 top.A=3 initial.omega1=2.0000000000000004 initial.gamma=[0,0,1] scheme=rk4 scheme=hk+suzuki4
@@ -60,12 +60,12 @@ def test_an_override_that_changes_the_run_changes_its_name(scene: str, override:
     ["con", "NUL", "Com1", "lpt9.txt", "aux .x", "figures", "x.", "x ", " x", "..", "-x", "a\tb", "a:b", "a/b", ""],
 )
 def test_names_that_some_system_reserves_or_changes_are_refused(name: str) -> None:
-    assert name_fault(name)
+    assert folder_name_fault(name)
 
 
 @pytest.mark.parametrize("name", ["run #1", "console", "com10", "a.b", "é (2)", "x+y", "n" * 100, "é" * 100])
 def test_other_names_are_accepted_and_can_be_changed(name: str) -> None:
-    assert not name_fault(name)
+    assert not folder_name_fault(name)
     other = changed_name(name, "0123456789abcdef")
-    assert name_fault(other) == ""
+    assert folder_name_fault(other) == ""
     assert name.startswith(other.removesuffix("-012345"))

@@ -13,7 +13,7 @@ from config_texts import BASE, BASE_TOML, CONFIGS, ENSEMBLE_TEXT, SWEEP_TEXT, wr
 from topcli.config.load import load, load_experiment
 from topcli.config.sweep import load_sweep
 from topcli.errors import TopcliError
-from topcli.sweeps.run import plan_of
+from topcli.sweeps.run import sweep_plan
 
 
 def load_any_precision(path: Path) -> object:
@@ -27,7 +27,7 @@ TEXTS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "precision": (BASE, "bad.yaml", load_any_precision),
     "ensemble": (ENSEMBLE_TEXT, "bad.yaml", load),
     "section of an ensemble": (f"{BASE}ensemble: ", "bad.yaml", load),
-    "sweep": (SWEEP_TEXT, "bad.yaml", lambda path: plan_of(load_sweep(path))),
+    "sweep": (SWEEP_TEXT, "bad.yaml", lambda path: sweep_plan(load_sweep(path))),
 }
 PARTS = parts_of(Path(__file__).with_name("mistakes.txt"))
 

@@ -14,7 +14,7 @@ from conftest import GEN
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.engine.attitude import Turning, carry, start_attitude
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.runs.plans import trajectory_of
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler

@@ -162,7 +162,7 @@ NEXT = """
 import json, sys
 import numpy as np
 from topcli.analysis.reference import reference_states
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.engine.machine import Machine
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski

@@ -13,13 +13,11 @@ from conftest import random_states
 from steppers import RK2, built
 from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
 from topcli.engine import integration
-from topcli.engine.collect import orbit
-from topcli.engine.consumer import Consumer
-from topcli.engine.drive import Chunk, drive
+from topcli.engine.consumers import Consumer
+from topcli.engine.drive import Chunk, drive, orbit
 from topcli.engine.integration import Integration
 from topcli.engine.machine import FEW_LANES, MANY_LANES, SIDE_BY_SIDE, Machine
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 from topcli.tops.kowalevski import Kowalevski
 
 COUNT = MANY_LANES + 6

@@ -13,9 +13,8 @@ import pytest
 
 from conftest import GEN, Said
 from topcli.contracts import Outcome, Top
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
-from topcli.engine.watch import Watch
+from topcli.engine.consumers import EnergyWatch
+from topcli.engine.rows import Plan, Rows
 from topcli.runs.simulate import simulate
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
@@ -65,7 +64,7 @@ def left_by_each(top: Top, states: np.ndarray) -> set[int | None]:
     for pieces in (1, 7, 400):
         for resting in (0, 1):
             both = np.stack([*[np.tile(states[0], (len(states), 1))] * resting, states])
-            plan, watch = Plan(top, None, both[:, 0], 0.1, int(n[-1]), 3, invariants=top.invariants()), Watch()
+            plan, watch = Plan(top, None, both[:, 0], 0.1, int(n[-1]), 3, invariants=top.invariants()), EnergyWatch()
             watch.begin(plan)
             for part in np.array_split(np.arange(len(states)), pieces):
                 watch.add(Rows(plan, n[part], both[:, part]))

@@ -16,10 +16,10 @@ from steppers import built
 from topcli.analysis import reference
 from topcli.contracts import Ending, Outcome, Sampler, Scheme, StopAsked, stopping_when
 from topcli.engine import integration
-from topcli.engine.collect import Memory, orbit
-from topcli.engine.drive import drive
+from topcli.engine.consumers import Memory
+from topcli.engine.drive import drive, orbit
 from topcli.engine.machine import Machine
-from topcli.engine.plan import Plan
+from topcli.engine.rows import Plan
 from topcli.errors import RunError
 from topcli.schemes.any_top import runge_kutta
 from topcli.schemes.any_top.taylor import MAX_EXPANSIONS, SHORTEST_REACH

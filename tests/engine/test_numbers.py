@@ -15,7 +15,7 @@ from cases import table_of
 from declared import SCHEMES
 from topcli.arithmetic.fused import fma, follow_precision
 from topcli.contracts import Outcome, Scheme, Stepper
-from topcli.engine.collect import Orbit, orbit
+from topcli.engine.drive import Orbit, orbit
 from topcli.engine.machine import Machine
 from topcli.engine.numbers import (
     RATIONAL,
@@ -58,10 +58,9 @@ def kernel(x: float, y: float = 0.1) -> float:
     return fma(x, y, 1.0 / 6.0) + LIMIT * ROUNDS + math.sqrt(x) + ROOTED + TABLE[1]
 
 
-def test_rebuilt_function_has_the_accuracy_of_its_numbers(library: str) -> None:
+def test_rebuilt_function_has_the_accuracy_of_its_numbers() -> None:
     numbers = digits(60)
-    with numbers.active():
-        found = numbers.fraction(numbers.rebuilt(kernel)(numbers.number(Fraction(2))))
+    found = numbers.fraction(numbers.rebuilt(kernel)(numbers.number(Fraction(2))))
     scale = 2 ** (numbers.bits - 53)
     root = Fraction(math.isqrt(2 * 10**140), 10**70)
     # tolerances shrink with the rounding error, or its root; a number of iterations grows with the digits
@@ -100,8 +99,8 @@ STRAY = {
 
 @pytest.mark.parametrize("value", STRAY.values(), ids=list(STRAY))
 @pytest.mark.parametrize("precision", [40, RATIONAL])
-def test_doubles_are_refused(value: Any, precision: int | str, library: str) -> None:
-    """As operands, as arguments, and in the state after a step; for gmpy2 the first step is tried with mpmath."""
+def test_doubles_are_refused(value: Any, precision: int | str) -> None:
+    """As operands, as arguments, and in the state after a step."""
     step = Stepper(lambda s, h, p: (value(s, h, p), *s[1:]), 6)
     scheme = replace(find_scheme("rk2", "kowalevski"), build=lambda top, options: step)
     with pytest.raises(UsageError, match=r"no exact meaning|math.atan2, which|no step in"):
@@ -138,11 +137,10 @@ def carried_out(made: PreciseRun, steps: int) -> Orbit:
 
 
 def declared_deviations(scheme: Scheme, made: PreciseRun, states: Any) -> dict[str, Any]:
-    with made.arithmetic.active():
-        modified = scheme.modified(made.top, made.h, scheme.options()) if scheme.modified else ()
-        watched = [one for one in made.top.invariants() if one.name in scheme.conserves] + list(modified)
-        values = {one.name: one.value(states) for one in watched}
-        return {name: max(abs(x - found[0]) for x in found) for name, found in values.items()}
+    modified = scheme.modified(made.top, made.h, scheme.options()) if scheme.modified else ()
+    watched = [one for one in made.top.invariants() if one.name in scheme.conserves] + list(modified)
+    values = {one.name: one.value(states) for one in watched}
+    return {name: max(abs(x - found[0]) for x in found) for name, found in values.items()}
 
 
 def assert_exact_at_50_digits(scheme: Scheme, steps: int, **options: Any) -> None:
@@ -169,12 +167,12 @@ def test_declared_invariants_are_exact_at_50_digits(scheme: Scheme) -> None:
 @pytest.mark.parametrize(
     ("top", "name"), [("euler+gamma", "hk"), ("kowalevski", "hybrid"), ("lagrange", "midpoint+kahan-li6")]
 )
-def test_declared_invariants_are_exact_over_a_few_steps(top: str, name: str, library: str) -> None:
+def test_declared_invariants_are_exact_over_a_few_steps(top: str, name: str) -> None:
     assert_exact_at_50_digits(find_scheme(name, top), 5)
 
 
 @pytest.mark.parametrize("options", [{"compensated": True}, {"project": 2}], ids=str)
-def test_wrapped_steps_are_exact_at_50_digits(options: dict[str, Any], library: str) -> None:
+def test_wrapped_steps_are_exact_at_50_digits(options: dict[str, Any]) -> None:
     assert_exact_at_50_digits(find_scheme("hk", "heavy"), 5, **options)
 
 

@@ -15,13 +15,13 @@ import pytest
 from steppers import built
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Method, Stepper, Top
-from topcli.engine.collect import orbit
 from topcli.engine.compile import native
 from topcli.engine.drive import drive as driven
-from topcli.engine.duals import RULES, dual, slope_of, value_of
+from topcli.engine.drive import orbit
+from topcli.engine.duals import RULES, dual, primal_of, slope_of
 from topcli.engine.loops import interpreted, part_steps_of
 from topcli.engine.machine import Machine
-from topcli.engine.plan import Plan
+from topcli.engine.rows import Plan
 from topcli.engine.tangent import TangentRun, tangent_code
 from topcli.errors import SchemeCodeError, UsageError
 from topcli.field.expression import FUNCTIONS
@@ -172,7 +172,7 @@ def test_rules_of_dual_numbers(functions: tuple[Callable[..., Any], ...]) -> Non
         f"    s = function({text})\n    out[{2 * k}] = value_of(s)\n    out[{2 * k + 1}] = slope_of(s)\n"
         for k, text in enumerate(arguments)
     )
-    scope: dict[str, Any] = {"function": function, "dual": dual, "value_of": value_of, "slope_of": slope_of}
+    scope: dict[str, Any] = {"function": function, "dual": dual, "value_of": primal_of, "slope_of": slope_of}
     exec(f"def drive(x, dx, out):\n{calls}    return 1", scope)
     out = np.zeros(2 * len(combinations))
     native(scope["drive"], "ppp", duals=True)(np.array(x), np.array(dx), out)
@@ -215,7 +215,7 @@ def test_dual_numbers_in_branches_loops_and_powers() -> None:
             total = -total
         if not math.isfinite(total) or total != total:
             total = x
-        out[0] = value_of(total)
+        out[0] = primal_of(total)
         out[1] = slope_of(total)
         out[2] = slope_of(3.0)
         return 0

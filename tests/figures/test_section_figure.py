@@ -46,7 +46,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
     for place, x, colour, message in (
         (tmp_path / "none", None, None, "no finished run here"),
         (steps, None, None, "recorded steps, not a section"),
-        (empty, None, None, "nothing to draw: completed 4000 steps .*; never crossed"),
+        (empty, None, None, "nothing to draw: completed 4000 steps .*; no crossing"),
         (folder, "gama1", None, "no such column; did you mean 'gamma1'"),
         (folder, None, "drift", "coloured by orbit, or with --colour verdict"),
     ):

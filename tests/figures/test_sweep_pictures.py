@@ -64,6 +64,16 @@ def test_values_without_a_place_are_counted_in_the_title(tmp_path: Path) -> None
     assert axes.get_title(loc="left") == "mine, 4 of 6 values not shown"
 
 
+def test_a_mean_is_of_all_its_rows_whatever_the_scale(tmp_path: Path) -> None:
+    """Zeros have no place on a logarithmic axis, and values beyond it none on any; both count in a mean."""
+    keys = {"N": [20, 20, 50, 50, 5000, 5000], "seed": [1, 2, 1, 2, 1, 2]}
+    rows = read_rows(write_rows(tmp_path / "few", keys, {"v": [0.0, 1.0, 0.0, 3.0, 900.0, 2e12]}))
+    (axes,) = figure_of(rows, Choice("N", "v", aggregate="mean")).axes
+    assert axes.get_yscale() == "linear"
+    assert axes.lines[0].get_xydata().tolist() == [[20, 0.5], [50, 1.5]]
+    assert axes.get_title(loc="left") == "mine, 1 of 3 points not shown"
+
+
 def test_cells_are_those_of_the_rows(folder: Path) -> None:
     choice = Choice("h", "scheme", colour="drift.energy", aggregate="max")
     axes, bar = figure_of(read_rows(folder), choice).axes

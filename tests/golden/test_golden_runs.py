@@ -65,7 +65,7 @@ def test_runs(kind: str, tmp_path: Path) -> None:
     facts = {key: manifest.get(key) for key in ("digest", "outcome", "message", "step", "config")}
     rows = [repeatable(row) for row in (series[:1] + series[len(series) // 2 :][:1] + series[-1:])]
     repeated = repeatable(run.as_dict())
-    repeated.pop("library", None)  # gmpy2 or mpmath, with the same digits
+    repeated.pop("library", None)  # the version of mpmath
     data = {"files": files, "manifest": facts, "rows": rows, "count": len(series), "report": repeated}
     golden.check(f"run_{kind}", data, rel=1e-5)
 

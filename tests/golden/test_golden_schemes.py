@@ -12,7 +12,7 @@ from conformance import choices
 from conftest import PAPER, random_states
 from declared import TRIALS, gen
 from topcli.contracts import Scheme, Stepper, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.engine.loops import interpreted
 from topcli.schemes.registry import all_schemes
 from topcli.tops import TOPS

@@ -14,11 +14,11 @@ from resuming import after
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, Stepper
-from topcli.engine.collect import Memory, orbit
-from topcli.engine.drive import drive
+from topcli.engine.consumers import Memory
+from topcli.engine.drive import drive, orbit
 from topcli.engine.loops import interpreted
 from topcli.engine.machine import Machine
-from topcli.engine.plan import Plan
+from topcli.engine.rows import Plan
 from topcli.runs.run import RunOptions, run_experiment
 from topcli.store.series import read_series
 

@@ -13,6 +13,8 @@ from conftest import ROOT, Said
 from documentation import read_page
 from scheme_files import loaded_file
 from topcli.config.load import load_experiment
+from topcli.errors import UsageError
+from topcli.schemes.plugins import load_plugin_file
 
 FILES = read_page(ROOT / "docs" / "own.md").files()
 
@@ -34,6 +36,18 @@ def write_helped(folder: Path) -> dict[str, str]:
     for name, text in texts.items():
         (folder / name).write_text(text)
     return {f"source.{name.replace('/', '.')}": text for name, text in texts.items()}
+
+
+def test_a_module_named_like_that_of_another_file_is_refused(tmp_path: Path) -> None:
+    """Its code would be that of the other one."""
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+        write_helped(tmp_path / name)
+    with (
+        loaded_file(tmp_path / "here" / "gyrostat.py"),
+        pytest.raises(UsageError, match=r"a module 'turning' is loaded already, from .*here.*; rename"),
+    ):
+        load_plugin_file(tmp_path / "there" / "gyrostat.py")
 
 
 FIELD = ("(A - B) * w1 * w2 / C", "(A - B) * w2 * w1 / C")

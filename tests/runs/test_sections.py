@@ -183,13 +183,13 @@ def test_an_ensemble_records_the_crossings_of_each_trajectory(tmp_path: Path) ->
     for name in ("first", "last", "mean"):
         assert together[name] == pytest.approx(crossed[f"{name}.q"].mean(), rel=1e-12)
     assert result.report["section"] == {"crossings": len(rows), "never_crossed": never}
-    assert result.report["message"].endswith(f"; {never} of 70 trajectories never crossed it")
+    assert result.report["message"].endswith(f"; {never} of 70 trajectories have not crossed it")
 
 
 def test_a_section_that_is_never_crossed_is_reported(tmp_path: Path) -> None:
     never = {**RUN, "N": 100, "section": {"component": "gamma2", "value": 3.0}, "output": {"quantities": {"q": "t"}}}
     result = run_experiment(load(never), tmp_path)
-    assert result.report["message"] == "completed 100 steps (t = 10); never crossed the section gamma2 = 3 (up)"
+    assert result.report["message"] == "completed 100 steps (t = 10); no crossing of the section gamma2 = 3 (up)"
     assert len(pd.read_parquet(result.stored.series)) == 0
     assert result.report["quantities"] == [{"name": "q", "formula": "t", **dict.fromkeys(figures(np.empty(0)))}]
     assert len(topcli.simulate(never)) == 0

@@ -15,11 +15,11 @@ from topcli.analysis.order import one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Block, Outcome, Stepper, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.engine.loops import Loop, loop_of
 from topcli.errors import UsageError
 from topcli.schemes.any_top import taylor as loop_text
-from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build, order_for
+from topcli.schemes.any_top.taylor import ORDERS, Tolerance, build_taylor, order_for
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps.batch import Measuring
 from topcli.sweeps.measures import resolve_measures
@@ -40,7 +40,7 @@ of_every_top = pytest.mark.parametrize("top", TOPS_TRIED, ids=repr)
 
 
 def taylor(top: Top, tol: float = 1e-17) -> Block:
-    return build(top, Tolerance(tol=tol))
+    return build_taylor(top, Tolerance(tol=tol))
 
 
 def gen(top: Top) -> np.ndarray:

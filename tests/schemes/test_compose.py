@@ -14,15 +14,15 @@ from conftest import GEN
 from declared import SCHEMES
 from kick_turn import KICK_TURN, SPLIT
 from topcli.contracts import Outcome, Sampler, Scheme
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.errors import UnknownNameError, UsageError
-from topcli.schemes.compose import COMPOSITIONS, compose, obstacle, palindrome
+from topcli.schemes.compose import COMPOSITIONS, compose, composition_obstacle, palindrome
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.kowalevski import Kowalevski
 
 HK = find_scheme("hk", "kowalevski")
-BASES = [SPLIT, *(scheme for scheme in SCHEMES if not obstacle(scheme))]
+BASES = [SPLIT, *(scheme for scheme in SCHEMES if not composition_obstacle(scheme))]
 by_composition = pytest.mark.parametrize("name", COMPOSITIONS)
 
 

@@ -21,7 +21,7 @@ from kick_turn import SPLIT
 from stepping import states_of
 from topcli.analysis.conformance import deviation, reversal_defect
 from topcli.contracts import Invariant, Scheme, Stepper
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.schemes.registry import find_scheme
 from topcli.testing import check_scheme
 from topcli.tops import TOPS

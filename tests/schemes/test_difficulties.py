@@ -11,7 +11,7 @@ import pytest
 import topcli
 from conftest import GEN, PAPER
 from topcli.contracts import Ending, Floats, Outcome, Stepper, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.engine.loops import interpreted
 from topcli.runs.report import warning_of
 from topcli.schemes.any_top.hk import NEAR_SINGULAR

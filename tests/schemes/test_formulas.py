@@ -20,7 +20,7 @@ from declared import BODIES, SCHEMES, TRIALS
 from split_motions import axes, closed, kicked, moser_veselov, poisson_defect
 from stepping import gradients, states_of
 from topcli.contracts import Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.engine.machine import Machine
 from topcli.engine.numbers import RATIONAL, Rational, prepared
 from topcli.schemes.registry import find_scheme

@@ -12,7 +12,7 @@ from stepping import deviations, error_at, ran, stepper
 from topcli.analysis.series_report import invariant_report
 from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Floats, Outcome
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.tops.kowalevski import Kowalevski
 
 DELONE = (0.9, 0.3, 1.0, 0.72, 0.54, math.sqrt(1.0 - 0.72**2 - 0.54**2))

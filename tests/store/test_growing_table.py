@@ -14,7 +14,7 @@ from topcli.errors import RunError
 from topcli.store import table as table_module
 from topcli.store.envelope import envelope
 from topcli.store.series import read_metadata, read_series
-from topcli.store.table import Table
+from topcli.store.table import GrowingTable
 
 VALUES = [0.0, -0.0, 0.1, -1e-308, 5e-324, 1.7976931348623157e308, np.inf, -np.inf, np.nan, 1 / 3, 2.0**53 + 2, -7.0]
 
@@ -45,7 +45,7 @@ def bits(values: np.ndarray) -> Any:
 @pytest.mark.parametrize("rows", [0, 1, 39, 40, 41, 500])
 def test_a_table_keeps_its_bits_in_every_format(tmp_path: Path, form: str, rows: int) -> None:
     data = columns(rows)
-    with Table(tmp_path, "series", {"about": "it"}, form) as table:
+    with GrowingTable(tmp_path, "series", {"about": "it"}, form) as table:
         table.add(data)
         path = table.finish(list(data), {"end": "now"})
     assert [file.name for file in tmp_path.iterdir() if file.suffix != ".arrow"] == [f"series.{form}"]
@@ -59,14 +59,14 @@ def test_a_table_keeps_its_bits_in_every_format(tmp_path: Path, form: str, rows:
 @pytest.mark.parametrize("form", ["parquet", "csv"])
 def test_bytes_depend_neither_on_pieces_nor_on_kills(tmp_path: Path, form: str) -> None:
     random, data, lives = np.random.default_rng(7), columns(500), 0
-    with Table(tmp_path, "whole", {"who": "test"}, form) as whole:
+    with GrowingTable(tmp_path, "whole", {"who": "test"}, form) as whole:
         whole.add(data)
         expected = whole.finish([], {}).read_bytes()
     for life in range(5):
         state, begin, end = {}, 0, 0
         while end < 500:
             end, lives = begin, lives + 1
-            with Table(tmp_path, f"cut{life}", {"who": "test"}, form) as table:
+            with GrowingTable(tmp_path, f"cut{life}", {"who": "test"}, form) as table:
                 if state:
                     table.restore(state)
                 for _ in range(random.integers(0, 12)):  # rows after the last checkpoint are lost
@@ -81,7 +81,7 @@ def test_bytes_depend_neither_on_pieces_nor_on_kills(tmp_path: Path, form: str) 
 def test_many_short_pieces_can_be_read_while_the_table_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table_module, "ROW_GROUP", 100)
     data = columns(140)
-    with Table(tmp_path, "series", {}) as table:
+    with GrowingTable(tmp_path, "series", {}) as table:
         for begin in range(70):
             table.add(piece(data, begin, begin + 1))
         assert list(tmp_path.iterdir()) == []  # a short table has no parts
@@ -94,7 +94,7 @@ def test_many_short_pieces_can_be_read_while_the_table_grows(tmp_path: Path, mon
 
 @pytest.mark.parametrize("damage", ["empty", "short", "missing", "flipped"])
 def test_a_damaged_part_is_never_continued(tmp_path: Path, damage: str) -> None:
-    with Table(tmp_path, "series", {}) as table:
+    with GrowingTable(tmp_path, "series", {}) as table:
         for _ in range(2):
             table.add(columns(50))
             state = table.commit()
@@ -104,7 +104,10 @@ def test_a_damaged_part_is_never_continued(tmp_path: Path, damage: str) -> None:
     flipped = content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
     damaged = {"empty": b"", "short": content[:-9], "flipped": flipped}
     path.write_bytes(damaged[damage]) if damage in damaged else path.unlink()
-    with Table(tmp_path, "series", {}) as table, pytest.raises(RunError, match=r"000001\.arrow: damaged .*--force"):
+    with (
+        GrowingTable(tmp_path, "series", {}) as table,
+        pytest.raises(RunError, match=r"000001\.arrow: damaged .*--force"),
+    ):
         table.restore(state)
 
 
@@ -114,7 +117,7 @@ ROWS = 20_011
 
 def thinned(folder: Path, suffix: str, data: dict[str, np.ndarray], stretches: int = 100) -> dict[str, np.ndarray]:
     """Envelope of a stored series."""
-    with Table(folder, "series", {}, suffix) as growing:
+    with GrowingTable(folder, "series", {}, suffix) as growing:
         growing.add(data)
         return envelope(growing.finish((), {}), list(data), stretches)
 

@@ -22,7 +22,7 @@ from topcli.errors import SchemeCodeError
 from topcli.figures.bench import draw_work_precision, work_precision
 from topcli.figures.figure import NothingMeasuredError
 from topcli.studies.bench import DECADES, PEERS, Peer, answer_of, decade_rows, point_rows, take_turns
-from topcli.studies.ladder import Curve, NoResultError, ladder, measured
+from topcli.studies.ladder import ErrorCurve, NoResultError, ladder, measured
 from topcli.studies.report import Report
 
 TIMES = np.arange(21) * 0.5
@@ -84,7 +84,7 @@ def test_states_are_complete_and_finite(states: np.ndarray) -> None:
 # measurements
 
 
-def made_up(errors: list[float], seconds: float = 1e-4, name: str = "made-up") -> Curve:
+def made_up(errors: list[float], seconds: float = 1e-4, name: str = "made-up") -> ErrorCurve:
     """Competitor with these errors at h = 1, 1/2, ...; nan fails, and inf is a failure of its code."""
 
     def measure(setting: float, calls: int) -> tuple[Any, float]:
@@ -95,7 +95,7 @@ def made_up(errors: list[float], seconds: float = 1e-4, name: str = "made-up") -
             raise SchemeCodeError("its process died")
         return np.full((1, 1), error), seconds
 
-    return Curve(name, "scheme", "h", [0.5**k for k in range(len(errors))], 1.0, measure)
+    return ErrorCurve(name, "scheme", "h", [0.5**k for k in range(len(errors))], 1.0, measure)
 
 
 def test_a_ladder_ends_at_round_off_and_not_before() -> None:

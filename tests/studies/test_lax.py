@@ -61,7 +61,6 @@ def test_the_study_reports_forms_and_runs() -> None:
     drifts = runs[["kowalevski: tr L^k", "block: block traces of L^k"]]
     assert (drifts.loc[["exact flow", "backlund"]] < 1e-14).all(axis=None)
     assert drifts.loc["midpoint"].iloc[0] > 1e-8 > 1e-13 > drifts.loc["midpoint"].iloc[1]
-    assert runs.loc["midpoint", "L'U - UL"] > 1e-9 > 1e-11 > runs.loc["backlund", "L'U - UL"]
     assert report.answer == "kowalevski is a Lax pair; block is no Lax pair"
 
 

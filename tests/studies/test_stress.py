@@ -14,7 +14,7 @@ import pytest
 from cases import table_of
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Ending, Floats, Invariant, Outcome, Top
-from topcli.engine.collect import Orbit
+from topcli.engine.drive import Orbit
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress import (
     CASES,

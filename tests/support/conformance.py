@@ -14,7 +14,7 @@ from steppers import physical
 from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
 from topcli.engine.numbers import Numbers, precise_top, rationals
 from topcli.errors import UsageError
-from topcli.schemes.compose import COMPOSITIONS, compose, obstacle
+from topcli.schemes.compose import COMPOSITIONS, compose, composition_obstacle
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def choices(scheme: Scheme, top: Top) -> Iterator[Any]:
 
 def compositions_of(scheme: Scheme) -> list[str]:
     """Compositions to try a scheme with: one, chosen by its name; all for two schemes."""
-    if obstacle(scheme):
+    if composition_obstacle(scheme):
         return []
     if (scheme.name, scheme.top) in (("hk", "kowalevski"), ("kick-turn", "kowalevski")):
         return [*COMPOSITIONS]
@@ -109,8 +109,7 @@ class ExactStep:
     def __call__(self, y: Any, *sizes: float) -> list[Fraction]:
         """State after steps of these sizes from ``y``, of floats or fractions."""
         s = self.method.enter(tuple(y), sizes[0], self.constants) if self.method.enter else tuple(y)
-        with self.arithmetic.active():
-            state, p = self.numbers(*s), self.numbers(*self.constants)
-            for h in self.numbers(*sizes):
-                state = self.step(state, h, p)
-            return [self.arithmetic.fraction(x) for x in state[: len(y)]]
+        state, p = self.numbers(*s), self.numbers(*self.constants)
+        for h in self.numbers(*sizes):
+            state = self.step(state, h, p)
+        return [self.arithmetic.fraction(x) for x in state[: len(y)]]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from topcli.store.result_folder import Identity, ResultFolder
-from topcli.store.table import Table
+from topcli.store.table import GrowingTable
 
 NAME = "odd [name] 'ü' 100%"
 CHUNK = 16
@@ -42,7 +42,7 @@ def compute(
         n, y, total = int(state.get("n", 0)), float(state.get("y", 0.3)), float(state.get("total", 0.0))
         stopped = False
         form = identity.config["output"]["format"]
-        with Table(folder.working, "series", {"topcli.digest": identity.digest}, form) as table:
+        with GrowingTable(folder.working, "series", {"topcli.digest": identity.digest}, form) as table:
             if state:
                 table.restore(state)
             while n < N and not stopped:

@@ -7,8 +7,7 @@ import numpy as np
 from topcli.analysis.tally import Tally
 from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Invariant, Top
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 
 
 class Line(Top):

@@ -52,6 +52,7 @@ Curve = Callable[[Any], Any]
 def curves(*of_time: Curve, T: float = 1000.0, recurrence: Recurrence | None = Recurrence.WANDERS) -> Growth:
     """Growth with a curve G(u) for each orbit, u from 0 to 1 along the time T."""
     n = checkpoints(1000)
-    logs = np.array([np.broadcast_to(curve(n / 1000), n.shape) for curve in of_time], dtype=float).T
+    later = [np.broadcast_to(curve(n[1:] / 1000), len(n) - 1) for curve in of_time]
+    logs = np.pad(np.array(later, dtype=float).T, ((1, 0), (0, 0)))
     count = len(of_time)
     return Growth(n, T / 1000, logs, np.ones(count), np.zeros(count, dtype=np.int64), [recurrence] * count)

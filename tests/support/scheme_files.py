@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import Any
 
 from steppers import built
 from topcli.contracts import Outcome
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.engine.machine import Machine
 from topcli.schemes import plugins
 from topcli.schemes.plugins import load_plugin_file
@@ -60,11 +61,15 @@ def tables() -> dict[str, Any]:
 def unchanged_tables() -> Iterator[None]:
     """At the end the tables are as they were."""
     extended = tables()
-    before = {name: dict(table) for name, table in extended.items()}
+    before, modules = {name: dict(table) for name, table in extended.items()}, set(sys.modules)
     try:
         yield
     finally:
         plugins.REGISTERED.clear()
+        folders = {str(path.parent) for path in plugins.FILES.keys() - before["files"].keys()}
+        for name in sys.modules.keys() - modules:  # beside plugin files
+            if any(str(getattr(sys.modules[name], "__file__", None) or "").startswith(folder) for folder in folders):
+                del sys.modules[name]
         for name, table in extended.items():
             table.clear()
             table.update(before[name])

@@ -7,7 +7,7 @@ import numpy as np
 from conftest import random_states
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Ending, Outcome, Stepper, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.engine.machine import Machine
 from topcli.schemes.registry import find_scheme
 from topcli.tops.kowalevski import Kowalevski

@@ -10,7 +10,7 @@ import pytest
 from scheme_files import unchanged_tables
 from sweeping import DATA, MANY, sweep, table
 from topcli.errors import UsageError
-from topcli.schemes.plugins import FILES, SOURCES, load_plugin_file
+from topcli.schemes.plugins import FILES, REGISTERED, load_plugin_file
 from topcli.sweeps.compute import code_of_process, compute_batch
 
 KILLER = """
@@ -44,9 +44,9 @@ def test_rows_of_a_cluster_are_those_of_threads_and_a_row_that_kills_its_worker_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="the extra dask is not installed")
-    for tables in (FILES, SOURCES):  # of other tests, which no worker has
-        for key in [*tables]:
-            monkeypatch.delitem(tables, key)
+    for key in [*FILES]:  # of other tests, which no worker has
+        monkeypatch.delitem(FILES, key)
+    REGISTERED.clear()
     sweep(tmp_path / "here", MANY)
     sweep(tmp_path / "there", MANY, dask="local:1")
     assert table(tmp_path / "there") == table(tmp_path / "here")

@@ -15,7 +15,7 @@ import pytest
 from cases import table_of
 from sweep_rows import write_rows
 from topcli.errors import RunError, UsageError
-from topcli.sweeps.table import SweepTable, cell_text, key_labels, read_rows, summary, sweep_table
+from topcli.sweeps.table import SweepTable, aggregate_of, cell_text, key_labels, read_rows, sweep_table
 
 SCHEMES, SIZES, SEEDS = ("hk", "a_b"), (0.1, 0.01, 1e-7), (1, 2, 3, 4)
 ROWS = list(product(SCHEMES, SIZES, SEEDS))
@@ -157,8 +157,8 @@ def test_numbers_are_rounded_to_their_spread(cell: tuple[float, ...], aggregate:
 def test_infinite_values_count_as_the_largest(numbers: tuple[float, ...], median: tuple[float, ...]) -> None:
     """A failed reversal is infinite: it never makes a median better, nor the value disappear."""
     values = pd.Series(numbers)
-    assert summary(values, "median") == median
-    assert summary(values, "mean") == summary(values, "max") == (np.inf,)
+    assert aggregate_of(values, "median") == median
+    assert aggregate_of(values, "mean") == aggregate_of(values, "max") == (np.inf,)
 
 
 def test_labels_of_keys_are_short_and_different() -> None:

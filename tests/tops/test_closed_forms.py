@@ -18,7 +18,7 @@ from topcli.analysis.reference import reference_states
 from topcli.arithmetic.elliptic import Argument, phase
 from topcli.arithmetic.multiprecision import digits, real
 from topcli.contracts import Sampler, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.errors import RunError
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.lagrange import Lagrange, LagrangeInertial

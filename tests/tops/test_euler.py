@@ -7,7 +7,7 @@ import pytest
 
 from steppers import built, physical
 from topcli.contracts import Method, Outcome, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.tops.euler import Euler, EulerGamma
 
 

@@ -147,9 +147,9 @@ def test_nutation_and_precession_by_quadrature(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["cusps", "loops", "waves"])
 def test_curves_of_the_scenes(name: str) -> None:
-    found = motion(f"lagrange_{name}")
-    assert found.kind == name
-    turns = found["frequency.precession"] / found["frequency.nutation"]
+    exact = motion(f"lagrange_{name}")
+    assert exact.kind == name
+    turns = exact["frequency.precession"] / exact["frequency.nutation"]
     assert turns == pytest.approx(1.0 / 9.0, abs=1e-7)  # closed curves of nine nutations
 
 

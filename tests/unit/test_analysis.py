@@ -16,8 +16,7 @@ from topcli.analysis.series_report import series_rows
 from topcli.analysis.swings import first_swing_spacing, minima_times
 from topcli.analysis.tally import tally_of
 from topcli.engine.columns import column_names
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 from topcli.errors import UsageError
 from topcli.tops.kowalevski import Kowalevski
 

@@ -259,10 +259,9 @@ def test_functions_and_constants_have_the_digits_of_the_numbers(text: str) -> No
 
     def at(precision: int | str) -> Fraction | float:
         arithmetic = digits(precision) if isinstance(precision, int) else rationals()
-        with arithmetic.active():
-            found = value(text, [np.array([arithmetic.number(x)], dtype=object) for x in y], (1, 1))
-            found = found[0] if isinstance(found, np.ndarray) else found
-            return found if isinstance(found, float) else arithmetic.fraction(found)
+        found = value(text, [np.array([arithmetic.number(x)], dtype=object) for x in y], (1, 1))
+        found = found[0] if isinstance(found, np.ndarray) else found
+        return found if isinstance(found, float) else arithmetic.fraction(found)
 
     found = at(40)
     with mpmath.workdps(60):

@@ -21,7 +21,7 @@ from topcli.field.polynomial import (
     field_of,
     polynomial_field,
 )
-from topcli.field.straight_line import function_of
+from topcli.field.straight_line import compiled_function
 from topcli.tops import TOPS
 from topcli.tops.heavy import Heavy
 
@@ -35,7 +35,7 @@ def length(field: Field, y: tuple[float, ...]) -> float:
 
 def function(step: KahanStep, constants: Iterable[Fraction]):
     """A step as a function of state and h."""
-    code, p = function_of(step.graph, "step", step.outputs), tuple(map(float, constants))
+    code, p = compiled_function(step.graph, "step", step.outputs), tuple(map(float, constants))
     return lambda y, h: code(tuple(y), h, p)
 
 
@@ -97,7 +97,7 @@ def test_tops_with_other_coefficients_share_their_step() -> None:
 
     def step(*moments: str):
         made = generated(KahanStep, field_of(Heavy(**dict(zip("ABC", map(float, moments), strict=True)))))
-        return function_of(made.graph, "step", made.outputs)
+        return compiled_function(made.graph, "step", made.outputs)
 
     assert step("2.1", "1.5", "1.1") is step("2.3", "1.7", "1.3")
     assert step("2.1", "1.5", "1.1") is not step("2.5", "1.5", "1.0")
@@ -198,3 +198,9 @@ def test_a_polynomial_is_written_as_a_formula_that_is_read_back(seed: int) -> No
     values = dict(zip("xyz", random_state(3, seed), strict=True))
     text = polynomial.text(tuple(values))
     assert eval(text, {}, values) == pytest.approx(float(polynomial.value([*values.values()])), rel=1e-12)
+
+
+def test_negative_powers_of_a_constant_are_those_of_its_reciprocal() -> None:
+    assert (Polynomial.of(3) ** -2).constant() == Fraction(1, 9)
+    with pytest.raises(NotPolynomialError):
+        Polynomial.variable(0) ** -2

@@ -16,16 +16,16 @@ import pytest
 from fields import top_of
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Outcome, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.field.polynomial import Field, Polynomial
-from topcli.schemes.any_top.taylor import Tolerance, build
+from topcli.schemes.any_top.taylor import Tolerance, build_taylor
 
 Solution = Callable[[Top, list[float], float, int], np.ndarray]
 MOST_SERIES = 400
 
 
 def by_taylor(top: Top, y0: list[float], h: float, N: int) -> np.ndarray:
-    _, states, ending = orbit(top, build(top, Tolerance()), y0, h, N)
+    _, states, ending = orbit(top, build_taylor(top, Tolerance()), y0, h, N)
     assert ending.outcome is Outcome.COMPLETED
     assert ending.counters["expansions"] < MOST_SERIES
     return states

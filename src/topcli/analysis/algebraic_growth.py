@@ -28,7 +28,7 @@ FEW_POINTS, MOST_POINTS = 64, 17_000
 MOST_TERMS = 20
 SURPLUS = 2
 """Terms of a sequence beyond those that fix its recurrence, at least; twice as many while they are cheap."""
-SHORT = 500
+_SHORT = 500
 """Degree up to which an iterate is cheap."""
 SALEM = 1.1
 """Roots of an integer polynomial of low degree that lie within this radius are roots of unity or zero."""
@@ -145,7 +145,7 @@ def degrees(step: RationalMap, seed: int = 1, most: int = MOST_TERMS) -> list[in
             t = np.arange(1, min(2 * len(t), MOST_POINTS) + 1)
             state = line.states(t, len(degrees) + 1)
         degrees.append(degree)
-        if degree_growth(degrees, SURPLUS * (2 if degree < SHORT else 1)).law:
+        if degree_growth(degrees, SURPLUS * (2 if degree < _SHORT else 1)).law:
             break
     return degrees
 

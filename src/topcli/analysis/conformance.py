@@ -13,11 +13,10 @@ import numpy as np
 
 from topcli.analysis.order import one_step_back_and_forth
 from topcli.contracts import Array, Invariant, Method, Outcome, Stepper, Top
-from topcli.engine.collect import orbit
-from topcli.engine.drive import drive
+from topcli.engine.drive import drive, orbit
 from topcli.engine.loops import interpreted, loop_of
 from topcli.engine.machine import Machine
-from topcli.engine.plan import Plan
+from topcli.engine.rows import Plan
 
 ULPS = 50.0
 """Deviation of an exact invariant that round-off may cause, in ulp of its terms times the square root of the steps."""

@@ -22,7 +22,7 @@ Direction = Literal["up", "down", "both"]
 Function = Callable[[NDArray[Any], Array], Array]
 """``g(n, states)``: values (k,) of the section's function at ``states`` (k, d) after ``n`` (k,) steps."""
 
-TOLERANCE = 2.0**-52
+_TOLERANCE = 2.0**-52
 """Uncertainty of theta."""
 TRIALS = 160
 """Largest number of trials; a third of them are bisections, of which a root needs 51."""
@@ -121,7 +121,7 @@ def roots(function: Callable[[NDArray[np.int64], Array], Array], at_zero: Array,
 
     ``function(i, x)`` evaluates the functions numbered ``i`` (j,) at ``x`` (j,); ``at_zero`` and ``at_one`` (k,) are
     the values at both ends. A value that is not finite counts as one of the sign at the upper end. Every third trial
-    bisects the interval; the others interpolate linearly (regula falsi), at least ``TOLERANCE`` away from its ends.
+    bisects the interval; the others interpolate linearly (regula falsi), at least ``_TOLERANCE`` away from its ends.
     """
     i = np.arange(len(at_zero))
     best, least = np.ones(len(i)), at_one.copy()  # the better end of the last interval
@@ -129,14 +129,14 @@ def roots(function: Callable[[NDArray[np.int64], Array], Array], at_zero: Array,
     for trial in range(TRIALS):
         with np.errstate(all="ignore"):
             x = 0.5 * (a + b) if trial % 3 == 2 else b - fb * ((b - a) / (fb - fa))
-        x = np.fmin(np.fmax(x, a + TOLERANCE), b - TOLERANCE)
+        x = np.fmin(np.fmax(x, a + _TOLERANCE), b - _TOLERANCE)
         fx = function(i, x)
         fx = np.where(np.isfinite(fx), fx, at_one[i])
         below = np.sign(fx) == np.sign(fa)
         a, fa = np.where(below, [x, fx], [a, fa])
         b, fb = np.where(below, [b, fb], [x, fx])
         best[i], least[i] = np.where(np.abs(fa) < np.abs(fb), [a, fa], [b, fb])
-        left = (b - a > 2.0 * TOLERANCE) & (fx != 0.0)
+        left = (b - a > 2.0 * _TOLERANCE) & (fx != 0.0)
         if not left.any():
             break
         i, a, b, fa, fb = (values[left] for values in (i, a, b, fa, fb))

@@ -24,7 +24,7 @@ LEAST_ROWS = 16
 """Fewest rows from which a frequency or digits are taken."""
 MOST_DIGITS = 16.0
 """Digits of averages that agree exactly."""
-NEWTON_STEPS = 12
+_NEWTON_STEPS = 12
 NEWTON_TOLERANCE = 1e-15
 """Step of Newton's method, in cycles per row times the rows, at which it ends."""
 QUIET = 1e-13
@@ -124,7 +124,7 @@ def _fourier(windowed: Array, u: Array, f: float) -> tuple[complex, complex, com
 
 def _maximum(windowed: Array, u: Array, f: float) -> float:
     """Place of the maximum of the power of the Fourier integral next to ``f``, by Newton's method."""
-    for _ in range(NEWTON_STEPS):
+    for _ in range(_NEWTON_STEPS):
         F, F1, F2 = _fourier(windowed, u, f)
         slope = (F.conjugate() * F1).real
         bend = abs(F1) ** 2 + (F.conjugate() * F2).real

@@ -22,7 +22,7 @@ from topcli.field.polynomial import Monomial, Polynomial
 
 EXTRA = 8
 """Rows of a matrix beyond the number of columns: a null space is accidental with a probability of PRIME**-EXTRA."""
-CHUNK = 32
+_CHUNK = 32
 """Rows that are eliminated together, so that they stay in the processor's cache."""
 
 
@@ -50,9 +50,9 @@ def reduced(matrix: Residues) -> tuple[Residues, list[int]]:
             left[row, column:] %= PRIME
             left[row, column:] = left[row, column:] * inverse(left[row, column : column + 1]) % PRIME
             factors = PRIME - left[row + 1 :, column, None] % PRIME
-            for at in range(0, len(factors), CHUNK):
-                rest = left[row + 1 + at : row + 1 + at + CHUNK, column:]
-                rest[...] = folded(rest + factors[at : at + CHUNK] * left[row, column:])
+            for at in range(0, len(factors), _CHUNK):
+                rest = left[row + 1 + at : row + 1 + at + _CHUNK, column:]
+                rest[...] = folded(rest + factors[at : at + _CHUNK] * left[row, column:])
             pivots.append(column)
     left = left[: len(pivots)]
     free = np.setdiff1d(np.arange(left.shape[1]), pivots)
@@ -110,7 +110,7 @@ class HKBasis:
     integrals: int
 
 
-def orbit(step: RationalMap, points: int, seed: int) -> list[Jet]:
+def hk_orbit(step: RationalMap, points: int, seed: int) -> list[Jet]:
     """States of an orbit from a random one, one a step, with derivatives along the initial components."""
     state, states = step.enter(random_state(step, 1, seed)), list[Sequence[Jet]]()
     for _ in range(points):
@@ -124,7 +124,7 @@ def hk_bases(step: RationalMap, degrees: Sequence[int], seed: int = 1) -> Iterat
     states: list[Jet] = []
     for degree in degrees:
         m = len(monomials(step.d, degree))
-        states = orbit(step, m + EXTRA, seed)
+        states = hk_orbit(step, m + EXTRA, seed)
         values, *slopes = values_of(states, degree)
         left, pivots = reduced(values)
         r, free = len(pivots), np.setdiff1d(np.arange(m), pivots)
@@ -132,7 +132,7 @@ def hk_bases(step: RationalMap, degrees: Sequence[int], seed: int = 1) -> Iterat
             yield HKBasis(degree, m, 0, 0)
             continue
         # on r rows, A_p X = A_f for the free columns f and the pivots p, so that A_p dX = dA_f - dA_p X
-        rest = [(slope[:r, free] - product(slope[:r][:, pivots], left[:, free])) % PRIME for slope in slopes]
+        rest = [(slope[:r, free] - polynomial_product(slope[:r][:, pivots], left[:, free])) % PRIME for slope in slopes]
         solved, leading = reduced(np.concatenate([values[:r][:, pivots], *rest], axis=1))
         if leading != list(range(r)):
             raise ZeroDivisionError("the first rows are dependent")
@@ -140,7 +140,7 @@ def hk_bases(step: RationalMap, degrees: Sequence[int], seed: int = 1) -> Iterat
         yield HKBasis(degree, m, len(free), len(reduced(gradients)[1]))
 
 
-def product(a: Residues, b: Residues) -> Residues:
+def polynomial_product(a: Residues, b: Residues) -> Residues:
     """Product of two matrices of residues."""
     total = np.zeros((a.shape[0], b.shape[1]), dtype=np.int64)
     for column, row in zip(a.T, b, strict=True):

@@ -13,17 +13,6 @@ form           size  top                          source
 =============  ====  ===========================  =========================================================
 
 Three-vectors become matrices with the paper's sign: hat(v) hat(u) - hat(u) hat(v) = hat(u x v).
-
-The discrete Lax pair L' U = U L of the Kowalevski top's map ``backlund`` follows from the 5x5 Lax matrix alone.
-
-With alpha = -2/h, let L(alpha) l = nu l for an eigenvalue near 2 alpha, I = diag(1, 1, 1, -1, -1), P = l l^T/(l^T l)
-and Q = I P I. As l is isotropic, l^T I l = 0, the matrix ::
-
-    D(lambda) = (lambda - alpha)/(lambda + alpha) P + (1 - P - Q) + (lambda + alpha)/(lambda - alpha) Q
-
-dresses L: D L D^-1 has no poles at +-alpha. With b the last two components of l, of length one, and S = 1 - 2 b b^T,
-the constant reflection g = diag(S, 1, S) brings it back to the form of a Lax matrix, that of a state in between. U is
-the product of two such matrices g D (lambda² - alpha²), for both eigenvalues near 2 alpha.
 """
 
 from __future__ import annotations
@@ -43,7 +32,7 @@ MatrixOf = Callable[[Array, complex], Matrices]
 """States (n, 6) and lambda in, matrices (n, size, size) out; affine in the states."""
 LAMBDAS: tuple[complex, ...] = (0.5, 1.0, 2.0, 1.0 + 1.0j)
 """Spectral parameters at which spectra are computed."""
-GENERIC = np.array([[0.83, -0.41, 1.27, 0.36, 0.62, -0.71], [-0.57, 1.13, 0.38, -0.81, 0.44, 0.29]])
+_GENERIC = np.array([[0.83, -0.41, 1.27, 0.36, 0.62, -0.71], [-0.57, 1.13, 0.38, -0.81, 0.44, 0.29]])
 """States in general position."""
 WEIGHTS = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
 """Central differences of order 8: the weights of the states 1, 2, 3, 4 steps away."""
@@ -197,7 +186,7 @@ def spectral_content(form: LaxForm, invariants: Sequence[Invariant], d: int) -> 
     the first ``d`` components of the state, is among the integrals if its gradient lies in the span of these gradients.
     """
     independent, carried = 6, {invariant.name for invariant in invariants}
-    for state in GENERIC:
+    for state in _GENERIC:
         rows = np.concatenate([_gradients(lambda y, z=lam: form.invariants(y, z), state, 6) for lam in LAMBDAS])
         rows = np.concatenate([np.real(rows), np.imag(rows)])
         sizes = np.linalg.norm(rows, axis=1, keepdims=True)
@@ -212,71 +201,3 @@ def spectral_content(form: LaxForm, invariants: Sequence[Invariant], d: int) -> 
             if np.linalg.norm(outside) > 1e-8 * np.linalg.norm(gradient):
                 carried.discard(invariant.name)
     return independent, tuple(invariant.name for invariant in invariants if invariant.name in carried)
-
-
-SIGNATURE = np.diag([1.0, 1.0, 1.0, -1.0, -1.0])
-
-
-def eigenvectors(form: LaxForm, states: Matrices, alpha: float, targets: Matrices) -> Matrices:
-    """Eigenvectors (n, 5) of L(alpha) at ``states`` whose eigenvalues are nearest to ``targets`` (n,)."""
-    values, vectors = np.linalg.eig(form.L(states, alpha))
-    nearest = np.abs(values - targets[:, None]).argmin(axis=1)
-    return np.take_along_axis(vectors, nearest[:, None, None], axis=2)[:, :, 0].astype(complex)
-
-
-def reflections(axes: Matrices) -> Matrices:
-    """1 - 2 a a^T/(a^T a) (n, d, d) for complex axes a (n, d)."""
-    return np.eye(axes.shape[1]) - 2.0 * axes[:, :, None] * axes[:, None, :] / (axes**2).sum(axis=1)[:, None, None]
-
-
-def dressings(vectors: Matrices, alpha: float, lam: complex) -> Matrices:
-    """The matrices g D (lambda² - alpha²) (n, 5, 5) of eigenvectors (n, 5)."""
-    identity = np.eye(5)
-    P = 0.5 * (identity - reflections(vectors))
-    Q = SIGNATURE @ P @ SIGNATURE
-    D = (lam - alpha) ** 2 * P + (lam**2 - alpha**2) * (identity - P - Q) + (lam + alpha) ** 2 * Q
-    g = np.zeros_like(P) + identity
-    g[:, :2, :2] = g[:, 3:, 3:] = reflections(vectors[:, 3:])
-    return g @ D
-
-
-def states_between(states: Matrices, vectors: Matrices, alpha: float) -> Matrices:
-    """States (n, 6) after one transformation with the eigenvectors (a; b), complex if they are.
-
-    m' = -S m + 4 alpha a x b and gamma' = S R gamma, with the reflection R along a.
-    """
-    a, b = vectors[:, :3], np.pad(vectors[:, 3:], ((0, 0), (0, 1)))
-    lengths = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))[:, None]
-    S, R = reflections(b), reflections(a)
-    to_m = np.array([2.0, 2.0, 1.0])
-    m = 4.0 * alpha * np.cross(a, b) / lengths - (S @ (states[:, :3] * to_m)[:, :, None])[:, :, 0]
-    return np.hstack([m / to_m, (S @ R @ states[:, 3:, None])[:, :, 0]])
-
-
-def discrete_lax_defect(form: LaxForm, states: Array, h: float, lam: complex) -> float:
-    """Return the largest defect of the discrete Lax equation L' U = U L over consecutive states of a run.
-
-    L is the Lax matrix before a step, and L' is the Lax matrix after it. U is the dressing matrix of the step. It is a
-    product of two factors. The defect of the step is ||L' U - U L||, divided by the norms of L and of the two factors
-    of U. ``form`` is the Lax form of the Kowalevski top, and ``lam`` is the spectral parameter. ``states``, shape
-    (n, 6), contains states that are one step ``h`` apart. The result is nan if a state is not finite, if there is no
-    step, or if a step has no matrix U.
-    """
-    if len(states) < 2:
-        return np.nan
-    alpha, before = -2.0 / h, states[:-1]
-    L = form.L(states, lam)
-    with np.errstate(all="ignore"):
-        try:
-            values = np.linalg.eigvals(form.L(before, alpha))
-            order = np.argsort(-np.sign(alpha) * values.real, axis=1, kind="stable")
-            nu = np.take_along_axis(values, order, axis=1)
-            vectors = eigenvectors(form, before, alpha, nu[:, 0])
-            first = dressings(vectors, alpha, lam)
-            between = states_between(before, vectors, alpha)
-            second = dressings(eigenvectors(form, between, alpha, nu[:, 1]), alpha, lam)
-        except np.linalg.LinAlgError:
-            return np.nan
-        defect = L[1:] @ second @ first - second @ first @ L[:-1]
-        norms = [np.linalg.norm(matrices, axis=(1, 2)) for matrices in (defect, second, first, L[:-1])]
-        return float((norms[0] / (norms[1] * norms[2] * norms[3])).max())

@@ -38,8 +38,8 @@ CALL_STEPS = 1 << 22
 """Steps of all orbits of a call of compiled code: about 0.1 s."""
 LEAST_STEPS = 1000
 """Fewest steps of an orbit."""
-EARLY, PARTS = 32, 256
-"""Points of a curve of the growth: at its beginning on a logarithmic axis, and evenly spread over all the time."""
+_PARTS = 256
+"""Parts of the time, at whose ends a curve of the growth has a point."""
 REGULAR, CHAOTIC = 3.0, 6.0
 """Excess of the growth below which an orbit may be regular, and above which it may be chaotic."""
 LATE = 5.0
@@ -85,15 +85,9 @@ def shares_of_chaos(verdicts: Sequence[Verdict]) -> Array:
     return np.array([shares.get(verdict, math.nan) for verdict in verdicts])
 
 
-def even_points(N: int) -> NDArray[np.int64]:
-    """Numbers of steps of ``PARTS + 1`` evenly spread points, from 0 on."""
-    return np.round(np.linspace(0, N, PARTS + 1)).astype(np.int64)
-
-
 def checkpoints(N: int) -> NDArray[np.int64]:
-    """Numbers of steps, from 1 on, at which a curve has a point."""
-    early = np.round(np.geomspace(min(10, N), N / 8.0, EARLY)).astype(np.int64)
-    return np.unique(np.concatenate([early, even_points(N)]))[1:]
+    """Numbers of steps, from 0 on, of the ``_PARTS + 1`` points of a curve."""
+    return np.round(np.linspace(0, N, _PARTS + 1)).astype(np.int64)
 
 
 def _moments(parts: Array) -> tuple[Array, Array]:
@@ -108,11 +102,11 @@ class Growth:
 
     Attributes
     ----------
-    n : ndarray of int64, shape (k,)
+    n : ndarray of int64, shape (_PARTS + 1,)
         Step numbers of the points of ``checkpoints``.
     h : float
         Step size.
-    logs : ndarray, shape (k, m)
+    logs : ndarray, shape (_PARTS + 1, m)
         Growth G of the vector of each orbit, nan after the end of an orbit that broke off.
     rate : ndarray, shape (m,)
         Typical |dy/dt|/|y| of each orbit, its unit of inverse time.
@@ -140,18 +134,12 @@ class Growth:
         return float(self.t[-1])
 
     @property
-    def even(self) -> Array:
-        """Growth at evenly spread times from 0 on (PARTS + 1, m)."""
-        rows = np.searchsorted(self.n, even_points(int(self.n[-1]))[1:])
-        return np.vstack([np.zeros_like(self.logs[:1]), self.logs[rows]])
-
-    @property
     def transients(self) -> NDArray[np.int64]:
         """First parts of the time, of ``TRANSIENT``, in which the growth is unlike that in the second half (m,).
 
         None of those of an orbit that grows no more than a regular one.
         """
-        parts, half = np.diff(self.even[:: PARTS // TRANSIENT], axis=0), TRANSIENT // 2
+        parts, half = np.diff(self.logs[:: _PARTS // TRANSIENT], axis=0), TRANSIENT // 2
         mean, scatter = _moments(parts[half:])
         unlike = np.abs(parts[:half] - mean) > UNLIKE * scatter
         return np.where(self.excess > CHAOTIC, np.cumprod(unlike, axis=0).sum(axis=0), 0)
@@ -159,17 +147,17 @@ class Growth:
     @property
     def _settled(self) -> tuple[Array, Array, Array]:
         """Growth after the transient, half the width of its confidence interval of 95 %, and the time (m,)."""
-        even, begin = self.even, self.skipped * (PARTS // TRANSIENT)
+        begin = self.skipped * (_PARTS // TRANSIENT)
         growth, margin = np.empty_like(self.rate), np.empty_like(self.rate)
         for row in set(begin.tolist()):
             columns = begin == row
-            curves = even[row:, columns]
+            curves = self.logs[row:, columns]
             spread = np.zeros(curves.shape[1])
             for count in BATCHES:
                 edges = np.round(np.linspace(0, len(curves) - 1, count + 1)).astype(int)
                 spread = np.maximum(spread, math.sqrt(count) * _moments(np.diff(curves[edges], axis=0))[1])
             growth[columns], margin[columns] = curves[-1] - curves[0], np.hypot(STUDENT * spread, UNSURE)
-        return growth, margin, self.T - even_points(int(self.n[-1]))[begin] * abs(self.h)
+        return growth, margin, self.T - self.t[begin]
 
     @property
     def exponents(self) -> Array:
@@ -185,8 +173,8 @@ class Growth:
 
     @property
     def beyond(self) -> Array:
-        """Growth beyond the logarithm of the time, counted in the unit of each orbit, at even times (PARTS + 1, m)."""
-        return self.even - np.log1p(self.rate * np.linspace(0.0, self.T, PARTS + 1)[:, None])
+        """Growth beyond the logarithm of the time, counted in the unit of each orbit (_PARTS + 1, m)."""
+        return self.logs - np.log1p(self.rate * np.linspace(0.0, self.T, _PARTS + 1)[:, None])
 
     @property
     def excess(self) -> Array:
@@ -201,15 +189,15 @@ class Growth:
     @property
     def largest_fall(self) -> Array:
         """Largest fall of the growth from an earlier value, but for the first eighth of the time (m,)."""
-        even = self.even[PARTS // 8 :]
-        return (np.maximum.accumulate(even, axis=0) - even).max(axis=0)
+        late = self.logs[_PARTS // 8 :]
+        return (np.maximum.accumulate(late, axis=0) - late).max(axis=0)
 
     @property
     def grows(self) -> NDArray[np.bool_]:
         """True for each vector that grows exponentially, as far as its growth can tell (m,)."""
-        even, (growth, margin, _) = self.even, self._settled
-        quarters = np.diff(even[PARTS // 2 :: PARTS // 8], axis=0)
-        late = even[-1] - even[PARTS // 2]
+        growth, margin, _ = self._settled
+        quarters = np.diff(self.logs[_PARTS // 2 :: _PARTS // 8], axis=0)
+        late = self.logs[-1] - self.logs[_PARTS // 2]
         enough = (self.excess > CHAOTIC) & (late > LATE) & (late > FALLS * self.largest_fall)
         return enough & (quarters > 0.0).all(axis=0) & (growth > margin)
 
@@ -217,9 +205,9 @@ class Growth:
     def verdicts(self) -> list[Verdict]:
         """Verdict on each orbit; there is none on orbits of less than ``LEAST_STEPS`` steps."""
         excess, grows, falls = self.excess, self.grows, self.largest_fall
-        lowest = self.beyond[PARTS // 2 :].min(axis=0)
+        lowest = self.beyond[_PARTS // 2 :].min(axis=0)
         fell_back = (lowest < REGULAR) & (excess < REGULAR + falls)
-        settled = self.logs[-1] - self.even[PARTS // 8] < math.log(8.0) + 1.0
+        settled = self.logs[-1] - self.logs[_PARTS // 8] < math.log(8.0) + 1.0
         verdicts = []
         for i, recurrence in enumerate(self.recurrences):
             verdict = Verdict.UNDECIDED
@@ -282,29 +270,28 @@ def _advance(run: TangentRun, steps: int) -> None:
         run.advance(min(most, steps - done))
 
 
-STATES = 8
+_STATES = 8
 """States along an orbit from which its units are taken."""
 SMALLEST = 1e-8
 """Size of a component relative to that of all below which it is not a unit of its own."""
 
 
 def _growth(top: Top, h: float, points: NDArray[np.int64], logs: Array, states: Array, discard: int | None) -> Growth:
-    """Growth ``logs`` (k + 1, m) at the start and the ``points``, with ``states`` (k + 1, orbits, d).
+    """Growth ``logs`` (_PARTS + 1, m) at the ``points``, with ``states`` (_PARTS + 1, orbits, d).
 
     Each vector is on an orbit of its own, or all are on a single one. Unless steps were discarded, the exponents leave
     out a transient.
     """
-    m, orbits, n = logs.shape[1], states.shape[1], even_points(int(points[-1]))
-    even, logs = states[np.searchsorted(points, n, side="right")], logs[1:] - logs[0]
-    units = _units(top, even[:: PARTS // STATES])
-    rate = np.repeat(_rates(top, even[:: PARTS // STATES], units), m // orbits)
-    growth = Growth(points, h, logs, rate, np.zeros(m, dtype=np.int64), [None] * m)
+    m, orbits = logs.shape[1], states.shape[1]
+    units = _units(top, states[:: _PARTS // _STATES])
+    rate = np.repeat(_rates(top, states[:: _PARTS // _STATES], units), m // orbits)
+    growth = Growth(points, h, logs - logs[0], rate, np.zeros(m, dtype=np.int64), [None] * m)
     if discard is None:  # the same time for all of an orbit, so that the exponents add up to the mean divergence
         growth = replace(growth, skipped=np.repeat(growth.transients[:orbits], m // orbits))
     with np.errstate(all="ignore"):
-        scaled = even / units
+        scaled = states / units
         looked = at_rest(scaled) | growth.grows[:orbits]
-        kinds = [recurrence_of(scaled[:, i], n) if look else None for i, look in enumerate(looked.tolist())]
+        kinds = [recurrence_of(scaled[:, i], points) if look else None for i, look in enumerate(looked.tolist())]
     return replace(growth, recurrences=kinds * (m // orbits))
 
 
@@ -326,7 +313,7 @@ def growth_of(
     """
     stop, points = stop_asked.get(), checkpoints(N - (discard or 0))
     code = tangent_code(scheme, top, method, 1 if len(y0) == 1 else lanes_of(len(y0)))
-    logs, (vectors, states) = np.zeros((len(points) + 1, len(y0))), np.zeros((2, len(points) + 1, *y0.shape))
+    logs, (vectors, states) = np.zeros((len(points), len(y0))), np.zeros((2, len(points), *y0.shape))
 
     def follow(first: int) -> None:
         """Fill in the columns of a tile."""
@@ -336,17 +323,16 @@ def growth_of(
         run = code.run(h, y0[here], start)
         with stopping_when(stop):
             _advance(run, discard or 0)
-            for k, n in enumerate([0, *points.tolist()]):
+            for k, n in enumerate(points.tolist()):
                 _advance(run, n - done)
                 logs[k, here], vectors[k, here], states[k, here], done = run.scales, run.vectors, run.states, n
 
     starts = range(0, len(y0), code.lanes)
     with ThreadPoolExecutor(min(default_threads(), len(starts))) as pool:
         list(pool.map(follow, starts))
-    even = states[np.searchsorted(points, even_points(int(points[-1])), side="right")]
     with np.errstate(all="ignore"):
         # all powers of 2 go into the scales, since those of a vector depend on when the others were scaled
-        sizes, powers = np.frexp(np.linalg.norm(vectors / _units(top, even[:: PARTS // STATES]), axis=2))
+        sizes, powers = np.frexp(np.linalg.norm(vectors / _units(top, states[:: _PARTS // _STATES]), axis=2))
         logs = (logs + powers) * math.log(2.0) + np.log(sizes)
     return _growth(top, h, points, logs, states, discard)
 
@@ -377,9 +363,9 @@ def spectrum_of(
     code = tangent_code(scheme, top, method, max(d, lanes_of(d)))
     points = checkpoints(N - begin)
     y, vectors = np.array(y0, dtype=float), np.linalg.qr(np.random.default_rng(SEED).normal(size=(d, d)))[0]
-    total, states, done, every = np.zeros(d), np.full((len(points) + 1, 1, d), np.nan), 0, 1
-    logs = np.full((len(points) + 1, d), np.nan)
-    for k, n in enumerate([begin, *(begin + points).tolist()]):
+    total, states, done, every = np.zeros(d), np.full((len(points), 1, d), np.nan), 0, 1
+    logs = np.full((len(points), d), np.nan)
+    for k, n in enumerate((begin + points).tolist()):
         while done < n:
             steps = min(every, n - done)
             run = code.run(h, np.tile(y, (d, 1)), vectors)  # all vectors on the same orbit

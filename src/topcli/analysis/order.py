@@ -33,9 +33,9 @@ _FITTED = 3
 """Number of sizes that are fitted."""
 SHORTFALL = 0.1
 """An observed order this far below the declared one refutes the declaration, if the fit is reliable."""
-SETTLED = 0.25
+_SETTLED = 0.25
 """Largest difference of the two slopes within a reliable fit, relative to the shortfall."""
-CLOSE = 0.05
+_CLOSE = 0.05
 """Largest estimate of the leading correction to the slope at the sizes of a reliable fit."""
 NO_ORDER = 0.5
 """Errors of a smaller order may be as large as the motion: then no step is short enough to judge them."""
@@ -139,8 +139,8 @@ def convergence(sizes: Sequence[float], errors: Sequence[float]) -> Convergence:
     Examples
     --------
     >>> errors = [1e-8, 2.5e-9, 6.25e-10, 2e-13, 3e-13, 1.5e-13]
-    >>> found = convergence([0.32, 0.16, 0.08, 0.04, 0.02, 0.01], errors)
-    >>> round(found.order, 6), found.plateau, found.onset
+    >>> observed = convergence([0.32, 0.16, 0.08, 0.04, 0.02, 0.01], errors)
+    >>> round(observed.order, 6), observed.plateau, observed.onset
     (2.0, 2e-13, 0.04)
     """
     pairs = zip(sizes, errors, strict=True)
@@ -218,11 +218,11 @@ def judge_order(
     if observed.order < NO_ORDER and not consistent():
         return OrderVerdict.INCONSISTENT, f"{below}: its step is not consistent with the equations of motion"
     # an error (h/h0)^p of a self-adjoint scheme has a correction of relative size (h/h0)^2
-    if observed.order < NO_ORDER or observed.errors[-1] > size * CLOSE ** (0.5 * declared):
+    if observed.order < NO_ORDER or observed.errors[-1] > size * _CLOSE ** (0.5 * declared):
         return OrderVerdict.UNDECIDED, f"{below}, but the errors are large; use smaller step sizes"
     if observed.plateau is None and observed.errors[0] <= SUSPECT * size:
         return OrderVerdict.UNDECIDED, f"{below}, but the errors are close to round-off; use larger step sizes"
-    if abs(fine - coarse) > SETTLED * (declared - observed.order):
+    if abs(fine - coarse) > _SETTLED * (declared - observed.order):
         return OrderVerdict.UNDECIDED, f"{below}, but {changes}"
     return OrderVerdict.TOO_LOW, below
 
@@ -300,9 +300,8 @@ def reversal(top: Top, method: Method, states: Array, h: float, precise: Precise
         if precise is None:
             return one_step_back_and_forth(top, method, y.tolist(), factor * abs(h))
         number = precise.arithmetic.number
-        with precise.arithmetic.active():
-            start = np.array([number(Fraction(x)) for x in y.tolist()], dtype=np.object_)
-            return _back_and_forth(precise.loop, None, start, abs(precise.h) * number(Fraction(factor)))
+        start = np.array([number(Fraction(x)) for x in y.tolist()], dtype=np.object_)
+        return _back_and_forth(precise.loop, None, start, abs(precise.h) * number(Fraction(factor)))
 
     sizes = [factor * abs(h) for factor in factors]
     defects = [max(defect(y, factor) for y in states) for factor in factors]

@@ -2,7 +2,7 @@
 
 Exponential growth of tangent vectors means chaos only on an orbit that comes back without repeating itself. The test
 uses the changes from one state to the next, so that an angle may turn and a time may run. Those of the last quarter set
-two levels for each component, their ``LEVELS`` quantiles; an orbit that comes back has passed from beyond one level to
+two levels for each component, their ``_LEVELS`` quantiles; an orbit that comes back has passed from beyond one level to
 beyond the other in the two quarters before. An orbit repeats itself if its last half or three quarters, shifted by some
 time, cover themselves: the mean squared distance of states, relative to that of independent ones, is then small. So it
 is on an orbit whose chaos is confined to narrow bands about a periodic one.
@@ -19,7 +19,7 @@ from topcli.contracts import Array
 
 STILL = 1e-9
 """Range of a component, in its unit, below which it does not move."""
-LEVELS = 0.3, 0.7
+_LEVELS = 0.3, 0.7
 PASSAGES = 6
 """Fewest passages of every component between its levels on an orbit that comes back: three oscillations."""
 COVERED = 0.1
@@ -53,7 +53,7 @@ def recurrence_of(states: Array, n: NDArray[np.int64]) -> Recurrence:
     quarter = len(changes) // 4
     middle, last = changes[quarter : 3 * quarter], changes[3 * quarter :]
     changing = np.ptp(last, axis=0) > STILL
-    low, high = np.quantile(last[:, changing], LEVELS, axis=0)
+    low, high = np.quantile(last[:, changing], _LEVELS, axis=0)
     columns = list(zip(middle[:, changing].T, low, high, strict=True))
     comes_back = bool(columns) and all(passages(*column) >= PASSAGES for column in columns)
     if not comes_back and (np.ptp(last, axis=0) > LEFT * np.ptp(middle, axis=0)).any():

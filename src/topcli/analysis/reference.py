@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import cache
 from itertools import chain
@@ -46,7 +46,7 @@ LONGEST, SAFE = 4.0, 0.125
 """The longest step: of a state at rest, and if the last coefficients vanish otherwise."""
 
 
-NEAR_ZERO = 2.0**-10
+_NEAR_ZERO = 2.0**-10
 """Size of a state relative to its motion in the step, below which the latter counts."""
 
 
@@ -73,13 +73,14 @@ def cauchy(work: Array, a: int, b: int, j: int, n: int) -> tuple[float, float]:
     return two_sum(s, c)
 
 
-def expand(table: Array, work: Array, order: int) -> int:
+def expansion(table: Array, work: Array, order: int) -> int:
     """Fill ``work`` with the coefficients 1..order of the components' series from the coefficients 0 in it."""
     n = order + 1
     d = int(table[0])
     products = int(table[1])
     terms = int(table[2])
     first = 3 + 2 * products
+    # each order needs the lower ones only: first the products, then their sums, then division by m + 1
     for m in range(order):
         for k in range(products):
             ph, pl = cauchy(work, int(table[3 + 2 * k]), int(table[4 + 2 * k]), m, n)
@@ -109,7 +110,7 @@ def expand(table: Array, work: Array, order: int) -> int:
     return order
 
 
-def size(work: Array, d: int, j: int, n: int) -> float:
+def magnitude(work: Array, d: int, j: int, n: int) -> float:
     """The 1-norm of the coefficients j of the d components; unlike the maximum it cannot hide a NaN."""
     total = 0.0
     for i in range(d):
@@ -124,11 +125,11 @@ def radius(work: Array, d: int, order: int) -> float:
     instead of |x_0|. Infinite when both vanish.
     """
     n = order + 1
-    first = size(work, d, 0, n)
-    motion = NEAR_ZERO * size(work, d, 1, n)
+    first = magnitude(work, d, 0, n)
+    motion = _NEAR_ZERO * magnitude(work, d, 1, n)
     least = math.inf
     for j in range(order - 1, n):
-        last = size(work, d, j, n)
+        last = magnitude(work, d, j, n)
         if last > 0.0:
             least = min(least, max((first / last) ** (1.0 / j), (motion / last) ** (1.0 / (j - 1))))
     return least
@@ -180,6 +181,7 @@ def advance(
     d = int(table[0])
     row = int(state[2 * d + 1])
     m = int(state[2 * d + 3])
+    # times grow in the direction of the motion, backwards too; a call ends after some expansions so that it can stop
     sign = 1.0 if row < m and times[m - 1] >= 0.0 else -1.0
     for _ in range(budget):
         if row == m:
@@ -187,11 +189,12 @@ def advance(
         for i in range(d):
             work[2 * i * n] = state[i]
             work[2 * i * n + n] = state[d + i]
-        expand(table, work, order)
-        bound = size(work, d, order - 1, n) + size(work, d, order, n)
+        expansion(table, work, order)
+        bound = magnitude(work, d, order - 1, n) + magnitude(work, d, order, n)
         if bound - bound != 0.0:
             return NOT_FINITE
-        longest = SAFE if bound == 0.0 < size(work, d, 1, n) else LONGEST
+        # a step is rounded to a grid, so that the centres of the series are exact numbers
+        longest = SAFE if bound == 0.0 < magnitude(work, d, 1, n) else LONGEST
         step = math.floor(min(reach * radius(work, d, order), longest) * GRID) / GRID
         if step == 0.0:
             return STEP_TOO_SMALL
@@ -209,10 +212,10 @@ def advance(
     return MORE
 
 
-NAME = "the reference"
-EPSILON = 1e-31
-ORDER = math.ceil(-0.5 * math.log(EPSILON) + 1.0)
-"""Jorba and Zou's order for ``EPSILON``: 37."""
+_NAME = "the reference"
+_EPSILON = 1e-31
+ORDER = math.ceil(-0.5 * math.log(_EPSILON) + 1.0)
+"""Jorba and Zou's order for ``_EPSILON``: 37."""
 REACH = math.exp(-0.7 / (ORDER - 1)) / math.e**2
 """Their step in units of the radius of convergence, with their safety factor."""
 BUDGET = 2000
@@ -249,7 +252,7 @@ def table_of(field: Field) -> Array:
 def reference_obstacle(top: Top) -> str:
     """Reason why the reference cannot follow ``top``, one line; empty if it can."""
     try:
-        required_field(top, NAME)
+        required_field(top, _NAME)
     except UsageError as error:
         return str(error)
     return ""
@@ -296,7 +299,7 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
         If the motion leaves the range of a double, if the steps become too short for the resolution of time, or if the
         motion needs too many steps.
     """
-    field, y, t = required_field(top, NAME, exact=Fraction), np.array(y0, dtype=float), np.array(times, dtype=float)
+    field, y, t = required_field(top, _NAME, exact=Fraction), np.array(y0, dtype=float), np.array(times, dtype=float)
     if ((t < 0.0).any() and (t > 0.0).any()) or not (np.diff(np.abs(t)) >= 0.0).all():
         raise ValueError("reference: times must lead away from zero, all forward or all backward")
     d = len(y)
@@ -311,7 +314,17 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
     if t.size and not abs(tau[-1]) <= LONGEST * max_steps:
         least = min(abs(float(tau[-1])) / LONGEST, sys.float_info.max)
         raise _too_long(f"at least {least:.2g}", float(t[-1]), max_steps)
-    _follow(table, state, tau, out.reshape(-1), work, lambda at: math.ldexp(at, -k), max_steps)
+    run, code = _compiled(), MORE
+    while code == MORE:  # in parts, so that it can be stopped
+        check_stop()
+        code = run(table, state, tau, out.reshape(-1), work, ORDER, REACH, BUDGET)
+        at, steps = abs(state[-4]), state[-2]
+        if code == MORE and steps * abs(tau[-1]) > max_steps * at:
+            raise _too_long(f"about {steps * (abs(tau[-1]) / at):.2g}", float(t[-1]), max_steps)
+    if code != DONE:
+        why = "its step shrinks below the resolution of time" if code == STEP_TOO_SMALL else "it is not finite"
+        where = math.ldexp(state[-4], -k)
+        raise RunError(f"reference: the motion cannot be followed beyond t = {where:.6g}: {why}")
     with np.errstate(all="ignore"):
         states = np.ldexp(out, units)
     if not np.isfinite(states).all():
@@ -322,28 +335,3 @@ def reference_states(top: Top, y0: Sequence[float], times: Array, max_steps: int
 def _too_long(steps: str, t: float, most: int) -> RunError:
     """Error for a motion of too many steps."""
     return RunError(f"the reference would need {steps} Taylor steps to reach t = {t:.6g}; at most {most} are taken")
-
-
-def _follow(
-    table: Array,
-    state: Array,
-    tau: Array,
-    out: Array,
-    work: Array,
-    physical: Callable[[float], float],
-    max_steps: int,
-) -> None:
-    """Call ``advance`` until all outputs are written, in parts so that it can be interrupted."""
-    run = _compiled()
-    while True:
-        check_stop()
-        code = run(table, state, tau, out, work, ORDER, REACH, BUDGET)
-        if code == DONE:
-            return
-        at, steps = abs(state[-4]), state[-2]
-        if code != MORE:
-            why = "its step shrinks below the resolution of time" if code == STEP_TOO_SMALL else "it is not finite"
-            raise RunError(f"reference: the motion cannot be followed beyond t = {physical(state[-4]):.6g}: {why}")
-        expected = steps * (abs(tau[-1]) / at)
-        if expected > max_steps:
-            raise _too_long(f"about {expected:.2g}", physical(tau[-1]), max_steps)

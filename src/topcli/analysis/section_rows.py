@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from topcli.analysis.crossings import CrossingSearch
 from topcli.analysis.tally import Tally
-from topcli.engine.consumer import Consumer, State
+from topcli.engine.consumers import Consumer, State
 from topcli.engine.integration import Integration
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 
 
 class SectionRows(Consumer):

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from topcli.analysis.tally import Tally, tally_of
 from topcli.analysis.verdict import NEEDS_EVEN_TIMES, InvariantRow
 from topcli.contracts import Array, Invariant, Top
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
-from topcli.engine.watch import Watch
+from topcli.engine.consumers import EnergyWatch
+from topcli.engine.rows import Plan, Rows
 
 
 def series_rows(top: Top, invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array) -> Rows:
@@ -29,7 +28,7 @@ def invariant_report(
 
     ``steps`` of the method lie behind the rows, for the round-off bound, by default the last of ``n``.
     """
-    rows, watch = series_rows(top, invariants, n, h, states), Watch()
+    rows, watch = series_rows(top, invariants, n, h, states), EnergyWatch()
     watch.begin(rows.plan)
     watch.add(rows)
     return tally_of(rows).report(steps), None if watch.left[0] < 0 else int(watch.left[0])
@@ -44,7 +43,7 @@ def uneven_report(
     index of the first row that has left the energy surface of the first one; None for none.
     """
     rows = series_rows(top, invariants, np.arange(len(states)), 1.0, states)
-    tally, watch = Tally(drifts=False), Watch()
+    tally, watch = Tally(drifts=False), EnergyWatch()
     for consumer in (tally, watch):
         consumer.begin(rows.plan)
         consumer.add(rows)

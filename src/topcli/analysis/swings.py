@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array
 
-EVEN = np.arange(-2.0, 3.0)
+_EVEN = np.arange(-2.0, 3.0)
 QUARTIC = np.array([[1, -4, 6, -4, 1], [-2, 4, 0, -4, 2], [-1, 16, -30, 16, -1], [2, -16, 0, 16, -2]]) / 24.0
 """Coefficients of x⁴, x³, x², x of the quartic through five points at x = -2, ..., 2."""
 LEVELS, MIDDLE = (0.25, 0.5, 0.75), 0.1
@@ -36,7 +36,7 @@ def _vertex(x: Array, y: Array) -> float:
     if not gaps.min() >= UNEVEN * gaps.max():  # nan included
         with np.errstate(all="ignore"):
             return _lowest(x[1:4], y[1:4])
-    fit = QUARTIC if np.abs(x - EVEN).max() < 1e-6 else np.linalg.inv(np.vander(x))[:4]
+    fit = QUARTIC if np.abs(x - _EVEN).max() < 1e-6 else np.linalg.inv(np.vander(x))[:4]
     slope = fit @ y * [4.0, 3.0, 2.0, 1.0]
     roots = np.roots(slope)
     inside = roots[np.abs(roots.imag) < 1e-9].real

@@ -18,11 +18,10 @@ from topcli.analysis.swings import oscillations
 from topcli.analysis.trend import Trend, hann_line, trend, with_ends
 from topcli.analysis.verdict import OSCILLATIONS, TERMS, ULP, InvariantRow, judged, round_off_bound
 from topcli.contracts import Array
-from topcli.engine.consumer import Consumer, State
+from topcli.engine.consumers import Consumer, State
 from topcli.engine.endings import OUTCOMES, Endings
 from topcli.engine.integration import Integration
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 from topcli.table import rounded_up
 
 BLOCKS, FINER = 64, 64
@@ -144,8 +143,7 @@ class Tally(Consumer):
             return values - first
         first, deviations = np.broadcast_to(first, values.shape), np.full(values.shape, np.nan)
         there = ((values == values) & (first == first)).astype(bool)
-        with self.plan.active():
-            deviations[there] = values[there] - first[there]
+        deviations[there] = values[there] - first[there]
         return deviations
 
     def end(self, run: Integration) -> None:
@@ -257,6 +255,7 @@ class Tally(Consumer):
         deviation, size, scale = float(self.max_deviation[k, 0]), abs(first), float(self.scale[k, 0])
         precise = self.plan.precise
         bound = float(round_off_bound(steps, scale, precise.arithmetic.eps if precise else ULP))
+        # an integral that holds on a level only says nothing about motions beside it
         if reason := self._off_level(invariant.on):
             verdict, statement = "unjudged", f"unjudged: {reason}"
         else:

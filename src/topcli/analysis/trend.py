@@ -36,7 +36,7 @@ LAGS = 8
 WALK_LAGS = 2
 """Correlated lags of the increments of a random walk: means over neighbouring blocks share half a block each."""
 LOW = 8
-PARTS = (2, 3)
+SPLITS = (2, 3)
 """Numbers of parts of a run whose slopes have to agree."""
 END, EDGE = 32, 10
 """The level at an end is the mean over a 32nd of the blocks; the middle leaves out a tenth at each end."""
@@ -165,7 +165,7 @@ def _disagreement(slope: float, t: Array, values: Array) -> float:
     goes.
     """
     differences, gap = [], abs(float(t[1] - t[0]))
-    for count in PARTS:
+    for count in SPLITS:
         edges = [part * len(t) // count for part in range(count + 1)]
         for part in map(slice, edges, edges[1:]):
             since = np.abs(t[part] - t[part][0])  # the last block may be shorter than the others

@@ -49,7 +49,8 @@ ULP = float(np.finfo(np.float64).eps)
 class InvariantRow:
     """Report on one invariant: dimensionless deviations from the first value.
 
-    ``relative`` figures are None if the first value is 0, ``drift`` figures if there are too few rows.
+    Figures whose name ends in ``relative`` are None if the first value is 0, and ``drift`` figures if there are too few
+    rows.
     """
 
     name: str
@@ -112,6 +113,7 @@ def judged(
         return "undecided", f"undecided: {why}", f"{beyond}; {why}"
     if short:
         return "undecided", f"undecided: {short}", f"{beyond}; the run {short}"
+    # a slope counts if it is significant, and if it explains more than a part of what is seen over the run
     ratio = abs(fit.slope) / fit.error if fit.error else math.inf
     reason = f"{beyond}; slope {fit.slope:.1e} ± {fit.error:.1e} ({ratio:.1f} standard errors, {fit.model})"
     if ratio > SIGNIFICANCE and abs(fit.slope * span) > PART * spread:

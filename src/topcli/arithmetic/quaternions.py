@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating[Any]]
 Quaternion = tuple[float, float, float, float]
-Vector = tuple[float, float, float]
+_Vector = tuple[float, float, float]
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -36,7 +36,7 @@ def conjugate(q: Quaternion) -> Quaternion:
     return (q[0], -q[1], -q[2], -q[3])
 
 
-def rotate(q: Quaternion, v: Vector) -> Vector:
+def rotate(q: Quaternion, v: _Vector) -> _Vector:
     """Rotated vector q v q*, as v plus its change."""
     w, x, y, z = q
     a = 2.0 * (y * v[2] - z * v[1])
@@ -52,14 +52,14 @@ def unit_turn(a: float, b: float, c: float) -> Quaternion:
     return (-s / (length * (1.0 + length)), a / length, b / length, c / length)
 
 
-def turn_upright(u: Vector) -> Quaternion:
+def turn_upright(u: _Vector) -> Quaternion:
     """Shortest turn that carries the unit vector ``u`` to (0, 0, 1); half a turn if ``u`` is (0, 0, -1)."""
     if u[2] <= -1.0 + 1e-15:
         return (-1.0, 1.0, 0.0, 0.0)
     return unit_turn(u[1] / (1.0 + u[2]), -u[0] / (1.0 + u[2]), 0.0)
 
 
-def upright(v: Vector) -> Quaternion:
+def upright(v: _Vector) -> Quaternion:
     """Shortest rotation that carries the direction of ``v`` to (0, 0, 1); the identity if ``v`` is zero."""
     size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     if not size > 0.0:
@@ -75,7 +75,7 @@ def turned(q: Quaternion, change: Quaternion) -> Quaternion:
     return (w + excess * w, x + excess * x, y + excess * y, z + excess * z)
 
 
-def canonical(q: Quaternion) -> Quaternion:
+def canonical_quaternion(q: Quaternion) -> Quaternion:
     """The one of q and -q, which are the same rotation, whose first number other than zero is positive."""
     for value in q:
         if value != 0.0:

@@ -15,7 +15,7 @@ from typing import Any
 
 from topcli.arithmetic.fused import fma, follow_precision, unlikely
 
-Pair = tuple[float, float]
+_Pair = tuple[float, float]
 Vector = tuple[float, float, float]
 SMALL_ANGLE_SQ = 0.6168502750680849
 """(pi/4)**2; up to this limit the polynomials below are accurate to about the last bit."""
@@ -46,7 +46,7 @@ def cayley_rotated(a1: float, a2: float, a3: float, g1: float, g2: float, g3: fl
     return (fma(r, x1, g1), fma(r, x2, g2), fma(r, x3, g3))
 
 
-def sinc_cosc_polynomials(t: float) -> Pair:
+def sinc_cosc_polynomials(t: float) -> _Pair:
     """``sinc_cosc`` for t up to SMALL_ANGLE_SQ, by the polynomials of fdlibm; exactly 1 and 1/2 at 0.
 
     The evaluation order makes the dependency chain four operations long; the last two operations of each result round
@@ -63,7 +63,7 @@ def sinc_cosc_polynomials(t: float) -> Pair:
     return sinc, fma(t * u, fma(u, high, mid), fma(t, low, 0.5))
 
 
-def sinc_cosc(t: float) -> Pair:
+def sinc_cosc(t: float) -> _Pair:
     """Return sin(x)/x and (1 - cos(x))/x**2 as functions of t = x*x >= 0: polynomials for small t, else libm."""
     if unlikely(not t <= SMALL_ANGLE_SQ):
         x = math.sqrt(t)
@@ -72,7 +72,7 @@ def sinc_cosc(t: float) -> Pair:
     return sinc_cosc_polynomials(t)
 
 
-def sinc_cosc_small(t: float) -> Pair:
+def sinc_cosc_small(t: float) -> _Pair:
     """``sinc_cosc`` for t up to SMALL_ANGLE_SQ, nan beyond."""
     sinc, cosc = sinc_cosc_polynomials(t)
     return (sinc, cosc) if t <= SMALL_ANGLE_SQ else (math.nan, math.nan)

@@ -20,15 +20,15 @@ from topcli.cli.output import Screen, emit, print_document, print_error, print_l
 from topcli.errors import ExitCode, TopcliError, UsageError, shortened
 from topcli.studies import find_study
 
-FIRST = ("compare", "order", "bench", "analyse")
+_FIRST = ("compare", "order", "bench", "analyse")
 """Studies among the commands that most users need."""
 GROUPS = {
     "Run and compare": {
         "run": ("topcli.cli.run", "Run experiments and report on their conservation laws."),
         "sweep": ("topcli.cli.run", "Run all combinations of the values in a sweep file."),
-        **{name: STUDIES[name] for name in FIRST},
+        **{name: STUDIES[name] for name in _FIRST},
     },
-    "Studies": {name: place for name, place in STUDIES.items() if name not in FIRST},
+    "Studies": {name: place for name, place in STUDIES.items() if name not in _FIRST},
     "Look at results": {
         "report": ("topcli.cli.results", "Write a self-contained HTML page about stored results."),
         "plot": ("topcli.cli.results", "Draw figures as PNG and PDF, with their data as Parquet."),
@@ -51,7 +51,7 @@ GONE = Path(__file__).with_name("gone.toml")
 """File of the replacements of commands and options of earlier versions."""
 
 
-def function_of(name: str) -> Callable[..., Any]:
+def command_function(name: str) -> Callable[..., Any]:
     """Function of the command called ``name``."""
     if name in STUDIES:
         return find_study(name)
@@ -68,7 +68,7 @@ class Command(TyperCommand):
     def whole(self) -> Any:
         """The command with its options."""
         name = str(self.name)
-        function = function_of(name)
+        function = command_function(name)
         return options.command_of(function, name, lambda values: perform(name, function, vars(values)))
 
 
@@ -129,7 +129,7 @@ def perform(name: str, function: Callable[..., Any], values: dict[str, Any]) -> 
 
 def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Screen) -> int:
     """Call a study, print its report, write files, and return the code of the report."""
-    from topcli.cli.results import require_new
+    from topcli.cli.results import require_new_file
     from topcli.schemes.plugins import FAILURES
     from topcli.studies.report import PICTURES, TABLES
 
@@ -139,7 +139,8 @@ def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Scr
             last = f"{', '.join(endings[:-1])} or {endings[-1]}"
             raise UsageError(f"{name} {path}: unknown type of file; use a name ending in {last}")
         if path is not None:
-            require_new(path, force, name)
+            require_new_file(path, force, name)
+    # wrong names of files are refused before the study, which may take long
     report = options.call_with(study, values, screen)
     if screen.as_json:
         print_document(report.as_dict())
@@ -154,9 +155,9 @@ def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Scr
         screen.say(line)
     for line in report.errors:
         print_message(f"error: {line}")
-    for failure in FAILURES:
-        if not any(str(failure) in line for line in report.errors):
-            print_message(str(failure))
+    for failure in FAILURES.values():
+        if not any(failure in line for line in report.errors):
+            print_message(failure)
     return report.code
 
 

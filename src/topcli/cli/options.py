@@ -22,7 +22,7 @@ from typer.main import get_command
 
 from topcli.errors import shortened
 
-NAMES = {
+_NAMES = {
     "as_json": ("--json",),
     "every": ("--all",),
     "form": ("--format",),
@@ -92,21 +92,23 @@ def of_studies(
 
 def complete(kinds: str, beginning: str) -> list[str]:
     """Names of some kinds, such as ``CONFIG|SCHEME``, that begin with ``beginning``."""
-    names = [name for kind in kinds.split("|") for name in names_of(kind, beginning.lower())]
+    names = [name for kind in kinds.split("|") for name in completions_of(kind, beginning.lower())]
     return [name for name in names if name.lower().startswith(beginning.lower())]
 
 
-def names_of(kind: str, beginning: str) -> Sequence[str]:
+def completions_of(kind: str, beginning: str) -> Sequence[str]:
     """Names of a kind that may begin with ``beginning``; compositions of a scheme only after a +."""
     if kind in ("SCHEME", "TOP"):
-        from topcli.schemes.compose import COMPOSITIONS, obstacle
+        from topcli.schemes.compose import COMPOSITIONS, composition_obstacle
         from topcli.schemes.own_tops import top_names
         from topcli.schemes.registry import all_schemes
 
         if kind == "TOP":
             return sorted(top_names())
         base, plus, _ = beginning.partition("+")
-        composed = any(scheme.name == base and not obstacle(scheme) for scheme in all_schemes()) if plus else False
+        composed = (
+            any(scheme.name == base and not composition_obstacle(scheme) for scheme in all_schemes()) if plus else False
+        )
         return [f"{base}+{name}" for name in COMPOSITIONS if composed] + sorted({each.name for each in all_schemes()})
     if kind == "FIGURE":
         from topcli.figures.catalogue import FIGURES
@@ -158,7 +160,7 @@ def command_of(function: Callable[..., Any], name: str, perform: Callable[[Any],
 
 def takes_argument(parameter: inspect.Parameter) -> bool:
     """True for a positional parameter other than the overrides, which is an argument of the command."""
-    return parameter.kind is not parameter.KEYWORD_ONLY and parameter.name not in NAMES
+    return parameter.kind is not parameter.KEYWORD_ONLY and parameter.name not in _NAMES
 
 
 def option_of(parameter: inspect.Parameter, text: str) -> tuple[str, Any, Any]:
@@ -185,7 +187,7 @@ def option_of(parameter: inspect.Parameter, text: str) -> tuple[str, Any, Any]:
     if takes_argument(parameter):
         declared = typer.Argument(**details)
     else:
-        spelt = NAMES.get(parameter.name, ("--" + parameter.name.replace("_", "-"),))
+        spelt = _NAMES.get(parameter.name, ("--" + parameter.name.replace("_", "-"),))
         declared = typer.Option(*spelt, **details)
     annotation = list[kind] if several else kind
     annotated = Annotated[annotation if required or default is not None else annotation | None, declared]

@@ -21,7 +21,7 @@ from topcli.table import Cells
 
 WIDTH = 100
 """Characters in a line of a table or text that does not go to a terminal."""
-COLOURS = {"good": "32", "middling": "33", "bad": "31"}
+_COLOURS = {"good": "32", "middling": "33", "bad": "31"}
 """Parameters of the control sequences for the marks of cells: green, yellow and red."""
 GAP = 2
 """Spaces between columns."""
@@ -118,7 +118,7 @@ def print_cells(cells: Cells, width: int) -> None:
     """Print a table in blocks that fit; on a terminal ruled and, without NO_COLOR, coloured."""
     terminal = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
     marks = cells.marks if terminal and not os.environ.get("NO_COLOR") else {}
-    colours = {text: COLOURS[mark] for text, mark in marks.items()}
+    colours = {text: _COLOURS[mark] for text, mark in marks.items()}
     header, *rows = [[printable(cell) for cell in line] for line in (cells.header, *cells.lines)]
     if cells.title:
         emit(wrapped(cells.title, sys.stdout))

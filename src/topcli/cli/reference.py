@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from topcli.cli.output import WIDTH, CommandResult, Screen, print_message, width_of
-from topcli.cli.results import require_new, stored_place
+from topcli.cli.results import require_new_file, stored_place
 from topcli.errors import UsageError, quoted
 from topcli.table import DASH, Cells
 
 Item = dict[str, Any]
-Kind = Literal["tops", "schemes", "compositions", "scenes", "sweeps", "cases", "measures", "figures", "runs"]
+_Kind = Literal["tops", "schemes", "compositions", "scenes", "sweeps", "cases", "measures", "figures", "runs"]
 
 
 def tops() -> Iterable[Item]:
@@ -59,7 +59,7 @@ def scenes(top: str | None) -> Iterable[Item]:
     """Packaged configs of a top, or of all."""
     from topcli.config import load
 
-    for name, first, count, about in load.scenes(top):
+    for name, first, count, about in load.packaged_scenes(top):
         item = {"name": name, "top": first.top.form, "scheme": first.scheme.name, **fields(first, "h", "N")}
         yield {**item, "trajectories": count, "about": about}
 
@@ -106,7 +106,7 @@ def runs(results: Path) -> Iterable[Item]:
     return listed_runs(results)
 
 
-LISTS: dict[Kind, tuple[Callable[..., Iterable[Item]], str]] = {
+LISTS: dict[_Kind, tuple[Callable[..., Iterable[Item]], str]] = {
     "tops": (tops, "form title parameters invariants"),
     "schemes": (schemes, "name top title order conserves"),
     "compositions": (compositions, "name order stages title citation"),
@@ -118,11 +118,11 @@ LISTS: dict[Kind, tuple[Callable[..., Iterable[Item]], str]] = {
     "runs": (runs, "name kind outcome step N scheme h ended"),
 }
 """Function and columns of each list; the function takes the name of a top, the folder of results, or nothing."""
-OF_A_TOP: Sequence[Kind] = ("schemes", "scenes", "cases")
+OF_A_TOP: Sequence[_Kind] = ("schemes", "scenes", "cases")
 """Lists of which ``--top`` chooses a part."""
 
 
-def list_(items: Kind, *, top: str | None = None, results: Path = Path("results"), screen: Screen) -> CommandResult:
+def list_(items: _Kind, *, top: str | None = None, results: Path = Path("results"), screen: Screen) -> CommandResult:
     """List tops, schemes, scenes, figures, runs and more.
 
     Scenes are packaged configs, which run by name; sweeps are packaged sweep files. The outcome of a run is "running"
@@ -136,20 +136,20 @@ def list_(items: Kind, *, top: str | None = None, results: Path = Path("results"
     """
     from topcli.schemes.plugins import plugin_failures
 
-    for failure in plugin_failures():  # items of installed packages are listed too
-        print_message(str(failure))
+    for failure in plugin_failures().values():  # items of installed packages are listed too
+        print_message(failure)
     if top is not None and items not in OF_A_TOP:
         raise UsageError(f"--top: not for topcli list {items}; it chooses {', '.join(OF_A_TOP)}")
     function, columns = LISTS[items]
     listed = list(function(*([top] if items in OF_A_TOP else [results] if items == "runs" else [])))
     if listed:
-        screen.show(table_of(listed, columns.split()), width=10**6)
+        screen.show(list_table(listed, columns.split()), width=10**6)
     else:
         screen.say(f"no {items} in {results}" if items == "runs" else f"no {items}")
     return CommandResult({"command": f"list {items}", items: listed})
 
 
-def table_of(items: Sequence[Item], keys: Sequence[str]) -> Cells:
+def list_table(items: Sequence[Item], keys: Sequence[str]) -> Cells:
     """Table of the ``keys`` of items; the origin is shown if an item does not come with topcli."""
     keys = [*keys, "origin"] if any(item.get("origin", "topcli") != "topcli" for item in items) else keys
     kinds = [{type(item[key]) for item in items} - {type(None)} for key in keys]
@@ -235,6 +235,7 @@ def show(
         return show_motion(subject, row, overrides, screen)
     if row is not None or (folder.is_dir() and not (folder / "config.yaml").is_file()):
         return show_sweep(stored_place(subject, results), row, overrides, screen)
+    # one word may be a scene, a scheme or a top; files, folders and changed configs are none of the latter two
     is_name = not overrides and not folder.suffix and not folder.is_dir()
     of_name = describe.scheme_forms(subject, top) if is_name else []
     if (top or source) and not of_name:
@@ -320,7 +321,7 @@ def init(
     schema_path, scene = path.with_name("topcli.schema.json"), find_config(config)
     if path.suffix != scene.suffix:
         raise UsageError(f"{path}: {config} is in another format; use a name that ends in {scene.suffix}")
-    require_new(path, force, "")
+    require_new_file(path, force, "")
     unnamed = re.sub(r"^name *[:=].*\n", "", scene.read_text(encoding="utf-8"), count=1, flags=re.MULTILINE)
     modeline = "#:schema " if path.suffix == ".toml" else "# yaml-language-server: $schema="
     write_by_ending(path, {scene.suffix: lambda: f"{modeline}{schema_path.name}\n{unnamed}"})

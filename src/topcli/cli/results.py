@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from topcli.figures.figure import Figure
     from topcli.table import Table
 
-FPS = 25.0
-"""Frames of an animation in a second."""
 WIDTHS = (240, 3840)
 """Smallest and largest width of an animation in pixels."""
 
@@ -30,7 +28,7 @@ def stored_place(name: str, results: Path) -> Path:
     raise missing_result(name, results)
 
 
-def require_new(path: Path, force: bool, option: str = "--out") -> None:
+def require_new_file(path: Path, force: bool, option: str = "--out") -> None:
     """Raise UsageError if ``path`` exists and may not be overwritten, or is a folder."""
     from topcli.store import files
 
@@ -148,11 +146,11 @@ def table_of_sweep(
     screen: Screen,
 ) -> CommandResult:
     """Table of measures of a sweep. Raises UsageError."""
-    from topcli.sweeps.table import names_of, read_rows, sweep_table
+    from topcli.sweeps.table import names_hint, read_rows, sweep_table
 
     frame = read_rows(folder, where)
     if not (rows and value):
-        raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", names_of(frame))
+        raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", names_hint(frame))
     table = sweep_table(frame, list(rows), columns, list(value), aggregate)
     screen.show(table.cells if form == "text" else table.text(form).removesuffix("\n"))
     for note in table.notes:
@@ -177,7 +175,7 @@ def report(
     from topcli.pages.stored import stored_chapter
     from topcli.store.files import write_by_ending
 
-    require_new(out, force)
+    require_new_file(out, force)
     chapters = [stored_chapter(place) for place in dict.fromkeys(stored_place(run, results) for run in runs)]
     write_by_ending(out, {".html": lambda: page_of(chapters)})
     screen.say(f"wrote {out}")
@@ -250,8 +248,8 @@ def plot(
     elif option := next((name for name, choice in axes.items() if choice), ""):
         raise UsageError(f"--{option} is only for sweeps: topcli plot sweep DIR/NAME --x KEY --y MEASURE")
     else:
-        for failure in plugin_failures() if every else ():
-            print_message(str(failure))
+        for failure in plugin_failures().values() if every else ():
+            print_message(failure)
         chosen = [figure_called(name, results) for name in figures] or list(FIGURES.values())
 
     # figures of stored measurements are left out of --all where there are none
@@ -299,7 +297,7 @@ def figure_of_sweep(places: Sequence[str], axes: dict[str, Any], results: Path) 
     """The figure of a sweep that the options describe."""
     from topcli.figures.sweep import Choice, sweep_figure
     from topcli.store.files import sha256_of
-    from topcli.sweeps.table import names_of, read_rows
+    from topcli.sweeps.table import names_hint, read_rows
 
     if len(places) != 1:
         raise UsageError(
@@ -309,7 +307,7 @@ def figure_of_sweep(places: Sequence[str], axes: dict[str, Any], results: Path) 
     rows = read_rows(stored_place(places[0], results), where)
     if axes["x"] is None or axes["y"] is None:
         hint = "plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE"
-        raise UsageError(hint, names_of(rows))
+        raise UsageError(hint, names_hint(rows))
     takes = f"{sha256_of(Path(rows.attrs['path']))} {where}"
     return sweep_figure(rows, Choice(**axes), ", ".join([rows.attrs["name"], *where]), takes)
 
@@ -320,16 +318,15 @@ def animate(
     out: Path,
     seconds: float = 10.0,
     size: int = 720,
-    start: float | None = None,
-    stop: float | None = None,
     results: Path = Path("results"),
     force: bool = False,
     screen: Screen,
 ) -> CommandResult:
     """Animate the body of a run, with the trace of its axis.
 
-    The run must have recorded the attitude of the body (output.attitude). The file name must end in .gif or .mp4; an
-    .mp4 file needs pip install 'topcli[video]'.
+    The run must have recorded the attitude of the body (output.attitude). The animation begins with the run and ends
+    before the body would turn too far from frame to frame. The file name must end in .gif or .mp4; an .mp4 file needs
+    pip install 'topcli[video]'.
 
     Parameters
     ----------
@@ -339,30 +336,25 @@ def animate(
         Make the animation this many seconds long.
     size : int, optional
         Set the width in pixels; the height is 2/3 of the width.
-    start : float, optional
-        Begin at this time of the run; by default at its beginning.
-    stop : float, optional
-        End at this time of the run; by default, a time up to which the animation looks smooth.
     """
+    from topcli.figures.animation import FPS, frame_times, require_format, stored_body_motion
     from topcli.figures.animation import animate as draw
-    from topcli.figures.animation import frame_times, require_format, stored_body_motion
 
     if not WIDTHS[0] <= size <= WIDTHS[1]:
         raise UsageError(f"--size {size}: must be {WIDTHS[0]} to {WIDTHS[1]} pixels")
     if not 0.1 <= seconds <= 600.0:
         raise UsageError(f"--seconds {seconds:g}: must be 0.1 to 600 seconds")
-    require_format(out, FPS, seconds)  # before anything is read or drawn
-    require_new(out, force)
+    require_format(out, seconds)  # before anything is read or drawn
+    require_new_file(out, force)
     motion = stored_body_motion(stored_place(result, results))
     if motion.note:
         screen.warn(motion.note)
-    times = frame_times(motion, max(2, round(FPS * seconds)), start, stop)
+    times = frame_times(motion, max(2, round(FPS * seconds)))
     name, begin, end, last = motion.experiment.name, float(times[0]), float(times[-1]), float(motion.t[-1])
-    if stop is None and end != last:
-        interval = f"{begin:g} to {end:.4g} of {last:g}"
-        screen.warn(f"{name}: shows t = {interval}; --stop {last:g} shows the whole run faster")
+    if end != last:
+        screen.warn(f"{name}: shows t = {begin:g} to {end:.4g} of {last:g}; more --seconds show more")
     screen.begin(str(out), unit="frames")
-    draw(motion, times, out, FPS, size, screen)
+    draw(motion, times, out, size, screen)
     frames, width, height = len(times), 2 * (size // 2), 2 * round(size / 3.0)
     screen.show(f"{name}: {frames} frames, {width} x {height} -> {out}")
     content = {"file": str(out), "frames": frames, "fps": FPS, "width": width, "height": height}

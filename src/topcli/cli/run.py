@@ -95,9 +95,10 @@ def run(
                 label = f"[{number}/{len(configs)}] " if len(configs) > 1 else ""
                 screen.begin(label + experiment.name, experiment)
                 if dry_run:
-                    code, entry = ExitCode.SUCCESS, plan_of(experiment, out, options, screen)
+                    code, entry = ExitCode.SUCCESS, plan_table(experiment, out, options, screen)
                 else:
                     code, entry = run_one(experiment, out, options, verbose, len(configs) > 1, screen)
+            # one config that fails does not keep the others from running
             except Exception as error:
                 failure = error if isinstance(error, TopcliError) else users_error(error)
                 if failure is None:
@@ -114,11 +115,12 @@ def run(
         succeeded, left = codes.count(ExitCode.SUCCESS), len(configs) - len(codes)
         more = f"; {left} not run" if left else ""
         screen.say(f"{succeeded} of {len(configs)} runs succeeded; {len(codes) - succeeded} failed{more}")
+    # the code of an interruption stands before that of failures
     partly = ExitCode.INTERRUPTED not in codes and ExitCode.SUCCESS in codes and any(codes)
     return CommandResult({"runs": entries}, ExitCode.PARTLY_FAILED if partly else max(codes))
 
 
-def plan_of(experiment: Experiment, out: Path, options: RunOptions, screen: Screen) -> dict[str, Any]:
+def plan_table(experiment: Experiment, out: Path, options: RunOptions, screen: Screen) -> dict[str, Any]:
     """Plan of a run: its config and digest, folder, action and number of rows."""
     from topcli.runs.run import outlook
 
@@ -170,6 +172,7 @@ def print_result(result: RunResult, experiment: Experiment, verbose: bool, title
             if line:
                 screen.say(f"{prefix}{name}: {line}")
     title = name if titled else ""
+    # briefly, the physical invariants have a table, and what else the scheme conserves has one line
     invariants, *others = texts.report_tables(report)
     rows = report["invariants"]
     if verbose:
@@ -230,6 +233,7 @@ def sweep(
     screen.begin(loaded.name, unit="rows")
     with Interruption() as stop:
         result = run_sweep(loaded, out, SweepOptions(force, threads, dask, stop, screen, on_failure, screen.warn))
+    # one line for people and one table of outcomes; the JSON has all numbers
     state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
     failed = f"; {result.failed} failed" if result.failed else ""
     place = result.folder / "rows.parquet"

@@ -151,7 +151,7 @@ def as_integer(value: Any) -> Any:
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-def plain(value: Any, document: Document, path: KeyPath = ()) -> Any:
+def plain_data(value: Any, document: Document, path: KeyPath = ()) -> Any:
     """Return a copy of ``value`` as plain data; tuples and numpy's scalars and arrays become lists and numbers.
 
     Raises ConfigError naming the key of anything else, of a number that no double holds, and of data nested deeper
@@ -162,9 +162,9 @@ def plain(value: Any, document: Document, path: KeyPath = ()) -> Any:
     if len(path) > MAX_DEPTH:
         path, fault = path[:1], f"nested deeper than {MAX_DEPTH} levels"
     elif isinstance(value, Mapping):
-        return {str(key): plain(item, document, (*path, str(key))) for key, item in value.items()}
+        return {str(key): plain_data(item, document, (*path, str(key))) for key, item in value.items()}
     elif isinstance(value, (list, tuple)):
-        return [plain(item, document, (*path, i)) for i, item in enumerate(value)]
+        return [plain_data(item, document, (*path, i)) for i, item in enumerate(value)]
     elif isinstance(value, (int, float)) and not abs(value) <= sys.float_info.max:
         fault = "must be a finite number that a double holds"
     elif value is None or isinstance(value, (bool, int, float, str)):
@@ -172,7 +172,7 @@ def plain(value: Any, document: Document, path: KeyPath = ()) -> Any:
     raise ConfigError(document.message(path, fault))
 
 
-SUCCESSORS = {
+_SUCCESSORS = {
     "digits": "the report has the deviations in the precision of the run",
     "include": "list further rows in zip, or run a second sweep",
     "store": "`topcli show SWEEP --row NUMBER` prints a row as a config for topcli run",
@@ -185,7 +185,7 @@ def unknown_key(key: str, keys: Iterable[str]) -> str:
     names = list(keys)
     same = next((name for name in names if name.lower() == key.lower()), None)
     near = f"did you mean {same!r}?" if same else nearest(key, names) if names else "none is allowed here"
-    return f"unknown key; {SUCCESSORS.get(key) or near}"
+    return f"unknown key; {_SUCCESSORS.get(key) or near}"
 
 
 @cache

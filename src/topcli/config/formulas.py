@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import chain
 from typing import Annotated, Any
 
@@ -16,7 +16,7 @@ from topcli.engine.columns import ATTITUDES
 from topcli.errors import nearest, quoted
 from topcli.field.expression import parse
 from topcli.field.integrals import broken_hk_integral, broken_integral
-from topcli.tops import CUSTOM, TOPS, BodyTop
+from topcli.tops import TOPS, BodyTop
 from topcli.tops.bodies import checked_rotation
 from topcli.tops.declared import BODY_SYMBOLS, VECTORS, custom_class, name_fault
 
@@ -24,7 +24,7 @@ Three = Annotated[list[Any], Field(min_length=3, max_length=3)]
 """Three formulas."""
 
 
-class Body(BaseModel):
+class BodySection(BaseModel):
     """A rigid body with a fixed point, whose equations of motion are those of Euler and Poisson."""
 
     model_config = STRICT
@@ -48,7 +48,7 @@ class CustomSection(BaseModel):
     """neighbouring components that initial and pictures take as a vector, by its name"""
     parameters: dict[str, float] = {}
     """names of the parameters, with their values"""
-    body: Body | None = None
+    body: BodySection | None = None
     """a rigid body, instead of components and field; its state is omega1 to omega3, the angular velocity, and gamma1 to
     gamma3, the vertical"""
     field: dict[str, Any] = {}
@@ -83,16 +83,7 @@ def read_custom(raw: dict[str, Any], document: Document) -> type[Top]:
     names = parameters if isinstance(parameters, dict) else ()
     section = document.read(CustomSection, raw, "top", beside=("kind", *names))
     _check_names(section, document)
-    cls = declared_class({"kind": CUSTOM, **_with_texts(section, document)})
-    assert cls is not None
-    return cls
-
-
-def declared_class(section: object) -> type[Top] | None:
-    """Class of a top that a resolved section ``top`` declares; None for other tops."""
-    if not isinstance(section, Mapping) or section.get("kind") != CUSTOM:
-        return None
-    cls = custom_class(section)
+    cls = custom_class(_with_texts(section, document))
     TOPS.declared[cls.form] = cls
     return cls
 

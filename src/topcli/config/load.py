@@ -9,7 +9,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from topcli.config.document import Document, plain
+from topcli.config.document import Document, plain_data
 from topcli.config.ensemble import read_ensemble
 from topcli.config.files import find_config, first_sentence, read_document, scene_files
 from topcli.config.models import Config, Experiment, changed_name
@@ -107,7 +107,7 @@ def read_config(
         path = find_config(source)
         document, name = read_document(path), path.stem
     elif isinstance(source, Mapping):
-        document, name = Document(plain(source, Document({}))), None
+        document, name = Document(plain_data(source, Document({}))), None
     else:
         raise ConfigError(f"a config is a dict with the keys {', '.join(Config.model_fields)}")
     drop_partner(document.data, changes or {})
@@ -117,7 +117,7 @@ def read_config(
     return document, name
 
 
-def scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]:
+def packaged_scenes(top: str | None = None) -> Iterator[tuple[str, Experiment, int, str]]:
     """Yield name, first trajectory, number of trajectories and description of each packaged scene.
 
     ``top`` restricts them to one top. Raises UnknownNameError for an unknown top.

@@ -33,7 +33,7 @@ _NAME = re.compile(
 """Names of folders on every system: neither that of the folder of pictures nor those of Windows's devices."""
 
 
-def name_fault(value: str) -> str:
+def folder_name_fault(value: str) -> str:
     """Reason why ``value`` cannot name an experiment and its run folder on every system; empty if it can."""
     named = value.isprintable() and _NAME.fullmatch(value)
     if named and len(value) <= MAX_NAME and len(value.encode()) <= MAX_NAME_BYTES:
@@ -48,7 +48,7 @@ def changed_name(base: str, digest: str) -> str:
 
 
 def _name(value: str) -> str:
-    if fault := name_fault(value):
+    if fault := folder_name_fault(value):
         raise ValueError(fault)
     return value
 

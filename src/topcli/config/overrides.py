@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from topcli.config.document import Document, describe, key_text, plain
+from topcli.config.document import Document, describe, key_text, plain_data
 from topcli.config.text import parse_yaml
 from topcli.errors import ConfigError, shortened
 
@@ -65,7 +65,7 @@ def set_key(document: Document, path: tuple[str, ...], value: Any, place: str) -
         section[key] = section = dict(inner or {})
     if isinstance(section.get(path[-1]), dict | list):  # whose keys have places
         document.places = {key: where for key, where in document.places.items() if key[: len(path)] != path}
-    section[path[-1]] = plain(value, Document({}, {path: place}), path)
+    section[path[-1]] = plain_data(value, Document({}, {path: place}), path)
     document.places[path] = place
 
 

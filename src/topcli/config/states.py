@@ -26,7 +26,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 from topcli.config.document import STRICT, Document, as_integer, describe, number_of, unknown_key
 from topcli.config.text import KeyPath
 from topcli.contracts import Array, Top
-from topcli.engine.watch import energy_of
+from topcli.engine.consumers import energy_of
 from topcli.errors import quoted
 from topcli.schemes.own_tops import forms
 
@@ -39,16 +39,16 @@ the length: under HK, the squares in the packaged scenes deviate by up to 0.003.
 AUTO = {"auto": 1.0, "+auto": 1.0, "-auto": -1.0}
 """Texts for a component that completes a unit vector, with the component's sign."""
 MAX_TRAJECTORIES = 10**6
-PATIENCE = 4096
+_PATIENCE = 4096
 """States of a sample that are drawn until one can have the energy."""
-BLOCK = 1024
+_BLOCK = 1024
 """Rows of a table of random numbers that are made together."""
-NO_ENERGY = f"no state has this energy: the potential energy alone exceeds it in {PATIENCE} draws of a sample"
+NO_ENERGY = f"no state has this energy: the potential energy alone exceeds it in {_PATIENCE} draws of a sample"
 NOTHING_DRAWN = "needs a count and a vector; for example random: {count: 100, gamma: sphere, omega: {near: 0.1}}"
 
-Columns = Mapping[str, Array]
-Integers = NDArray[np.int64]
-FIRST = np.ones(1, dtype=np.int64)
+_Columns = Mapping[str, Array]
+_Integers = NDArray[np.int64]
+_FIRST = np.ones(1, dtype=np.int64)
 
 
 def vectors_in(cls: type[Top], initial: Any) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def _vectors(cls: type[Top]) -> list[tuple[str, tuple[str, ...]]]:
 
 
 def read_states(
-    cls: type[Top], initial: object, document: Document, columns: Columns | None = None, path: KeyPath = ("initial",)
+    cls: type[Top], initial: object, document: Document, columns: _Columns | None = None, path: KeyPath = ("initial",)
 ) -> Array:
     """Return the states (m, d) of the section ``initial`` at ``path``, with unit vectors completed and checked.
 
@@ -103,7 +103,7 @@ def read_states(
     return np.hstack(vectors)
 
 
-def _components(raw: object, names: Sequence[str], unit: bool, columns: Columns) -> tuple[Array, dict[int, float]]:
+def _components(raw: object, names: Sequence[str], unit: bool, columns: _Columns) -> tuple[Array, dict[int, float]]:
     """Return a vector (m, k), and the places of ``auto`` with their signs. Raises ValueError."""
     vector = raw if isinstance(raw, list) or len(names) > 1 else [raw]
     if not isinstance(vector, list) or len(vector) != len(names):
@@ -245,11 +245,11 @@ def many_states(
     initial: object,
     document: Document,
     *,
-    columns: Columns | None = None,
+    columns: _Columns | None = None,
     path: KeyPath = ("initial",),
     random: Mapping[str, Any] | None = None,
     source: KeyPath = ("random",),
-    samples: Integers = FIRST,
+    samples: _Integers = _FIRST,
     seed: int = 0,
 ) -> Array:
     """Return the states (m, d) of an ensemble, or of rows of a sweep.
@@ -277,20 +277,20 @@ def many_states(
 
 def drawn_number(seed: int, key: str, sample: int) -> float:
     """Uniform random number of a sample for a parameter of the top; it does not depend on what else is drawn."""
-    block, row = divmod(sample, BLOCK)
+    block, row = divmod(sample, _BLOCK)
     return float(_block((seed, *key.encode()), block, 1)[row, 0])
 
 
-def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: Integers, seed: int) -> Array:
+def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: _Integers, seed: int) -> Array:
     """Return the states (m, d) of the numbered ``samples`` (m,), drawn around ``centres`` (m, d).
 
-    Raises ValueError if a sample has no state of the energy among the first ``PATIENCE`` ones.
+    Raises ValueError if a sample has no state of the energy among the first ``_PATIENCE`` ones.
     """
     energies = any(draw.energy is not None for draw in draws.values())
     if energies and len(samples) > 1:  # an energy that is never possible is refused without a million attempts
         draw_states(top, draws, centres[:1], samples[:1], seed)
     states, left = centres.copy(), np.arange(len(samples))
-    for attempt in range(PATIENCE):
+    for attempt in range(_PATIENCE):
         numbers = _uniform((seed, attempt), samples[left], 3 * len(top.vectors))
         states[left], possible = _placed(top, draws, centres[left], numbers)
         left = left[~possible]
@@ -299,21 +299,21 @@ def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: In
     raise ValueError(NO_ENERGY)
 
 
-def _uniform(table: tuple[int, ...], samples: Integers, width: int) -> Array:
+def _uniform(table: tuple[int, ...], samples: _Integers, width: int) -> Array:
     """Rows ``samples`` (m,) of an endless table of uniform numbers with ``width`` columns."""
-    blocks, numbers = samples // BLOCK, np.empty((len(samples), width))
+    blocks, numbers = samples // _BLOCK, np.empty((len(samples), width))
     order = np.argsort(blocks, kind="stable")
     for here in np.split(order, np.flatnonzero(np.diff(blocks[order])) + 1):
         block = int(blocks[here[0]])
-        numbers[here] = _block(table, block, width)[samples[here] - block * BLOCK]
+        numbers[here] = _block(table, block, width)[samples[here] - block * _BLOCK]
     return numbers
 
 
 @lru_cache(maxsize=64)
 def _block(table: tuple[int, ...], block: int, width: int) -> Array:
-    """``BLOCK`` rows of the table."""
-    stream = np.random.PCG64(table).advance(block * BLOCK * width)
-    return np.random.Generator(stream).random((BLOCK, width))
+    """``_BLOCK`` rows of the table."""
+    stream = np.random.PCG64(table).advance(block * _BLOCK * width)
+    return np.random.Generator(stream).random((_BLOCK, width))
 
 
 def _placed(top: Top, vectors: Mapping[str, Draw], centres: Array, numbers: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator
 
-from topcli.config.document import STRICT, Document, canonical, number_of, plain, unknown_key
+from topcli.config.document import STRICT, Document, canonical, number_of, plain_data, unknown_key
 from topcli.config.files import find_config, read_document
 from topcli.config.load import read_experiment
-from topcli.config.models import Experiment, Name, name_fault
+from topcli.config.models import Experiment, Name, folder_name_fault
 from topcli.config.overrides import apply_overrides, drop_partner, set_key
 from topcli.config.ranges import MAX_STEPS, MAX_SWEEP_ROWS, Interval, Range, is_range, read_axis
 from topcli.config.states import NOTHING_DRAWN, Random, drawn_number, many_states
@@ -34,10 +34,10 @@ from topcli.tops import TOPS
 
 STEPS, DRAWN = ("h", "T", "N", "output.every"), ("sample", "seed")
 """Keys of the steps of a row, and of one that is drawn at random."""
-KEYS = ("scheme", "top", "scheme.OPTION", "top.PARAMETER", "initial.VECTOR", "initial.COMPONENT", *STEPS)
+_KEYS = ("scheme", "top", "scheme.OPTION", "top.PARAMETER", "initial.VECTOR", "initial.COMPONENT", *STEPS)
 UNFIT = ("name", "ensemble", "section", "precision", "max_digits", "output.columns", "output.attitude")
 """Keys of an experiment that a row of a sweep, one trajectory in doubles without a series, cannot have."""
-CHUNK = 1 << 16
+_CHUNK = 1 << 16
 """Most rows of a group; a larger one is yielded in parts."""
 
 Sections = Annotated[list[dict[str, Any]], BeforeValidator(lambda raw: [raw] if isinstance(raw, dict) else raw)]
@@ -174,8 +174,8 @@ class Sweep:
                 key: column[int(j)] for i, j in zip(outer, at, strict=True) for key, column in self.axes[i].items()
             }
             rows = np.flatnonzero(cells[place] >= 0)
-            for start in range(0, len(rows), CHUNK):
-                some = rows[start : start + CHUNK]
+            for start in range(0, len(rows), _CHUNK):
+                some = rows[start : start + _CHUNK]
                 at = np.unravel_index(some, shapes[1]) if inner else ()
                 columns = {key: column[j] for axis, j in zip(arrays, at, strict=True) for key, column in axis.items()}
                 yield self._group(values, columns, cells[place, some])
@@ -284,7 +284,7 @@ def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] 
         path = find_config(source, sweep=True)
         document = read_document(path)
     else:
-        path, document = Path("sweep"), Document(plain(source, Document({})))
+        path, document = Path("sweep"), Document(plain_data(source, Document({})))
     _expand_base(document, path.parent)
     apply_overrides(document, overrides)
     for section, inside in (("grid", ()), ("zip", ()), ("random", ("top",))):  # keys such as top.c0 in one piece
@@ -299,7 +299,7 @@ def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] 
     # the file, whose base is an experiment of which only some keys make sense
     file = document.read(SweepFile, data)
     name = data.get("name") or path.stem
-    if "name" not in data and (fault := name_fault(name)):
+    if "name" not in data and (fault := folder_name_fault(name)):
         document.fault(("name",), f"missing, and the file name cannot be used instead: {fault}")
     for key in UNFIT:  # which have no meaning in a sweep
         *sections, last = path = key.split(".")
@@ -361,7 +361,7 @@ def _read_axes(file: SweepFile, listed: bool, document: Document) -> tuple[list[
     ``listed`` says that ``zip`` is a list of sections.
     """
     # the sections in the order of their axes; the samples of random draws are one of them
-    names, axes, spaced = [*KEYS, *(DRAWN if file.random else ())], list[Axis](), False
+    names, axes, spaced = [*_KEYS, *(DRAWN if file.random else ())], list[Axis](), False
     sections: list[tuple[KeyPath, dict[str, Any]]] = [(("grid",), {key: raw}) for key, raw in file.grid.items()]
     if file.random:
         numbers = {key: value for key, value in file.random.items() if key in Random.model_fields}

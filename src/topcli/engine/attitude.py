@@ -30,7 +30,7 @@ import numpy as np
 
 from topcli.arithmetic.quaternions import (
     Quaternion,
-    canonical,
+    canonical_quaternion,
     conjugate,
     product,
     rotate,
@@ -52,7 +52,7 @@ LARGEST_CORRECTION = 0.05
 """Largest difference, in radians, of the turn of a step from that by the mean omega; a longer step has no attitude."""
 PROBE = 1.0 / 32.0
 """Time, in steps, over which omega is differentiated."""
-NEEDED_BY = "the attitude"
+_NEEDED_BY = "the attitude"
 NUMBERS = 4
 """Numbers of a recorded attitude, a unit quaternion."""
 BLOCK_STEPS = 2048
@@ -93,7 +93,7 @@ def carry(
             n = written * (d + 4)
             for j in range(d):
                 out[n + j] = states[i * d + j]
-            r = canonical(conjugate(q) if in_space else q)
+            r = canonical_quaternion(conjugate(q) if in_space else q)
             out[n + d], out[n + d + 1], out[n + d + 2], out[n + d + 3] = r[0], r[1], r[2], r[3]
             written += 1
     attitude[0], attitude[1], attitude[2], attitude[3] = q[0], q[1], q[2], q[3]
@@ -130,7 +130,7 @@ def start_attitude(top: Top, y0: Floats) -> Quaternion:
     """Quaternion of the attitude in the state ``y0``: the shortest rotation that puts the vertical upright."""
     x, y, z = _fixed(top, np.array([y0], dtype=float))[0].tolist()
     q = upright((x, y, z))
-    return canonical(conjugate(q) if top.in_space else q)
+    return canonical_quaternion(conjugate(q) if top.in_space else q)
 
 
 class Turning:
@@ -140,7 +140,7 @@ class Turning:
     """
 
     def __init__(self, top: Top, order: int) -> None:
-        checked_rotation(top, NEEDED_BY)
+        checked_rotation(top, _NEEDED_BY)
         self.top, self.order, self.p = top, order, tuple(map(float, top.constants()))
         self.code = _compiled()
 

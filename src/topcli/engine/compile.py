@@ -459,7 +459,7 @@ def kernels(variants: Variants = NO_VARIANTS, duals: bool = False, **more: Any) 
     """Within the block, numba compiles plain functions as kernels with these options, to which ``more`` are added."""
     stand_ins = {**_numba(), **variants}
     if duals:
-        stand_ins |= dual_numbers()
+        stand_ins |= dual_numbers(stand_ins[fma])
     options = {"forceinline": True, "error_model": "numpy", **more}
     token = _choice.set(_Choice(options, stand_ins))
     try:

@@ -1,4 +1,7 @@
-"""The only driver: advances the trajectories of a plan chunk by chunk and passes their rows to consumers."""
+"""The only driver: advances the trajectories of a plan chunk by chunk and passes their rows to consumers.
+
+Of a single trajectory without more, it returns the orbit: its states in memory, and its ending.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,16 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from topcli.contracts import stopping_when
-from topcli.engine.consumer import Consumer, State
+from topcli.contracts import Array, Ending, Invariant, Method, Top, stopping_when
+from topcli.engine.consumers import Consumer, EnergyWatch, Memory, State
 from topcli.engine.integration import Integration
-from topcli.engine.plan import Plan
-from topcli.engine.watch import Watch
+from topcli.engine.machine import Machine
+from topcli.engine.rows import Plan
 
 # glibc keeps freed memory up to twice the largest block freed before, which saves the page faults of temporaries
 np.empty(1 << 21)
@@ -74,7 +78,7 @@ def drive(
         ``endings`` tells how the trajectories ended, ``last`` holds their last states.
     """
     threads = threads or default_threads()
-    everyone = [Watch(), *consumers]
+    everyone = [EnergyWatch(), *consumers]
     parts = _parts(start, 1 + len(everyone)) if start else []
     run = Integration(plan, threads, stop, parts[0] if parts else None)
     for i, consumer in enumerate(everyone):
@@ -137,3 +141,34 @@ def _parts(state: State, count: int) -> list[State]:
         i, _, name = key.partition(".")
         parts[int(i)][name] = array
     return parts
+
+
+class Orbit(NamedTuple):
+    """Recorded rows of one trajectory, step numbers ``n`` (m,) and ``states`` (m, d), and its ``ending``."""
+
+    n: NDArray[np.int64]
+    states: Array
+    ending: Ending
+
+
+def orbit(
+    top: Top,
+    method: Method | Machine,
+    y0: ArrayLike,
+    h: float,
+    N: int,
+    every: int = 1,
+    invariants: Sequence[Invariant] = (),
+) -> Orbit:
+    """Orbit of ``method`` from the state ``y0`` (d,) over N steps of ``h``, of which every ``every``-th is recorded.
+
+    Instead of the method, its machine code may be given. The energy is watched if it is one of the ``invariants``.
+    """
+    states: Any = np.array([y0])
+    if states.dtype != np.object_:
+        states = states.astype(np.float64)
+    memory = Memory()
+    machine = method if isinstance(method, Machine) else Machine(top, method)
+    plan = Plan(top, machine, states, h, N, every, invariants=tuple(invariants))
+    run = drive(plan, [memory])
+    return Orbit(memory.n, memory.states[0], run.endings[0])

@@ -24,7 +24,7 @@ def dual(value: float, slope: float) -> Any:
     raise NotImplementedError
 
 
-def value_of(number: Any) -> float:
+def primal_of(number: Any) -> float:
     """Value of a dual number, or a float itself; in compiled code only."""
     raise NotImplementedError
 
@@ -40,7 +40,7 @@ def rules_digest() -> str:
     return sha256(Path(__file__).read_bytes()).hexdigest()
 
 
-NAMES = "xyz"
+_NAMES = "xyz"
 """Arguments of a function in its rule."""
 RULES: dict[tuple[Callable[..., Any], ...], tuple[str, ...]] = {
     (operator.add, operator.iadd): ("x + y", "+", "+"),
@@ -97,7 +97,7 @@ def _power(n: int) -> str:
 def _slope(derivatives: Sequence[str], duals: Sequence[bool]) -> str:
     """Text of the slope of a function; slopes that are zero, of arguments that are no ``duals``, do not appear."""
     slope = ""
-    terms = [pair for pair, moves in zip(zip(derivatives, NAMES, strict=False), duals, strict=False) if moves]
+    terms = [pair for pair, moves in zip(zip(derivatives, _NAMES, strict=False), duals, strict=False) if moves]
     for derivative, name in sorted(terms, key=lambda term: term[0] not in ("+", "-")):
         if derivative in ("+", "-"):
             slope = f"{slope} {derivative} d{name}"
@@ -107,8 +107,8 @@ def _slope(derivatives: Sequence[str], duals: Sequence[bool]) -> str:
 
 
 @cache
-def dual_numbers() -> dict[Callable[..., Any], Any]:
-    """Teach numba the type; return what stands for ``dual``, ``value_of`` ... in compiled code."""
+def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
+    """Teach numba the type, with ``fused`` for ``fma``; return what stands for ``dual`` ... in compiled code."""
     from llvmlite import ir
     from numba import types
     from numba.core.typeconv.castgraph import Conversion
@@ -158,10 +158,6 @@ def dual_numbers() -> dict[Callable[..., Any], Any]:
 
         return taken
 
-    @intrinsic
-    def fused(context: Any, x: Any, y: Any, z: Any) -> Any:
-        return types.float64(*[types.float64] * 3), lambda c, builder, signature, arguments: builder.fma(*arguments)
-
     scope: dict[str, Any] = {"dual": made, "value": part(0), "slope": part(1), "fma": fused, "math": math}
     options: Any = {"error_model": "numpy", "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
@@ -173,7 +169,7 @@ def dual_numbers() -> dict[Callable[..., Any], Any]:
                 return None
             if (text := text_for(*arguments)) is None:
                 return None
-            names = NAMES[: len(arguments)]
+            names = _NAMES[: len(arguments)]
             lines = [f"    {x}, d{x} = value({x}_), slope({x}_)" for x in names]
             head = f"def rule({', '.join(f'{x}_' for x in names)}):"
             exec("\n".join((head, *lines, f"    return {text}")), scope)
@@ -201,4 +197,4 @@ def dual_numbers() -> dict[Callable[..., Any], Any]:
     def _of_floats(a: Any, b: Any, c: Any) -> Any:
         return None if kind in (a, b, c) else lambda a, b, c: fused(a, b, c)  # pyright: ignore[reportCallIssue]
 
-    return {fma: fma, dual: made, value_of: scope["value"], slope_of: scope["slope"]}
+    return {fma: fma, dual: made, primal_of: scope["value"], slope_of: scope["slope"]}

@@ -33,8 +33,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Outcome, StopAsked
 from topcli.engine.endings import Endings
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 from topcli.errors import SchemeCodeError
 
 ROWS = 1 << 15

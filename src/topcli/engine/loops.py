@@ -59,9 +59,6 @@ def drive(work, out, params, h, steps, every, until_record):
     return steps
 """
 _STEP = "s = step(s, h, p)"
-_CHECKED_STEP = """s = step(s, h, p)
-        if len(s) != {width}:
-            raise SchemeCodeError(f"{{place_of(step)}}: the step returns {{len(s)}} numbers; expected {width}")"""
 _STAGES = """for stage in range(int(params[{count}])):
             s = step(s, params[{count} + 1 + stage] * h, p)
             if unlikely(not ({all_finite} == 0.0)):
@@ -113,12 +110,10 @@ def _compiled_text(text: str) -> Any:
     return compile(text, "<time loop>", "exec")
 
 
-def _function(
-    template: str, stepper: Stepper, d: int, constants: int, *, lanes: int = 1, plain: bool = False
-) -> Callable[..., int]:
+def _function(template: str, stepper: Stepper, d: int, constants: int, lanes: int = 1) -> Callable[..., int]:
     """The loop of a ``template`` for a step; its parameters are the constants of the top and ``more_parameters``."""
     width, checked, count = stepper.width, stepper.checked or stepper.width, constants + len(stepper.constants)
-    staged, advance = stepper.stages, _CHECKED_STEP if plain else _STAGES if stepper.stages else _STEP
+    staged, advance = stepper.stages, _STAGES if stepper.stages else _STEP
     all_finite, finite = (" + ".join(f"(s[{i}] - s[{i}])" for i in range(size)) for size in (width, checked))
     rows = {_SINGLE: "out[k + {}]", _LANES: "out[k + j * stride + {}]", _PARTS: f"out[{d} * k + {{}}]"}
     text = template.format(
@@ -126,7 +121,7 @@ def _function(
         state=_items("work[{}]" if lanes == 1 else f"work[{{}} * {lanes} + j]", width),
         before=_items(f"before[{d} * k + {{}}]", d),
         row=_items(rows[template], d),
-        advance=advance.format(count=count, all_finite=all_finite, width=width),
+        advance=advance.format(count=count, all_finite=all_finite),
         total=_sum([f"s[{i}]" for i in range(checked)]),
         finite=finite,
         failed=_items("nan", d),
@@ -143,8 +138,6 @@ def _function(
         "leave": stepper.leave or same_state,
         "unlikely": unlikely,
         "nan": math.nan,
-        "place_of": place_of,
-        "SchemeCodeError": SchemeCodeError,
         "__name__": __name__,
     }
     exec(_compiled_text(text), scope)
@@ -172,7 +165,7 @@ def loop_code(
     ``stride`` numbers after those of the lane before. Raises CompileError for a step that cannot be compiled.
     """
     template, signature = (_SINGLE, SINGLE) if lanes == 1 else (_LANES, LANES)
-    plain = _function(template, stepper, d, constants, lanes=lanes)
+    plain = _function(template, stepper, d, constants, lanes)
     return native(plain, signature, variants=variants, duals=duals)
 
 
@@ -296,8 +289,16 @@ def interpreted(method: Method, d: int, constants: int) -> Loop:
     """
     if not isinstance(method, Stepper):
         return loop_of(method, d, constants)
-    whole = replace(method, stages=None)  # the step of a composition takes all of them
-    return _loop_over(_function(_SINGLE, whole, d, constants, plain=True), whole)
+
+    def step(s: Any, h: Any, p: Any) -> Any:
+        after = method.step(s, h, p)
+        if len(after) != method.width:
+            message = f"the step returns {len(after)} numbers; expected {method.width}"
+            raise SchemeCodeError(f"{place_of(method.step)}: {message}")
+        return after
+
+    whole = replace(method, step=step, stages=None)  # the step of a composition takes all of them
+    return _loop_over(_function(_SINGLE, whole, d, constants), whole)
 
 
 def state_after(loop: Loop, y: Array, p: Array | None, h: Any, steps: int = 1) -> Array | None:

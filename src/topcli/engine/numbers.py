@@ -15,12 +15,10 @@ import math
 import sys
 import types
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -40,22 +38,22 @@ FEWEST_DIGITS, MOST_DIGITS = 18, 150
 MAX_DIGITS = 10_000
 """Default number of digits at which a run in rational numbers stops."""
 DOUBLE_BITS = 53
-SHORT = 2**20
+_SHORT = 2**20
 """Bound on the odd part of the numerator of a short binary fraction."""
 FEW_DIGITS = 12
 """Decimal digits up to which a constant is taken as written; a computed double has more."""
 DENOMINATOR = 1000
 """Largest denominator of a constant that the compiler has folded."""
-LONG = 1 << 14
+_LONG = 1 << 14
 """Binary digits from which on an operation takes so long that each one heeds a request to stop."""
 ROOM = 4
 """Length of the longest number within a step, in units of ``max_digits``. The numbers of ``hk`` are at most 1.8 times
 as long as those of the state after the step, those of ``rk4`` 1.05 times."""
-FUNCTIONS = (
+_FUNCTIONS = (
     "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "hypot", "log", "sin", "sinh", "sqrt", "tan", "tanh"
 )  # fmt: skip
-"""Functions of ``math`` with the same name in mpmath and gmpy2."""
-LEFT = sys.stdlib_module_names | {"gmpy2", "mpmath", "numba", "numpy", "scipy"}
+"""Functions of ``math`` with the same name in mpmath."""
+_LEFT = sys.stdlib_module_names | {"mpmath", "numba", "numpy", "scipy"}
 """Packages whose functions are not copied; the functions of ``math`` are replaced."""
 
 
@@ -81,7 +79,7 @@ def is_short(value: float) -> bool:
     if not math.isfinite(value):
         return False
     numerator = abs(value.as_integer_ratio()[0])
-    return numerator < SHORT or numerator // (numerator & -numerator) < SHORT
+    return numerator < _SHORT or numerator // (numerator & -numerator) < _SHORT
 
 
 @cache
@@ -101,9 +99,8 @@ def meaning(value: float) -> Fraction | None:
 class Numbers:
     """Numbers of ``bits`` binary digits (0: rational numbers), with functions for what operators do not do.
 
-    ``number(fraction)`` is the number nearest to a fraction, ``math`` replaces the module of this name, and
-    ``active()`` is a context in which operators compute with this precision. ``guard`` are numbers of the same
-    precision that refuse doubles, if these do not. ``purpose`` is the use of the numbers, for messages.
+    ``number(fraction)`` is the number nearest to a fraction, and ``math`` replaces the module of this name. ``purpose``
+    is the use of the numbers, for messages.
     """
 
     name: str
@@ -112,8 +109,6 @@ class Numbers:
     number: Callable[[Fraction], Any]
     math: Any
     fma: Callable[[Any, Any, Any], Any] = lambda a, b, c: a * b + c
-    active: Callable[[], AbstractContextManager[Any]] = nullcontext
-    guard: Numbers | None = None
     purpose: str = "precision"
 
     @property
@@ -127,7 +122,7 @@ class Numbers:
 
     def fraction(self, x: Any) -> Fraction:
         """Exact value of a finite number."""
-        return Fraction(*map(int, x.as_integer_ratio()))  # gmpy2 has integers of its own
+        return Fraction(*map(int, x.as_integer_ratio()))  # mpmath may have integers of its own
 
     def constant(self, value: float) -> Any:
         """Number that a constant stands for; a double without exact meaning, infinity or nan as it is."""
@@ -152,10 +147,10 @@ class Numbers:
             items = [self.rebuilt(item, done) for item in value]
             return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
         if isinstance(value, types.ModuleType):
-            left = value.__name__.partition(".")[0] in LEFT
+            left = value.__name__.partition(".")[0] in _LEFT
             return self.math if value is math else value if left else _Module(value, lambda x: self.rebuilt(x, done))
         plain = plain_function(value)
-        if plain is None or (plain not in done and (plain.__module__ or "").partition(".")[0] in LEFT):
+        if plain is None or (plain not in done and (plain.__module__ or "").partition(".")[0] in _LEFT):
             return value
         if plain not in done:
             done[plain] = self._copy(plain, done)
@@ -229,7 +224,7 @@ class Rational(Fraction):
     def __new__(cls, *value: Any) -> Rational:
         """Rational number with this value, or numerator and denominator."""
         self = super().__new__(cls, *value)
-        if (bits := max(self.numerator.bit_length(), self.denominator.bit_length())) > LONG:
+        if (bits := max(self.numerator.bit_length(), self.denominator.bit_length())) > _LONG:
             check_stop()
         if cls.longest and bits > cls.longest:
             raise TooLongError(f"{bits} binary digits")
@@ -267,7 +262,7 @@ def floating(bits: int, name: str = "") -> Numbers:
     """Binary floating point of ``bits`` binary digits, rounded to nearest (mpmath)."""
     from mpmath import __version__
     from mpmath.ctx_mp import MPContext
-    from mpmath.libmp import from_rational, mpf_add, mpf_mul
+    from mpmath.libmp import from_rational
 
     context: Any = MPContext()
     context.prec = bits
@@ -288,11 +283,10 @@ def floating(bits: int, name: str = "") -> Numbers:
         return value
 
     context.convert = converted
-    functions = {name: real(getattr(context, name)) for name in FUNCTIONS} | {"pi": +context.pi}
+    functions = {name: real(getattr(context, name)) for name in _FUNCTIONS} | {"pi": +context.pi}
 
     def fused(a: Any, b: Any, c: Any) -> Any:
-        a, b, c = map(converted, (a, b, c))
-        return context.make_mpf(mpf_add(mpf_mul(a._mpf_, b._mpf_), c._mpf_, bits, "n"))  # rounded once
+        return context.fmul(a, b, exact=True) + converted(c)  # rounded once
 
     def number(x: Fraction) -> Any:
         return context.make_mpf(from_rational(x.numerator, x.denominator, bits, "n"))
@@ -301,22 +295,8 @@ def floating(bits: int, name: str = "") -> Numbers:
 
 
 def digits(count: int) -> Numbers:
-    """Binary floating point of ``count`` decimal digits: gmpy2's (MPFR), ten times as fast, or mpmath's without it."""
-    guard = floating(math.ceil(count * math.log2(10.0)) + 3, f"numbers of {count} digits")
-    try:
-        gmpy2 = import_module("gmpy2")
-    except ImportError:
-        return guard
-    functions = {name: getattr(gmpy2, name) for name in FUNCTIONS}
-    return replace(
-        guard,
-        library=f"gmpy2 {gmpy2.version()}",
-        number=lambda x: gmpy2.mpfr(gmpy2.mpq(x.numerator, x.denominator), guard.bits),
-        fma=gmpy2.fma,
-        math=_math(**functions, pi=gmpy2.const_pi(guard.bits)),
-        active=lambda: gmpy2.context(precision=guard.bits),  # a new one: gmpy2 crashes where one is entered twice
-        guard=guard,
-    )
+    """Binary floating point of ``count`` decimal digits."""
+    return floating(math.ceil(count * math.log2(10.0)) + 3, f"numbers of {count} digits")
 
 
 def _composition(step: StepFunction, weights: tuple[float, ...]) -> StepFunction:
@@ -359,21 +339,20 @@ def precise_scheme(
         raise refused(scheme, numbers, "calls library functions that compute with doubles")
     if method.iterative and not numbers.bits:
         raise refused(scheme, numbers, "solves its equations by iteration, and the solution is not rational")
-    with numbers.active():
-        other = precise_top(top, {name: numbers.number(value) for name, value in parameters.items()})
-        exact = precise_top(top, parameters)
-        # generated code is made from fractions, which are not rounded at all
-        built = scheme.build(exact if method.source else other, options)
-        assert isinstance(built, Stepper)
-        try:
-            if built.source:
-                _check_field(exact, other, numbers)
-            step = _composition(*built.stages) if built.stages else built.step
-            step, enter, leave = map(numbers.rebuilt, (step, built.enter, built.leave))
-            method = replace(built, step=step, enter=enter, leave=leave, plain=True, stages=None)
-        except NotRationalError as error:
-            raise refused(scheme, numbers, str(error)) from None
-        return other, method, (*map(numbers.rebuilt, other.constants()), *map(numbers.number, built.constants))
+    other = precise_top(top, {name: numbers.number(value) for name, value in parameters.items()})
+    exact = precise_top(top, parameters)
+    # generated code is made from fractions, which are not rounded at all
+    built = scheme.build(exact if method.source else other, options)
+    assert isinstance(built, Stepper)
+    try:
+        if built.source:
+            _check_field(exact, other, numbers)
+        step = _composition(*built.stages) if built.stages else built.step
+        step, enter, leave = map(numbers.rebuilt, (step, built.enter, built.leave))
+        method = replace(built, step=step, enter=enter, leave=leave, plain=True, stages=None)
+    except NotRationalError as error:
+        raise refused(scheme, numbers, str(error)) from None
+    return other, method, (*map(numbers.rebuilt, other.constants()), *map(numbers.number, built.constants))
 
 
 def _check_field(exact: Any, other: Any, numbers: Numbers) -> None:
@@ -423,32 +402,26 @@ def precise_loop(method: Stepper, d: int, constants: tuple[Any, ...], numbers: N
     loop = interpreted(replace(method, step=step, checked=1, constants=()), d, len(constants))
 
     def enter(y: Any, work: Any, p: Any, h: Any) -> int:
-        with numbers.active():
-            loop.enter(y, work, constants, h)
-            work += zero
+        loop.enter(y, work, constants, h)
+        work += zero
         return 0
 
     def drive(work: Any, out: Any, p: Any, *steps: Any) -> int:
         limit.clear()
-        with numbers.active():
-            return loop.drive(work, out, constants, *steps)
+        return loop.drive(work, out, constants, *steps)
 
     return replace(loop, enter=enter, drive=drive, limit=limit)
 
 
 @dataclass(frozen=True)
 class PreciseRun:
-    """All that a run in other numbers needs: its ``top`` with these numbers, the ``loop``, ``h`` and ``y0``.
-
-    ``guard`` is the same run in numbers that refuse doubles, if its numbers do not.
-    """
+    """All that a run in other numbers needs: its ``top`` with these numbers, the ``loop``, ``h`` and ``y0``."""
 
     arithmetic: Numbers
     top: Top
     loop: Loop
     h: Any
     y0: NDArray[Any]
-    guard: PreciseRun | None = None
 
 
 def prepared(
@@ -467,17 +440,7 @@ def prepared(
     max_bits = int(max_digits * math.log2(10.0)) if precision == RATIONAL else 0
     numbers = digits(precision) if isinstance(precision, int) else rationals(ROOM * max_bits)
 
-    def run_in(numbers: Numbers) -> PreciseRun:
-        other, method, constants = precise_scheme(scheme, top, options, parameters, numbers)
-        y0 = np.array([numbers.number(value) for value in state], dtype=np.object_)
-        loop = precise_loop(method, len(y0), constants, numbers, max_bits)
-        return PreciseRun(numbers, other, loop, numbers.number(h), y0)
-
-    run = run_in(numbers)
-    if numbers.guard is None:
-        return run
-    guard = run_in(numbers.guard)
-    work = np.empty(guard.loop.width, dtype=np.object_)
-    guard.loop.enter(guard.y0, work, None, guard.h)
-    guard.loop.drive(work, np.empty(len(state), dtype=np.object_), None, guard.h, 1, 1, 1)
-    return replace(run, guard=guard)
+    other, method, constants = precise_scheme(scheme, top, options, parameters, numbers)
+    y0 = np.array([numbers.number(value) for value in state], dtype=np.object_)
+    loop = precise_loop(method, len(y0), constants, numbers, max_bits)
+    return PreciseRun(numbers, other, loop, numbers.number(h), y0)

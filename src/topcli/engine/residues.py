@@ -61,7 +61,7 @@ def residue(value: Fraction) -> int:
     """A rational number modulo the prime. Raises ZeroDivisionError."""
     if value.denominator % PRIME == 0:
         raise ZeroDivisionError("a denominator is zero modulo the prime")
-    return int(value.numerator * pow(value.denominator, -1, PRIME) % PRIME)  # gmpy2 has integers of its own
+    return int(value.numerator * pow(value.denominator, -1, PRIME) % PRIME)  # mpmath may have integers of its own
 
 
 class Jet:

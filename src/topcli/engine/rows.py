@@ -1,19 +1,94 @@
-"""Recorded rows of trajectories and their columns: n, t, components, invariants, quantities, the attitude."""
+"""Plan of a computation, and its recorded rows: columns n, t, components, invariants, quantities, the attitude.
+
+A plan is a batch of trajectories of one top under one scheme, with the quantities observed on them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array
+from topcli.contracts import Array, Invariant, Top
 from topcli.engine.columns import ATTITUDES, attitude_columns, column_names
+from topcli.engine.machine import Machine
 from topcli.engine.numbers import NotRationalError
-from topcli.engine.plan import Observable, Plan
 from topcli.errors import UsageError, nearest, quoted
+
+if TYPE_CHECKING:
+    from topcli.analysis.quantities import Quantity
+    from topcli.engine.numbers import PreciseRun
+
+Observable = Callable[[Any], Array]
+"""Function of ``Rows`` whose values are those at each row (k,)."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A batch of B trajectories, their steps, and what can be observed of them.
+
+    Attributes
+    ----------
+    top : Top
+        Top with its parameters as doubles.
+    machine : Machine
+        Code of the scheme; None for rows that were recorded elsewhere.
+    states : ndarray, shape (B, d)
+        Initial states; with an ``attitude``, each is followed by a quaternion (B, d + 4).
+    h : float
+        Step size.
+    N, every : int
+        Number of steps, and of those from one recorded row to the next.
+    tallied : int
+        Number of steps from one row to the next at which invariants are looked at, a multiple of ``every``; 0 for
+        ``every``.
+    first : int
+        Number of the first trajectory in the whole ensemble.
+    invariants : tuple of Invariant
+        Integrals of the top and of the scheme, as functions of doubles.
+    quantities : tuple of Quantity
+        Observables of the user.
+    precise : PreciseRun, optional
+        Top, step and constants in another arithmetic; the states are then arrays of its numbers.
+    exact : tuple of Invariant
+        The ``invariants`` in that arithmetic.
+    attitude : str
+        Form in which the attitude is recorded; empty for none.
+    """
+
+    top: Top
+    machine: Machine | None
+    states: Array
+    h: float
+    N: int
+    every: int = 1
+    tallied: int = 0
+    first: int = 0
+    invariants: tuple[Invariant, ...] = ()
+    quantities: tuple[Quantity, ...] = ()
+    precise: PreciseRun | None = None
+    exact: tuple[Invariant, ...] = ()
+    attitude: str = ""
+
+    @property
+    def step(self) -> Any:
+        """Step size in the arithmetic of the states."""
+        return self.precise.h if self.precise else self.h
+
+    @cached_property
+    def functions(self) -> dict[str, Observable]:
+        """Observables by name."""
+        top, h = (self.precise.top if self.precise else self.top), self.step
+        invariants: dict[str, Observable] = {
+            each.name: lambda rows, each=each: each.value(rows.flat) for each in self.exact or self.invariants
+        }
+        return invariants | {
+            each.name: lambda rows, each=each: each.values(top, rows.steps, h, rows.flat) for each in self.quantities
+        }
 
 
 class Rows:
@@ -87,7 +162,7 @@ class Rows:
     def numbers(self, name: str) -> NDArray[Any]:
         """Column (c, m) in the arithmetic of the states; nan where a quotient does not exist."""
         if name not in self._columns:
-            with self.plan.active(), np.errstate(all="ignore"):
+            with np.errstate(all="ignore"):
                 self._columns[name] = self._column(name)
         return self._columns[name]
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
 from topcli.engine.compile import CompileError, place_of
-from topcli.engine.duals import dual, slope_of, value_of
+from topcli.engine.duals import dual, primal_of, slope_of
 from topcli.engine.loops import Loop, loop_code, loop_of, more_parameters, state_after
 from topcli.errors import UsageError
 
@@ -48,7 +48,7 @@ def _with_slopes(function: StepFunction, width: int, length: int) -> StepFunctio
     scope: dict[str, Any] = {
         "function": function,
         "dual": dual,
-        "value_of": value_of,
+        "value_of": primal_of,
         "slope_of": slope_of,
         "__name__": __name__,
     }
@@ -94,7 +94,7 @@ class TangentCode:
         return TangentRun(self, h, y, vectors)
 
 
-def obstacle(method: Method) -> str:
+def tangent_obstacle(method: Method) -> str:
     """Reason why a method has no tangent map, a verb phrase; empty if it has one."""
     if (isinstance(method, Stepper) and not method.plain) or (isinstance(method, Block) and method.tangent):
         return ""
@@ -111,7 +111,7 @@ def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> Tangen
     Orbits of a method with its own time loop are computed one by one. Raises UsageError for a method without a tangent
     map.
     """
-    reason = obstacle(method)
+    reason = tangent_obstacle(method)
     if reason or isinstance(method, Sampler):
         raise UsageError(f"scheme {scheme.name!r} {reason}; use a scheme with steps of its own, such as hk or rk4")
     d, constants = len(top.components), len(top.constants())

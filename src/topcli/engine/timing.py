@@ -10,7 +10,7 @@ import numpy as np
 from topcli.contracts import Method, Sampler, Top
 from topcli.engine.drive import drive
 from topcli.engine.machine import Machine
-from topcli.engine.plan import Plan
+from topcli.engine.rows import Plan
 
 REPETITIONS = 9
 """Times that each step is timed."""

@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -94,6 +93,7 @@ def _checked(node: ast.expr, text: str, names: tuple[str, ...], used: set[str]) 
     def inner(part: ast.expr) -> ast.expr:
         return _checked(part, text, names, used)
 
+    # what is not listed is refused, so that a formula can do nothing but compute
     match node:
         case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
             written = text[node.col_offset : node.end_col_offset]
@@ -262,19 +262,15 @@ def value_of(
     of_columns = in_arithmetic(plain, float, np)
 
     def value(y: Sequence[Any], p: Sequence[Any]) -> Any:
-        objects = [x for x in (*y, *p) if isinstance(x, Fraction)]
+        objects: list[Any] = [x for x in (*y, *p) if isinstance(x, Fraction)]
         objects += [x.flat[0] for x in (*y, *p) if isinstance(x, np.ndarray) and x.dtype.hasobject and x.size]
         if not objects:
             return of_columns(y, p)[0]
-        functions = _Elementwise(next((f for f in map(_functions, objects) if f is not math), math))
+        # those of mpmath know their functions; fractions and polynomials have those of math
+        functions = _Elementwise(next((x.context for x in objects if hasattr(x, "context")), math))
         return in_arithmetic(plain, functions.number, functions)(y, p)[0]
 
     return value
-
-
-def _functions(x: Any) -> Any:
-    """Module, or context, with the functions of a number; ``math`` for fractions and polynomials."""
-    return import_module("gmpy2") if type(x).__module__.partition(".")[0] == "gmpy2" else getattr(x, "context", math)
 
 
 class _Elementwise:
@@ -285,7 +281,7 @@ class _Elementwise:
 
     def __init__(self, functions: Any) -> None:
         self.functions = functions
-        self.of = next((getattr(functions, name) for name in ("mpf", "mpfr") if hasattr(functions, name)), Fraction)
+        self.of = getattr(functions, "mpf", Fraction)
 
     def number(self, value: float | Fraction) -> Any:
         """Decimal number that a double is printed as."""
@@ -294,7 +290,7 @@ class _Elementwise:
 
     def __getattr__(self, name: str) -> Any:
         if name == PI:
-            return self.functions.const_pi() if hasattr(self.functions, "const_pi") else +self.functions.pi
+            return +self.functions.pi
 
         def of_one(*x: Any) -> Any:
             numbers = [self.number(a) if isinstance(a, Fraction) else a for a in x]

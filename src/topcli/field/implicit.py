@@ -43,7 +43,7 @@ SMALLEST_PIVOT = HALF
 """Constant entries below this size are not pivots."""
 CORE, LARGEST_CORE = 2, 4
 """Unknowns that Cramer's rule solves for, and at most if no constant entry is left."""
-Matrix = dict[tuple[int, int], Sum]
+_Matrix = dict[tuple[int, int], Sum]
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class KahanStep:
         terms = (minus(self._scaled(c, [self.y[k] for k in monomial])) for monomial, c in slope)
         return sum(terms, start=ONE if i == j else ())
 
-    def _system(self, block: Sequence[int]) -> Matrix:
+    def _system(self, block: Sequence[int]) -> _Matrix:
         return {(i, j): self._entry(i, j) for i in block for j in block}
 
     def _solved(self, block: Sequence[int]) -> Solution:
@@ -168,7 +168,7 @@ class KahanStep:
         numerator = {i: graph.times(e, n) if i in lead else n for i, n in solution.numerator.items()}
         return Solution(part, numerator, solution.divisor)
 
-    def _next_pivot(self, matrix: Matrix, rows: Sequence[int], columns: Sequence[int]) -> tuple[int, int] | None:
+    def _next_pivot(self, matrix: _Matrix, rows: Sequence[int], columns: Sequence[int]) -> tuple[int, int] | None:
         """Place of a constant that is not small, otherwise on the diagonal; None to leave the rest to Cramer's rule."""
 
         def is_constant(entry: Sum) -> bool:
@@ -186,11 +186,12 @@ class KahanStep:
         self._began = True
         return places[second]
 
-    def _eliminated(self, matrix: Matrix, side: dict[int, Sum], names: Sequence[int]) -> Solution:
+    def _eliminated(self, matrix: _Matrix, side: dict[int, Sum], names: Sequence[int]) -> Solution:
         """Solve ``matrix`` u = ``side``; a matrix that was solved before gets the same pivots."""
         graph = self.graph
         rows, columns = list(names), list(names)
         same = tuple(matrix[i, j] for i in names for j in names)
+        # an equal matrix is eliminated in the same order again
         planned = iter([*self._pivots[same], None]) if same in self._pivots else None
         done: list[tuple[int, int]] = []
         while True:
@@ -218,6 +219,7 @@ class KahanStep:
             done.append(place)
         self._pivots[same] = [(names.index(i), names.index(j)) for i, j in done]
 
+        # what is left has no pivot that is never zero, and is solved by determinants
         for i, j in itertools.product(rows, columns):
             matrix[i, j] = graph.single(matrix[i, j])
         numerator, divisor = self._cramer(matrix, {i: graph.single(side[i]) for i in rows}, rows, columns)
@@ -229,7 +231,7 @@ class KahanStep:
         return Solution(part, numerator, divisor)
 
     def _cramer(
-        self, matrix: Matrix, side: Mapping[int, Sum], rows: Sequence[int], columns: Sequence[int]
+        self, matrix: _Matrix, side: Mapping[int, Sum], rows: Sequence[int], columns: Sequence[int]
     ) -> tuple[dict[int, Sum], Term]:
         """Numerator of each column, and the determinant, by minors of the matrix extended by ``side``."""
         graph, right = self.graph, -1
@@ -360,7 +362,7 @@ class NewtonStep(KahanStep):
         return terms
 
 
-Kind = TypeVar("Kind", bound=KahanStep)
+_Kind = TypeVar("_Kind", bound=KahanStep)
 
 
 @lru_cache(maxsize=256)
@@ -368,6 +370,6 @@ def _generated(kind: type[KahanStep], field: Field, first: int) -> Any:
     return kind(field, first)
 
 
-def generated(kind: type[Kind], field: Field, first: int = 0) -> Kind:
+def generated(kind: type[_Kind], field: Field, first: int = 0) -> _Kind:
     """Code of a ``kind`` for a field; its constants begin at ``p[first]``."""
     return _generated(kind, field, first)

@@ -14,7 +14,7 @@ from topcli.arithmetic.elimination import linear_solution
 from topcli.contracts import Array, Invariant, Top
 from topcli.field.polynomial import Field, Monomial, NotPolynomialError, Polynomial, decimal, field_of
 
-ROUNDING = 1e-12
+_ROUNDING = 1e-12
 """Size of a coefficient, relative to the terms of which it is the sum, that rounded parameters may leave."""
 
 
@@ -61,11 +61,11 @@ def rate_of_change(field: Field, integral: Polynomial, zeros: Sequence[Polynomia
     """
     exact = derivative_along(field, integral)
     sizes = derivative_along(tuple(map(Polynomial.magnitudes, field)), integral.magnitudes())
-    rates = Polynomial({m: c for m, c in exact.terms.items() if abs(c) > ROUNDING * sizes.terms[m]})
+    rates = Polynomial({m: c for m, c in exact.terms.items() if abs(c) > _ROUNDING * sizes.terms[m]})
     if zeros:
         largest = max(map(abs, rates.terms.values()), default=Fraction(0))
         rates = remainder(rates, zeros)
-        rates = Polynomial({m: c for m, c in rates.terms.items() if abs(c) > ROUNDING * largest})
+        rates = Polynomial({m: c for m, c in rates.terms.items() if abs(c) > _ROUNDING * largest})
     return {m: float(c) for m, c in rates.terms.items()}
 
 
@@ -79,11 +79,11 @@ def exact_rate(field: Field, invariants: Sequence[Invariant], invariant: Invaria
     return rate_of_change(field, polynomial_value(invariant.value, d), zeros)
 
 
-STATES = 12
+_STATES = 12
 """Random states that test an integral that is not a polynomial; the majority decides, because it may have poles."""
-REACH = 1e-3
+_REACH = 1e-3
 """Length of the change of such a state along the field, relative to the state."""
-CONSERVED = 1e-8
+_CONSERVED = 1e-8
 """Change of an integral over that distance, relative to its terms, that finite differences may leave."""
 
 
@@ -95,19 +95,19 @@ def measured_change(top: Top, invariant: Invariant) -> str:
     random, p = np.random.default_rng(0), top.constants()
     changes: list[str] = []
     judged = 0
-    for y in random.normal(size=(STATES, len(top.components))):
+    for y in random.normal(size=(_STATES, len(top.components))):
         try:
             rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
         except (ArithmeticError, ValueError):
             continue
         with np.errstate(all="ignore"):
-            s = REACH * np.abs(y).max() / np.abs(rates).max()
+            s = _REACH * np.abs(y).max() / np.abs(rates).max()
             left2, left, here, right, right2 = invariant.value(y + s * np.outer([-2.0, -1.0, 0.0, 1.0, 2.0], rates))
             change = (left2 - right2 + 8.0 * (right - left)) / 12.0
             size = float(invariant.scale(y[None, :])[0])
         if np.isfinite([change, here, size]).all():
             judged += 1
-            if abs(change) > CONSERVED * size:
+            if abs(change) > _CONSERVED * size:
                 at = ", ".join(f"{value:.3g}" for value in y)
                 changes.append(f"its rate of change is {change / s:.3g} at ({at})")
     return changes[0] if 2 * len(changes) > max(judged, 3) else ""
@@ -185,7 +185,7 @@ def broken_hk_integral(top: Top) -> str:
         for name, integral in integrals.items() if after else ():
             with suppress(ZeroDivisionError):
                 a, b = (integral(tuple(np.array([x], dtype=object) for x in y), p)[0] for y in (before, after or ()))
-                if abs(a - b) > ROUNDING * (abs(a) + abs(b)):
+                if abs(a - b) > _ROUNDING * (abs(a) + abs(b)):
                     at = f"h = {h} from ({', '.join(map(str, before))})"
                     return f"{name!r} is not an integral of the HK map: a step of {at} changes it by {float(b - a):.3g}"
     return ""

@@ -237,7 +237,7 @@ class Graph:
         return f"def {name}(s, h, p):\n{''.join(lines)}    return {value}\n"
 
 
-def function_of(graph: Graph, name: str, outputs: Sequence[int]) -> Callable[..., Any]:
+def compiled_function(graph: Graph, name: str, outputs: Sequence[int]) -> Callable[..., Any]:
     """The function ``name(s, h, p)`` that returns the ``outputs``; graphs with the same source share it."""
     return _function(graph.source(name, outputs), name)
 

@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -17,16 +17,18 @@ from topcli.contracts import Array, Outcome
 from topcli.engine.columns import quaternions_of
 from topcli.errors import RunError, UsageError
 from topcli.figures.body import DOT, Body, body_of, draw_body, draw_space
-from topcli.figures.labels import labelled, plain, scheme_label
+from topcli.figures.labels import escaped, labelled, scheme_label
 from topcli.figures.space import SPATIAL, TRACE
 from topcli.figures.style import styled
 from topcli.store.files import io_failure, require_writable, write_whole
 from topcli.store.results import intact_result
 from topcli.store.series import read_series
 
+FPS = 25
+"""Frames in a second."""
 SMOOTH_TURN = 0.25
-"""Mean turn of the body between two frames, in radians, of an animation without a given end."""
-PARTS = 12
+"""Mean turn of the body between two frames, in radians."""
+_PARTS = 12
 """Points of the trace from frame to frame."""
 INCHES = 7.2
 """Width of a frame in inches, to which the sizes of letters refer."""
@@ -67,27 +69,14 @@ def stored_body_motion(folder: Path) -> BodyMotion:
     return BodyMotion(experiment, t[:rows], attitude[:rows], body_of(experiment.top, experiment.y0), note)
 
 
-def frame_times(motion: BodyMotion, count: int, start: float | None = None, stop: float | None = None) -> Array:
-    """Times (count,) of the frames from ``start`` to ``stop``, by default from the first row as long as it is smooth.
-
-    Raises UsageError for times outside the run.
-    """
+def frame_times(motion: BodyMotion, count: int) -> Array:
+    """Times (count,) of the frames, from the first row as long as the motion is smooth."""
     from scipy.spatial.transform import Rotation
 
-    low, high = sorted((float(motion.t[0]), float(motion.t[-1])))
-    for name, value in (("--start", start), ("--stop", stop)):
-        if value is not None and not low <= value <= high:
-            raise UsageError(f"{name} {value:g}: the run is from t = {low:g} to {high:g}")
-    begin = float(motion.t[0]) if start is None else start
-    if begin == (float(motion.t[-1]) if stop is None else stop):
-        raise UsageError(f"--start and --stop are both {begin:g}; there is no motion between them")
-    if stop is None:
-        first = int(np.argmin(np.abs(motion.t - begin)))
-        turns = Rotation.from_quat(motion.attitude[first:], scalar_first=True)
-        turned = np.cumsum((turns[1:] * turns[:-1].inv()).magnitude())
-        rows = int(np.searchsorted(turned, SMOOTH_TURN * count))
-        stop = float(motion.t[min(first + rows + 1, len(motion.t) - 1)])
-    return np.linspace(begin, stop, count)
+    turns = Rotation.from_quat(motion.attitude, scalar_first=True)
+    turned = np.cumsum((turns[1:] * turns[:-1].inv()).magnitude())
+    last = min(int(np.searchsorted(turned, SMOOTH_TURN * count)) + 1, len(motion.t) - 1)
+    return np.linspace(motion.t[0], motion.t[last], count)
 
 
 class Stage:
@@ -102,9 +91,9 @@ class Stage:
         self.times, self.body, experiment = times, motion.body, motion.experiment
         forwards = 1.0 if motion.t[-1] > motion.t[0] else -1.0
         t = forwards * motion.t
-        dense = np.linspace(times[0], times[-1], PARTS * (len(times) - 1) + 1)
+        dense = np.linspace(times[0], times[-1], _PARTS * (len(times) - 1) + 1)
         turns = Slerp(t, Rotation.from_quat(motion.attitude, scalar_first=True))((forwards * dense).clip(t[0], t[-1]))
-        self.rotations, self.path = turns[::PARTS].as_matrix(), turns.apply(self.body.axis)
+        self.rotations, self.path = turns[::_PARTS].as_matrix(), turns.apply(self.body.axis)
 
         # the globe, words, and the height of the axis over the shown time
         self.canvas = Canvas(figsize=(INCHES, INCHES / 1.5), dpi=2 * (width // 2) / INCHES)
@@ -112,7 +101,7 @@ class Stage:
         self.axes = self.canvas.add_axes((0.0, 0.0, 0.62, 1.0), projection=SPATIAL)
         self.camera = draw_space(self.axes, self.body, self.path[0])
         self.fixed = set(self.axes.get_children())
-        self.canvas.text(0.62, 0.965, plain(experiment.name[:25]), fontsize=14, va="top")
+        self.canvas.text(0.62, 0.965, escaped(experiment.name[:25]), fontsize=14, va="top")
         scheme = f"{scheme_label(experiment)[:24]}, $h = {experiment.h:g}$"
         self.canvas.text(0.62, 0.895, scheme, fontsize=12, color="0.35", va="top")
         self.time = self.canvas.text(0.62, 0.785, "", fontsize=14, va="top")
@@ -128,21 +117,21 @@ class Stage:
         """Draw frame ``index``."""
         for artist in set(self.axes.get_children()) - self.fixed:
             artist.remove()
-        path = self.path[: PARTS * index + 1]
+        path = self.path[: _PARTS * index + 1]
         draw_body(self.axes, self.camera, self.body, self.rotations[index], path, 1.3)
         self.time.set_text(f"$t = {self.times[index]:.2f}$")
         self.dot.set_data([self.times[index]], [path[-1, 2]])
 
 
-def require_format(path: Path, fps: float, seconds: float) -> None:
+def require_format(path: Path, seconds: float) -> None:
     """Raise UsageError for a format that cannot be written here, and for a GIF of too many frames."""
     from matplotlib.animation import FFMpegWriter
 
     if path.suffix.lower() not in (".gif", ".mp4"):
         raise UsageError(f"--out {path}: must end in .gif or .mp4")
     if path.suffix.lower() == ".gif":
-        if fps > 50.0 or fps * seconds > GIF_FRAMES:
-            raise UsageError(f"--out {path}: a GIF has at most 50 frames per second and {GIF_FRAMES}; write an .mp4")
+        if FPS * seconds > GIF_FRAMES:
+            raise UsageError(f"--out {path}: a GIF has at most {GIF_FRAMES} frames; write an .mp4")
         return
     with styled({"animation.ffmpeg_path": _encoder()}):
         if not FFMpegWriter.isAvailable():
@@ -166,7 +155,6 @@ def animate(
     motion: BodyMotion,
     times: Array,
     path: Path,
-    fps: float,
     width: int,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
@@ -179,8 +167,8 @@ def animate(
     require_writable(path.parent)
     with styled({"animation.ffmpeg_path": _encoder(), "figure.constrained_layout.use": False}):
         stage = Stage(motion, times, width)
-        h264, speed = ["-pix_fmt", "yuv420p", "-crf", "18"], cast("int", fps)
-        writer: Any = PillowWriter(speed) if path.suffix.lower() == ".gif" else FFMpegWriter(speed, extra_args=h264)
+        h264 = ["-pix_fmt", "yuv420p", "-crf", "18"]
+        writer: Any = PillowWriter(FPS) if path.suffix.lower() == ".gif" else FFMpegWriter(FPS, extra_args=h264)
 
         def write(temporary: Path) -> None:
             writer.setup(stage.canvas, str(temporary))

@@ -22,7 +22,7 @@ from topcli.tops.bodies import checked_equations
 LONGITUDES, LATITUDES = 56, 28
 PALE, BLUE, MARK = (0.93, 0.90, 0.83), (0.20, 0.47, 0.69), (0.87, 0.42, 0.10)
 """Colours of the sectors; one of them is marked, so that the spin is seen."""
-REACH = 0.66
+_REACH = 0.66
 """Largest distance of a point of the body from the fixed point; the traces lie on the sphere of radius one."""
 UNKNOWN = (3.0, 2.5, 1.5), (0.0, 0.0, 1.0)
 """Moments and centre of gravity of a top that does not declare them."""
@@ -75,7 +75,7 @@ def _ellipsoid(moments: Array, axis: Array) -> Array:
     first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first = first / np.linalg.norm(first)
     frame = np.stack([first, np.cross(axis, first), axis])
-    return (sphere(LATITUDES, LONGITUDES) @ frame) * REACH * np.maximum(sizes / sizes.max(), 0.12)
+    return (sphere(LATITUDES, LONGITUDES) @ frame) * _REACH * np.maximum(sizes / sizes.max(), 0.12)
 
 
 def _spinning_top() -> Array:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from topcli.errors import SchemeCodeError, UnknownNameError, nearest, quoted
+from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures import bench, body, diagram, maps, paper, space  # noqa: F401 (they register their figures)
 from topcli.figures.figure import FIGURES, Figure, figure
-from topcli.schemes.plugins import plugin_failures
+from topcli.schemes.plugins import require_plugin
 
 __all__ = ["FIGURES", "figure", "find_figure"]
 for name in [name for name in FIGURES if not name.startswith("fig")]:
@@ -20,9 +20,7 @@ def find_figure(name: str) -> Figure:
     key = name.lower()
     if key in FIGURES:
         return FIGURES[key]
-    failures = plugin_failures()
+    failures = require_plugin(key, "figure")
     if key in FIGURES:  # of a plugin
         return FIGURES[key]
-    if failed := next((failure for failure in failures if failure.name.lower() == key), None):
-        raise SchemeCodeError(f"figure {key!r}: {failed}")
-    raise UnknownNameError(f"unknown figure {quoted(name)}; {nearest(name, FIGURES)}", *map(str, failures[:2]))
+    raise UnknownNameError(f"unknown figure {quoted(name)}; {nearest(name, FIGURES)}", *failures)

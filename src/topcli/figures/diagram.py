@@ -11,12 +11,12 @@ from topcli.analysis.motion.diagram import REGIONS, branches, regions
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import labelled, legend_below, plain
+from topcli.figures.labels import escaped, labelled, legend_below
 from topcli.schemes.kowalevski.curve import Integrals
 
 TINTS = ("#FFFFFF", "#DCE9F5", "#E3F0DC", "#F6EBD3", "#F5DDD9", "#E4DCEF")
 """Colours of no motion and of the regions I to V."""
-KINDS = {
+_KINDS = {
     "separatrix": ("separatrix", {"color": "0.1", "ls": "-", "lw": 1.4}),
     "pinch": ("pinch", {"color": "#B2182B", "ls": (0, (4, 1.5)), "lw": 1.6}),
     "periodic": (r"periodic: $E-2\ell^2=-k$", {"color": "#0072B2", "ls": (0, (7, 1.5, 1.5, 1.5)), "lw": 1.8}),
@@ -27,13 +27,13 @@ KINDS = {
 PIXELS = (700, 500)
 DASHED = 2.4
 """Length of a line in a legend, in letters, that shows all of a dash-dot pattern."""
-Place = tuple[float, float, float]
+_Place = tuple[float, float, float]
 """E, k² and 2l of a motion."""
 Window = tuple[tuple[float, float], tuple[float, float]]
 """Ends of the axes of E and k²."""
 
 
-def place_of_motion(state: Any, c: float) -> Place:
+def place_of_motion(state: Any, c: float) -> _Place:
     """E, k² and 2l of a state of the Kowalevski top, in units in which c |gamma| = 1."""
     of = Integrals.of(state, c)
     unit = float(of.G) ** 0.5
@@ -43,15 +43,15 @@ def place_of_motion(state: Any, c: float) -> Place:
 def critical_curves(two_l: float, window: Window) -> dict[str, Array]:
     """Critical curves of each kind in a window, in the order of the legend: E and k² (2, m), nan between parts."""
     gap = np.full((2, 1), np.nan)
-    parts: dict[str, list[Array]] = {kind: [] for kind in KINDS}
+    parts: dict[str, list[Array]] = {kind: [] for kind in _KINDS}
     for branch in branches(0.5 * two_l, 1.0, *window):
         if branch.kind in parts:
             parts[branch.kind] += [np.array([branch.E, branch.k_sq]), gap]
     return {kind: np.hstack(each) for kind, each in parts.items() if each}
 
 
-def draw_diagram(axes: Any, window: Window, curves: Mapping[str, Array], place: Place, name: str) -> None:
-    """Draw regions, critical curves, and the motion called ``name`` as a point; the legend has the numbers of tori."""
+def draw_diagram(axes: Any, window: Window, curves: Mapping[str, Array], place: _Place) -> None:
+    """Draw regions, critical curves, and a motion as a point; the legend has the numbers of tori."""
     from matplotlib.colors import ListedColormap
 
     E, up = (low + (high - low) * (np.arange(n) + 0.5) / n for (low, high), n in zip(window, PIXELS, strict=True))
@@ -61,12 +61,12 @@ def draw_diagram(axes: Any, window: Window, curves: Mapping[str, Array], place: 
     third = codes == list(REGIONS).index("III") + 1  # II becomes III without a bifurcation
     axes.contour(E, up, third, levels=[0.5], colors="0.5", linewidths=0.5, zorder=2)
     for kind, (x, y) in curves.items():
-        axes.plot(x, y, label=KINDS[kind][0], zorder=4, **KINDS[kind][1])
+        axes.plot(x, y, label=_KINDS[kind][0], zorder=4, **_KINDS[kind][1])
     for region, tint in zip(REGIONS.values(), TINTS[1:], strict=True):
         label = f"{region.name}: {region.tori} {'tori' if region.tori > 1 else 'torus'}"
         axes.plot([], [], "s", color=tint, markersize=8.0, markeredgecolor="0.6", label=label)
     look = {"color": "0.05", "markersize": 5.0, "markeredgecolor": "white", "zorder": 6}
-    axes.plot(*place[:2], "o", label=plain(name), **look)
+    axes.plot(*place[:2], "o", label="motion", **look)
     axes.grid(visible=False)
     labelled(axes, "energy $E$", "$k^2$", xlim=window[0], ylim=window[1])
 
@@ -84,10 +84,10 @@ def draw_bifurcation(canvas: Any, columns: Columns) -> None:
     """Draw a diagram for each window, with the scenes as points."""
     for axes, letter, (name, window) in zip(canvas.subplots(2, 2).flat, "abcd", WINDOWS.items(), strict=True):
         E, k_sq, two_l = columns[f"{name}:E, k_sq, two_l"].tolist()
-        present = [kind for kind in KINDS if f"{name}:{kind}:E" in columns]
+        present = [kind for kind in _KINDS if f"{name}:{kind}:E" in columns]
         curves = {kind: np.array([columns[f"{name}:{kind}:{axis}"] for axis in ("E", "k_sq")]) for kind in present}
-        draw_diagram(axes, window, curves, (E, k_sq, two_l), "motion")
-        scene = f", {plain(name)}" if np.isfinite(E) else ""
+        draw_diagram(axes, window, curves, (E, k_sq, two_l))
+        scene = f", {escaped(name)}" if np.isfinite(E) else ""
         axes.set_title(rf"({letter}) $2\ell = {two_l:.6g}${scene}", loc="left")
     legend_below(canvas, 4, fontsize=9.0, handlelength=DASHED)
 

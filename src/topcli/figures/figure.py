@@ -143,6 +143,13 @@ def save(canvas: Canvas, target: Path | io.BytesIO, form: str) -> None:
         canvas.savefig(target, format=form, metadata=dict.fromkeys(dates))
 
 
+def picture_of(draw: Callable[[Any, Columns], object], columns: Columns, size: tuple[float, float], form: str) -> bytes:
+    """Picture of the columns in a format, "png", "pdf" or "svg"."""
+    sink = io.BytesIO()
+    save(canvas_of(draw, columns, size), sink, form)
+    return sink.getvalue()
+
+
 FIGURES: dict[str, Figure] = {}
 
 

@@ -14,7 +14,7 @@ _GREEK = frozenset("alpha beta gamma delta epsilon zeta eta theta iota kappa lam
 _GREEK |= frozenset("pi rho sigma tau upsilon phi chi psi omega".split())  # noqa: SIM905
 
 
-def plain(text: str) -> str:
+def escaped(text: str) -> str:
     """Text that matplotlib shows as it is, without reading it as mathematics."""
     return text.replace("$", r"\$")
 
@@ -35,7 +35,7 @@ def column_label(experiment: Experiment, column: str) -> str:
     if column in experiment.top.components:
         return component_symbol(column)
     tex = SYMBOLS.get(column) or integrals.get(column)
-    return f"${tex}$" if tex else plain(column)
+    return f"${tex}$" if tex else escaped(column)
 
 
 def scheme_label(experiment: Experiment) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from topcli.analysis.lyapunov import Growth, growth_of, shares_of_chaos
 from topcli.contracts import Array
-from topcli.engine.watch import energy_of
+from topcli.engine.consumers import energy_of
 from topcli.figures.figure import Columns, figure
 from topcli.figures.labels import labelled, legend_above, legend_below
 from topcli.figures.style import DASHES, MARKERS, looks

@@ -21,8 +21,8 @@ from topcli.runs.simulate import simulate
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import find_scheme
 
-SCENES = {"HK": "kowalevski_hk", "Bohlin A": "kowalevski_bohlin_a", "hybrid": "kowalevski_hybrid"}
-VECTORS = {"gamma": r"vertical $\boldsymbol{\gamma}$", "omega": r"angular velocity $\boldsymbol{\omega}$"}
+_SCENES = {"HK": "kowalevski_hk", "Bohlin A": "kowalevski_bohlin_a", "hybrid": "kowalevski_hybrid"}
+_VECTORS = {"gamma": r"vertical $\boldsymbol{\gamma}$", "omega": r"angular velocity $\boldsymbol{\omega}$"}
 INTEGRALS = {"energy": "$E$", "two_l": r"$2\ell$"}
 
 
@@ -30,7 +30,7 @@ def _motion_figure(name: str, scheme: str) -> None:
     """Register the figure of gamma on the left and omega on the right."""
 
     def draw(canvas: Any, columns: Columns) -> None:
-        for axes, letter, (vector, label) in zip(canvas.subplots(1, 2), "ab", VECTORS.items(), strict=True):
+        for axes, letter, (vector, label) in zip(canvas.subplots(1, 2), "ab", _VECTORS.items(), strict=True):
             for i in (1, 2, 3):
                 axes.plot(columns["t"], columns[f"{vector}{i}"], label=rf"$\{vector}_{i}$")
             labelled(axes, "time $t$", label, f"({letter})", xlim=columns["t"][[0, -1]])
@@ -40,8 +40,8 @@ def _motion_figure(name: str, scheme: str) -> None:
 
     @figure(name, f"Kowalevski top, {scheme}: gamma and omega", draw)
     def data() -> Columns:
-        run = simulate(SCENES[scheme])
-        return {"t": run.t, **{f"{vector}{i}": run[f"{vector}{i}"] for vector in VECTORS for i in (1, 2, 3)}}
+        run = simulate(_SCENES[scheme])
+        return {"t": run.t, **{f"{vector}{i}": run[f"{vector}{i}"] for vector in _VECTORS for i in (1, 2, 3)}}
 
 
 def _heading(scheme: str) -> str:
@@ -70,7 +70,7 @@ def draw_integrals(canvas: Any, columns: Columns) -> None:
 @figure("fig3", "Kowalevski top, Bohlin A: energy E and 2l, and their changes", draw_integrals, (7.0, 3.1))
 def integrals() -> Columns:
     """Columns of Figure 3."""
-    run = simulate(SCENES["Bohlin A"])
+    run = simulate(_SCENES["Bohlin A"])
     return {"t": run.t, **{name: run[name] for name in INTEGRALS}}
 
 
@@ -79,14 +79,14 @@ _motion_figure("fig4", "hybrid")
 TIME = 50.0
 SAMPLING = 0.01
 """Longest time between two recorded states."""
-PAPER_STEP = EPS = 1e-3
+PAPER_STEP = _EPS = 1e-3
 """Step size of the paper, and the distance of its scene from the homoclinic orbit, gamma_3(0)."""
 LAW = r"$2\sqrt{2}\,\ln(8\sqrt{7}/\epsilon)$, $\epsilon = 10^{-3}$"
 USUAL = tuple(np.arange(-1.0, -4.1, -0.5))
 LADDERS = dict.fromkeys(("hk", "rk2", "rk4", "hybrid"), USUAL) | {"bohlin-a": tuple(np.arange(-2.0, -6.1, -0.5))}
 """Exponents k of the step sizes 10^k of each scheme."""
-EXACT = "exact"
-MOTIONS = ((EXACT, PAPER_STEP), *((name, PAPER_STEP) for name in LADDERS), ("bohlin-a", 1e-5), ("bohlin-a", 1e-6))
+_EXACT = "exact"
+MOTIONS = ((_EXACT, PAPER_STEP), *((name, PAPER_STEP) for name in LADDERS), ("bohlin-a", 1e-5), ("bohlin-a", 1e-6))
 """Motions that are shown: scheme and step."""
 ROW = 2.6
 """Distance between two rows, in units of gamma_1."""
@@ -108,7 +108,7 @@ def draw_period(canvas: Any, columns: Columns) -> None:
     for swing in columns["swings"]:
         rows.axvline(swing, color="0.6", linewidth=0.9, linestyle="--", zorder=1.0)
     for i, (name, h) in enumerate(MOTIONS):
-        colour = "black" if name == EXACT else styles[name]["color"]
+        colour = "black" if name == _EXACT else styles[name]["color"]
         rows.plot(columns["t"], columns[f"gamma1:{name}:{h:g}"] - ROW * i, "-", color=colour)
     names = [f"{display_name(name)}, $h = 10^{{{round(np.log10(h))}}}$" for name, h in MOTIONS[1:]]
     rows.set_yticks([0.7 - ROW * i for i in range(len(MOTIONS))], ["exact motion", *names], fontsize=8.6)
@@ -118,7 +118,7 @@ def draw_period(canvas: Any, columns: Columns) -> None:
     rows.set_ylim(-ROW * (len(MOTIONS) - 1) - 1.4, 1.4)
 
     # (b) filled markers for the reversible scheme; the right axis has the distance to which each time belongs
-    steps.axhline(float(spacing_law(np.array(EPS))), color="black", linewidth=1.0, linestyle="--", label=LAW)
+    steps.axhline(float(spacing_law(np.array(_EPS))), color="black", linewidth=1.0, linestyle="--", label=LAW)
     for name in LADDERS:
         kind = _kind(name)
         look = {**styles[name], "markersize": 4.0, "markerfacecolor": "white" if "not" in kind else None}
@@ -138,7 +138,7 @@ def _gamma1(scheme: str, h: float) -> tuple[Array, Array]:
     """Times and gamma_1 of a run with a step near ``h`` that divides the time, each (m,)."""
     N = round(TIME / h)
     sets = [f"scheme={scheme}", f"h={TIME / N!r}", f"N={N}", f"output.every={max(1, round(SAMPLING / h))}"]
-    run = simulate(SCENES["HK"], sets)
+    run = simulate(_SCENES["HK"], sets)
     return run.t, run["gamma1"]
 
 

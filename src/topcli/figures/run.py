@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.errors import UsageError
 from topcli.figures.figure import Columns, Drawing, Figure
-from topcli.figures.labels import column_label, labelled, legend_above, plain, scheme_label
+from topcli.figures.labels import column_label, escaped, labelled, legend_above, scheme_label
 from topcli.store.envelope import envelope
 from topcli.store.results import StoredResult
 from topcli.store.series import INTEGERS, WORDS, series_names
@@ -28,14 +28,6 @@ EXPLODED = 1e3
 """Components of an exploding motion are drawn up to this multiple of their initial value."""
 LARGEST_DEVIATION = 1e100
 """Larger deviations have no place on an axis."""
-
-
-@dataclass(frozen=True)
-class RunPicture:
-    """Picture of some columns, and its ``caption``."""
-
-    caption: str
-    draw: Drawing
 
 
 def recorded_vectors(names: Sequence[str], experiment: Experiment) -> dict[str, list[str]]:
@@ -75,7 +67,7 @@ def draw_series(
     vector = next(
         (vector for vector, columns in recorded_vectors(names, experiment).items() if columns == list(names)), ""
     )
-    label = IN_WORDS.get(vector, plain(vector)) or ", ".join(line.get_label() for line in axes.lines)
+    label = IN_WORDS.get(vector, escaped(vector)) or ", ".join(line.get_label() for line in axes.lines)
     limits = sorted(map(float, data["t"][[0, -1]]))
     options: dict[str, Any] = {"xlim": limits} if limits[0] < limits[1] else {}
     options |= {"yscale": "log"} if deviation else {}
@@ -84,30 +76,18 @@ def draw_series(
         legend_above(axes)
 
 
-def run_pictures(data: Mapping[str, Array], experiment: Experiment) -> list[RunPicture]:
-    """Pictures of the columns of one trajectory: one for each vector, and one of the deviations of the others."""
+def run_pictures(data: Mapping[str, Array], experiment: Experiment) -> list[Drawing]:
+    """Pictures of the columns of one trajectory: one for each vector and quantity, and the deviations of the others."""
     vectors = recorded_vectors(list(data), experiment)
     moving = [component for components in vectors.values() for component in components]
     quantities = [column for column in experiment.output.quantities or () if column in data]
     apart = {"t", *INTEGERS, *moving, *quantities, *experiment.output.attitude_columns}
-    others = [column for column in data if column not in apart]
-    panels = [*vectors.items(), *((column, [column]) for column in quantities)]
-    pictures = [
-        RunPicture(f"{IN_WORDS.get(name, name)} over time", _drawing(data, columns, experiment))
-        for name, columns in panels
-    ]
-    if moved := [name for name in others if (data[name] != data[name][0]).any()]:
-        constant = [column for column in others if column not in moved]
-        note = f"; {', '.join(constant)} did not change" if constant else ""
-        caption = f"absolute deviations from the first values over time{note}"
-        pictures.append(RunPicture(caption, _drawing(data, moved[:MOST_LINES], experiment, True)))
+    panels = [*vectors.values(), *([column] for column in quantities)]
+    pictures: list[Drawing] = [partial(draw_series, data=data, names=names, experiment=experiment) for names in panels]
+    if moved := [name for name in data if name not in apart and (data[name] != data[name][0]).any()]:
+        names = moved[:MOST_LINES]
+        pictures.append(partial(draw_series, data=data, names=names, experiment=experiment, deviation=True))
     return pictures
-
-
-def _drawing(
-    data: Mapping[str, Array], names: Sequence[str], experiment: Experiment, deviation: bool = False
-) -> Drawing:
-    return lambda axes: draw_series(axes, data, names, experiment, deviation)
 
 
 def run_figure(run: StoredResult) -> Figure:
@@ -125,7 +105,7 @@ def run_figure(run: StoredResult) -> Figure:
     def draw(canvas: Any, columns: Columns) -> None:
         panels = canvas.subplots(count, 1, squeeze=False)[:, 0]
         for axes, picture in zip(panels, run_pictures(columns, experiment), strict=True):
-            picture.draw(axes)
-        canvas.suptitle(f"{plain(name)}: {scheme_label(experiment)}, $h = {experiment.h:g}$", fontsize="medium")
+            picture(axes)
+        canvas.suptitle(f"{escaped(name)}: {scheme_label(experiment)}, $h = {experiment.h:g}$", fontsize="medium")
 
     return Figure(name, name, lambda: series, draw, (6.4, 0.6 + 2.1 * count), lambda: takes)

@@ -18,7 +18,7 @@ from topcli.store.results import StoredResult, read_result
 from topcli.store.series import read_series
 
 _TINTS = ("#0072B2", "#D55E00", "#999999", "#000000", "#009E73", "#CC79A7", "#56B4E9")
-COLOURS = dict(zip(Verdict, _TINTS, strict=True))
+_COLOURS = dict(zip(Verdict, _TINTS, strict=True))
 ORBIT_COLOURS = (*_TINTS, "#E69F00")
 MOST_SIZE, INK = 2.0, 3000.0
 """Largest size of a point in printer's points, and the sum of the sizes, if there are many."""
@@ -39,6 +39,7 @@ def section_figure(folder: Path, x: str | None, y: str | None, colour: str | Non
     for option, name in (("--x", x), ("--y", y)):
         if name is not None and name not in columns:
             raise UsageError(f"{option} {quoted(name)}: no such column; {nearest(name, columns)}")
+    # the component of the section itself is constant, and is the last choice for an axis
     free = [name for name in columns if name not in (section.component, x, y)] + columns
     across = x or free.pop(0)
     up = y or free[0]
@@ -49,7 +50,7 @@ def section_figure(folder: Path, x: str | None, y: str | None, colour: str | Non
         axes = canvas.subplots()
         size = max(0.2, min(MOST_SIZE, INK / len(points["orbit"])))
         look = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0, "rasterized": True}
-        tints: Any = COLOURS if colour else dict(enumerate(ORBIT_COLOURS))
+        tints: Any = _COLOURS if colour else dict(enumerate(ORBIT_COLOURS))
         kinds = points["verdict"] if colour else points["orbit"] % len(tints)
         for kind in filter(kinds.tolist().__contains__, tints):
             here = kinds == kind

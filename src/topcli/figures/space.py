@@ -187,11 +187,11 @@ def traces() -> Columns:
 RUN = "#B2182B"
 PALE, BLUE, OCHRE = (np.array(tint) for tint in ((0.985, 0.975, 0.955), (0.44, 0.63, 0.80), (0.93, 0.72, 0.42)))
 """Tints of the ellipsoid at the separatrix and around the axes of the largest and the smallest moment."""
-LEVELS = (0.0, 0.1, 0.25, 0.42, 0.6, 0.77, 0.91)
+_LEVELS = (0.0, 0.1, 0.25, 0.42, 0.6, 0.77, 0.91)
 """Positions of the drawn polhodes between the separatrix (0) and the axes (1), on either side."""
 
 
-def polhodes(moments: Array, levels: Sequence[float] = LEVELS) -> list[Array]:
+def polhodes(moments: Array, levels: Sequence[float] = _LEVELS) -> list[Array]:
     """Polhodes (m, 3) on x.Ix = 1, each once around in the sense of the motion; four for each level.
 
     About the axis i the curve of m² = q is I_j (I_j - I_i) x_j² + I_k (I_k - I_i) x_k² = q - I_i.
@@ -214,13 +214,13 @@ def polhodes(moments: Array, levels: Sequence[float] = LEVELS) -> list[Array]:
     return curves
 
 
-def draw_polhodes(axes: Any, moments: Array, omega: Array, label: str = "run") -> None:
-    """Draw the ellipsoid x.Ix = 1 with its polhodes, and the curve (m, 3) of a motion, scaled to it, with ``label``."""
+def draw_polhodes(axes: Any, moments: Array, omega: Array) -> None:
+    """Draw the ellipsoid x.Ix = 1 with its polhodes, and the curve (m, 3) of a motion, scaled to it."""
     shortest = math.sqrt(moments.min())
     camera = set_view(axes, 24.0, 52.0, 1.13 / shortest, 0.12 / shortest)
     _ellipsoid(axes, moments, camera)
     path = omega / np.sqrt(omega[0] ** 2 @ moments)
-    curve(axes, camera, path, RUN, 1.8, zorder=3.2, normals=path * moments, label=label, gid="motion")
+    curve(axes, camera, path, RUN, 1.8, zorder=3.2, normals=path * moments, label="run", gid="motion")
     for number, points in enumerate(polhodes(moments)):
         width, kind = (1.2, "separatrix") if number < 4 else (0.6, "other polhodes")
         normals = points * moments

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
-from topcli.figures.figure import Drawing, canvas_of, save
+from topcli.figures.figure import Drawing, picture_of
 from topcli.figures.style import looks, styled
 
 if TYPE_CHECKING:
@@ -17,21 +16,13 @@ SIZE = (6.4, 3.6)
 """Width and height in inches."""
 
 
-def on_axes(draw: Drawing, ax: Axes | None = None, projection: str | None = None) -> Axes:
-    """Draw into ``ax`` in the style of its owner, or into new axes in the print style.
-
-    A three-dimensional picture replaces two-dimensional axes by others at their place.
-    """
+def on_axes(draw: Drawing, ax: Axes | None = None) -> Axes:
+    """Draw into ``ax`` in the style of its owner, or into new axes in the print style."""
     with styled() if ax is None else nullcontext():
         if ax is None:
             from matplotlib import pyplot
 
-            ax = pyplot.figure(figsize=SIZE).add_subplot(projection=projection)
-        elif projection and ax.name != projection:
-            figure, place, box = ax.figure, ax.get_subplotspec(), ax.get_position().bounds
-            ax.remove()
-            of: dict[str, Any] = {"projection": projection}
-            ax = figure.add_subplot(place, **of) if place else figure.add_axes(box, **of)
+            ax = pyplot.figure(figsize=SIZE).add_subplot()
         draw(ax)
     return ax
 
@@ -47,9 +38,6 @@ def drawing_of(draw: Callable[..., None]) -> Drawing:
     return complete
 
 
-def picture(draw: Drawing, form: str = "svg", size: tuple[float, float] = SIZE, projection: str | None = None) -> bytes:
+def picture(draw: Drawing, form: str = "svg", size: tuple[float, float] = SIZE) -> bytes:
     """Picture of one pair of axes in a format, "png", "pdf" or "svg"."""
-    canvas = canvas_of(lambda canvas, _: draw(canvas.add_subplot(projection=projection)), {}, size)
-    sink = io.BytesIO()
-    save(canvas, sink, form)
-    return sink.getvalue()
+    return picture_of(lambda canvas, _: draw(canvas.add_subplot()), {}, size, form)

@@ -11,7 +11,7 @@ import numpy as np
 from topcli.analysis.order import convergence
 from topcli.errors import UsageError
 from topcli.figures.figure import Columns, Figure
-from topcli.figures.labels import labelled, plain
+from topcli.figures.labels import escaped, labelled
 from topcli.figures.style import looks
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
@@ -112,30 +112,37 @@ def draw_sweep(axes: Any, rows: Frame, choice: Choice, title: str = "") -> None:
     """Draw the rows of a sweep; the title has the number of values that are missing or have no place on the scale."""
     import pandas as pd
 
-    values = rows[choice.measure].to_numpy(dtype=float)
-    values = np.where(np.abs(values) <= LARGEST_VALUE, values, np.nan)
-    scale = scale_of(values)
-    values = np.where(values > 0.0, values, np.nan) if scale["value"] == "log" else values
-    if missing := int(np.isnan(values).sum()):
-        title = ", ".join(filter(None, [title, f"{missing} of {len(rows)} values not shown"]))
-
-    # value and ends of its spread for each combination of the keys
-    cells = choice.cells(rows.assign(**{choice.measure: values}))
+    # value and ends of its spread for each combination of the keys, of all rows that have a value
+    cells = choice.cells(rows)
     ends = [np.array([(*cell, *[np.nan] * 3)[i] for cell in cells], dtype=float) for i in range(3)]
     table = pd.DataFrame(dict(zip(("value", "low", "high"), ends, strict=True)), index=cells.index)
+
+    # points without a place on the scale are left out afterwards, so that those that are drawn are of all their rows
+    values = ends[0]
+    drawn = np.abs(values) <= LARGEST_VALUE
+    scale = scale_of(values[drawn])
+    drawn &= (values > 0.0) | (scale["value"] != "log")
+    table.loc[~drawn, :] = np.nan
+    missing = {"values": int(rows[choice.measure].isna().sum()), "points": int((~drawn & ~np.isnan(values)).sum())}
+    totals = {"values": len(rows), "points": len(values)}
+    if not choice.aggregate:  # each value is a point
+        missing = {"values": sum(missing.values())}
+    lost = [f"{count} of {totals[what]} {what} not shown" for what, count in missing.items() if count]
+    title = ", ".join(filter(None, [title, *lost]))
+
     around = "" if choice.colour else SPREADS.get(choice.aggregate or "")
-    label = plain(in_words(choice.measure)) + (f" ({choice.aggregate}{around})" if choice.aggregate else "")
+    label = escaped(in_words(choice.measure)) + (f" ({choice.aggregate}{around})" if choice.aggregate else "")
     if choice.colour:
         _heat(axes, table["value"].unstack(choice.x), scale, label)
     else:
         _curves(axes, table.dropna(subset="value"), scale, choice)
-    x, y = (KEYS_IN_WORDS.get(key, plain(key)) for key in (choice.x, choice.y))
-    labelled(axes, x, y if choice.colour else label, plain(title))
+    x, y = (KEYS_IN_WORDS.get(key, escaped(key)) for key in (choice.x, choice.y))
+    labelled(axes, x, y if choice.colour else label, escaped(title))
 
 
 def _texts(values: Sequence[Any]) -> list[str]:
     """Names of keys on an axis; those of schemes as people read them."""
-    return [f"{value:.4g}" if isinstance(value, float) else plain(display_name(str(value))) for value in values]
+    return [f"{value:.4g}" if isinstance(value, float) else escaped(display_name(str(value))) for value in values]
 
 
 def _heat(axes: Any, table: Frame, scale: Scale, label: str) -> None:
@@ -174,7 +181,7 @@ def _curves(axes: Any, table: Frame, scale: Scale, choice: Choice) -> None:
     for i, (key, curve) in enumerate(groups.items()):
         # markers of later curves are smaller, and names have one after the other, so that all are seen
         style = styles[str(key)] | {"markersize": 4.6 - 1.8 * i / len(groups)}
-        text = plain(display_name(str(key)))
+        text = escaped(display_name(str(key)))
         if choice.by and isinstance(key, float | int):
             text = f"{choice.by} = {key:.6g}"
         curve = curve if names else curve.sort_index(level=choice.x)

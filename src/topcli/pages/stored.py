@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -16,7 +15,7 @@ import numpy as np
 from topcli.config.text import to_yaml
 from topcli.contracts import Outcome
 from topcli.errors import ExitCode, UsageError, counted
-from topcli.figures.figure import Figure, canvas_of, save
+from topcli.figures.figure import picture_of
 from topcli.figures.run import run_figure
 from topcli.figures.study import picture
 from topcli.figures.sweep import Choice, draw_sweep, height_of
@@ -35,7 +34,7 @@ FILES = (MANIFEST, REPORT, ROWS_FILE, SWEEP_FILE, "config.yaml")
 """Files that stand for their folder, and so do files of a time series."""
 MOST_ROWS, MOST_PICTURES, MOST_CURVES = 200, 6, 12
 """Largest numbers of rows and pictures of a sweep on a page, and of curves of a picture."""
-KINDS = ("scheme", "top")
+_KINDS = ("scheme", "top")
 """Keys over whose values no median is taken."""
 
 
@@ -54,7 +53,7 @@ def stored_chapter(place: Path) -> Chapter:
     return sweep_chapter(intact_sweep(folder)) if is_sweep(folder) else run_chapter(intact_result(folder))
 
 
-def origin_of(record: Mapping[str, Any]) -> dict[str, Any]:
+def origin_facts(record: Mapping[str, Any]) -> dict[str, Any]:
     """Times, digests and versions of a manifest or a stored report."""
     return {key: record[key] for key in ORIGIN if record.get(key)} | (record.get("environment") or {})
 
@@ -69,7 +68,8 @@ def run_chapter(run: StoredResult) -> Chapter:
         notes += filter(None, [precision_note(report), warning_of(report)])
         caption = "recorded columns over time"
     try:
-        pictures = [(svg_of(run_figure(run)), caption)]
+        figure = run_figure(run)
+        pictures = [(picture_of(figure.draw, figure.data(), figure.size, "svg"), caption)]
     except UsageError:  # no rows, or the top is that of a plugin that is not loaded
         pictures = []
     return Chapter(
@@ -81,16 +81,9 @@ def run_chapter(run: StoredResult) -> Chapter:
         [table.cells() for table in report_tables(report)],
         notes,
         to_yaml(config),
-        origin_of(manifest),
+        origin_facts(manifest),
         (config["top"]["kind"], config["scheme"]["name"]),
     )
-
-
-def svg_of(figure: Figure) -> bytes:
-    """Figure as SVG."""
-    sink = io.BytesIO()
-    save(canvas_of(figure.draw, figure.data(), figure.size), sink, "svg")
-    return sink.getvalue()
 
 
 def record_chapter(record: Mapping[str, Any]) -> Chapter:
@@ -106,7 +99,7 @@ def record_chapter(record: Mapping[str, Any]) -> Chapter:
         [stored_cells(table) for table in record["tables"]],
         [*record["errors"], *record["notes"]],
         to_yaml(record["config"]) if record["config"] else "",
-        origin_of(record),
+        origin_facts(record),
         [*([top] if top else []), *(re.split("[ :]", scheme)[0] for scheme in schemes)],
     )
 
@@ -124,7 +117,7 @@ def sweep_chapter(stored: StoredResult) -> Chapter:
         list(sweep_pictures(rows)),
         [rows_table(rows)],
         config=sweep.to_yaml(),
-        origin=origin_of(stored.manifest),
+        origin=origin_facts(stored.manifest),
         cited=[name for part in parts for name in part],
     )
 
@@ -155,8 +148,8 @@ def sweep_choices(rows: Frame) -> Iterator[Choice]:
     if not varied:
         return
     x = next((key for key in varied if rows[key].dtype.kind in "fi"), varied[0])
-    named = [key for key in (*KINDS, *varied) if key in counts and key != x]
-    by = next((key for key in named if key in KINDS or counts[key] <= MOST_CURVES), None)
+    named = [key for key in (*_KINDS, *varied) if key in counts and key != x]
+    by = next((key for key in named if key in _KINDS or counts[key] <= MOST_CURVES), None)
     aggregate = "median" if rows.duplicated([key for key in (x, by) if key]).any() else None
     for measure in rows.attrs["measures"]:
         if np.isfinite(rows[measure]).any():

@@ -28,7 +28,7 @@ from topcli.arithmetic.elimination import row_reduced
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, Top
-from topcli.engine.collect import orbit
+from topcli.engine.drive import orbit
 from topcli.engine.machine import Machine
 from topcli.engine.numbers import PreciseRun
 from topcli.errors import RunError, counted
@@ -196,8 +196,7 @@ def deviation_of(run: Trajectory, name: str) -> float:
     """Largest deviation of an invariant from its first value, relative to the size of its terms."""
     values, plan = run.rows.numbers(name), run.rows.plan
     scale = run.rows.scale([invariant.name for invariant in plan.invariants].index(name))
-    with plan.active():
-        return largest(values - values[0]) / float(scale.max())
+    return largest(values - values[0]) / float(scale.max())
 
 
 def return_defect(scene: str, h: Fraction, y: Any) -> float:
@@ -205,8 +204,7 @@ def return_defect(scene: str, h: Fraction, y: Any) -> float:
     machine, precise = step_of(scene)
     there = orbit(precise.top, machine, y, precise.arithmetic.number(h), 1).states[1]
     back = orbit(precise.top, machine, there, precise.arithmetic.number(-h), 1).states[1]
-    with precise.arithmetic.active():
-        return largest(back - y)
+    return largest(back - y)
 
 
 # formulas at random points

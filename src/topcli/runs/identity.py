@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from topcli.config.models import Experiment, digest_of
 from topcli.contracts import Scheme, Top
-from topcli.schemes.plugins import made_from, own_sources
+from topcli.schemes.plugins import own_sources
 from topcli.store.result_folder import Identity
 from topcli.store.sources import source_digest
 
-LOOPS = ("topcli.engine.machine", "topcli.engine.integration")
-"""Modules with the time loops of all schemes."""
+LOOPS = ("topcli.engine.machine", "topcli.engine.integration", "topcli.schemes.registry")
+"""Modules with the time loops of all schemes, and with the wrappers of their steps."""
 
 
 def code_digest(top: type[Top], scheme: Scheme, *modules: str) -> str:
@@ -24,7 +24,7 @@ def code_digest(top: type[Top], scheme: Scheme, *modules: str) -> str:
 
     Raises SchemeCodeError for code without a file.
     """
-    makers = (maker.__module__ for maker in made_from(top, scheme))
+    makers = top.__module__, scheme.maker.__module__
     return source_digest((*LOOPS, *makers, *modules), tuple(own_sources(top, scheme).values()))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,24 +14,23 @@ from topcli.analysis.tally import Tally
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Invariant
-from topcli.engine.collect import Memory, Pieces
+from topcli.engine.consumers import Memory, Pieces
 from topcli.engine.drive import drive
 from topcli.engine.endings import Endings
 from topcli.engine.machine import Machine, machine_of
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 from topcli.errors import UsageError
 
 if TYPE_CHECKING:
     from topcli.engine.numbers import PreciseRun
 
-BLOCK = 1024
+_BLOCK = 1024
 """Trajectories of a plan; a larger ensemble is a sequence of plans, so that its memory is bounded."""
 MAX_NUMBERS = 5 * 10**8
 """Largest count of numbers in the states of a result in memory: four gigabytes."""
 
 
-def plans(experiment: Experiment, block: int = BLOCK) -> Iterator[Plan]:
+def plans(experiment: Experiment, block: int = _BLOCK) -> Iterator[Plan]:
     """Plans of an experiment: one, or of an ensemble one for each ``block`` of trajectories with the same top.
 
     Raises UsageError for an experiment that cannot be computed.
@@ -80,10 +78,6 @@ def _single(experiment: Experiment) -> Plan:
     if precise is None:
         return plan
     exact = _invariants(experiment, precise)
-    if precise.guard is not None:  # its numbers refuse a double in a formula
-        for invariant in _invariants(experiment, precise.guard):
-            with precise.guard.arithmetic.active(), suppress(ZeroDivisionError):
-                invariant.value(precise.guard.y0[None, :])
     machine = Machine(precise.top, plan.machine.method, precise.loop)
     return replace(plan, machine=machine, states=precise.y0[None, :], precise=precise, exact=exact)
 
@@ -91,9 +85,8 @@ def _single(experiment: Experiment) -> Plan:
 def _invariants(experiment: Experiment, precise: PreciseRun) -> tuple[Invariant, ...]:
     """Integrals of the top and of the scheme in the numbers of a run."""
     scheme = experiment.scheme
-    with precise.arithmetic.active():
-        modified = scheme.modified(precise.top, precise.h, experiment.options) if scheme.modified else ()
-        return (*precise.top.invariants(), *modified)
+    modified = scheme.modified(precise.top, precise.h, experiment.options) if scheme.modified else ()
+    return (*precise.top.invariants(), *modified)
 
 
 def precise_of(experiment: Experiment) -> PreciseRun | None:

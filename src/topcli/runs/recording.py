@@ -14,29 +14,28 @@ from topcli.analysis.section_rows import SectionRows
 from topcli.analysis.tally import Tally, summary, trajectory_columns
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
-from topcli.engine.consumer import Consumer, State
+from topcli.engine.consumers import Consumer, State
 from topcli.engine.endings import ARRAYS, Endings
 from topcli.engine.integration import Integration
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 from topcli.runs.plans import search_of
 from topcli.runs.report import ensemble_report, quantity_rows, run_report
-from topcli.store.table import Table
+from topcli.store.table import GrowingTable
 
-Columns = dict[str, NDArray[Any]]
+_Columns = dict[str, NDArray[Any]]
 
 
 class Series(Consumer):
     """The columns ``names`` of all rows go into a ``table``."""
 
-    def __init__(self, table: Table, names: Sequence[str]) -> None:
+    def __init__(self, table: GrowingTable, names: Sequence[str]) -> None:
         self.table, self.names = table, names
 
-    def add(self, rows: Rows) -> Columns:
+    def add(self, rows: Rows) -> _Columns:
         """Columns of the rows that were reached."""
         return {name: np.array(values) for name, values in rows.columns(self.names).items()}
 
-    def take(self, result: Columns) -> None:
+    def take(self, result: _Columns) -> None:
         """Append the columns to the table."""
         self.table.add(result)
 
@@ -52,11 +51,11 @@ class Series(Consumer):
 class LastRows(Series):
     """The columns ``names`` of the last row of each trajectory go into a ``table``."""
 
-    def add(self, rows: Rows) -> Columns:
+    def add(self, rows: Rows) -> _Columns:
         """Leave out the rows on the way."""
         return {}
 
-    def take(self, result: Columns) -> None:
+    def take(self, result: _Columns) -> None:
         """Leave out the rows on the way."""
 
     def end(self, run: Integration) -> None:
@@ -74,10 +73,10 @@ class Members(Consumer):
     figures of all trajectories by name.
     """
 
-    def __init__(self, table: Table, tally: Tally, section: SectionRows | None, varied: Sequence[str]) -> None:
+    def __init__(self, table: GrowingTable, tally: Tally, section: SectionRows | None, varied: Sequence[str]) -> None:
         self._table, self._tally, self._section, self._varied = table, tally, section, varied
         self._endings: list[Endings] = []
-        self._figures: list[Columns] = []
+        self._figures: list[_Columns] = []
         self.within, self.judged = np.zeros(1, dtype=np.int64), 0
 
     @property
@@ -86,7 +85,7 @@ class Members(Consumer):
         return Endings.joined(self._endings)
 
     @property
-    def figures(self) -> Columns:
+    def figures(self) -> _Columns:
         """Figures of invariants and quantities by name, of the trajectories of all plans so far."""
         return {name: np.concatenate([part[name] for part in self._figures]) for name in self._figures[0]}
 
@@ -129,7 +128,7 @@ class Recording:
     def __init__(self, experiment: Experiment, folder: Path, metadata: dict[str, str]) -> None:
         self.experiment, ensemble = experiment, experiment.ensemble
         self.seconds: dict[str, Any] = {"compile": 0.0, "compile_cached": True, "run": 0.0}
-        self.tables: list[Table] = []
+        self.tables: list[GrowingTable] = []
         self._folder, self._metadata = folder, metadata
         store = ensemble.store if ensemble else "trajectories"
         names = None
@@ -149,8 +148,8 @@ class Recording:
             self._members = Members(self._table("trajectories"), self._tally, self._section, varied)
             self.consumers.append(self._members)
 
-    def _table(self, name: str) -> Table:
-        self.tables.append(Table(self._folder, name, self._metadata, self.experiment.output.format))
+    def _table(self, name: str) -> GrowingTable:
+        self.tables.append(GrowingTable(self._folder, name, self._metadata, self.experiment.output.format))
         return self.tables[-1]
 
     def add_seconds(self, run: Integration) -> None:

@@ -19,18 +19,17 @@ from numpy.typing import NDArray
 
 from topcli.analysis.reference import MAX_TAYLOR_STEPS, distances, reference_obstacle, reference_states
 from topcli.contracts import Array, Sampler, Scheme, Top, check_stop
-from topcli.engine.consumer import Consumer
+from topcli.engine.consumers import Consumer
 from topcli.engine.integration import Integration
-from topcli.engine.plan import Plan
-from topcli.engine.rows import Rows
+from topcli.engine.rows import Plan, Rows
 from topcli.errors import RunError, UsageError, quoted
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 
 TAYLOR = "taylor"
-EXACT = "exact"
+_EXACT = "exact"
 """Name of the schemes that are the closed form of a top."""
-METHODS = {TAYLOR: "Taylor series in double-double arithmetic", EXACT: "closed form (scheme exact)"}
+METHODS = {TAYLOR: "Taylor series in double-double arithmetic", _EXACT: "closed form (scheme exact)"}
 """Kinds of references, with what they are."""
 LESS_ACCURATE = frozenset({"kowalevski"})
 """Forms whose closed form is not the reference: its error grows where gravity is weak, and it refuses some motions."""
@@ -45,7 +44,7 @@ CLOSED_STATES = 1 << 16
 @cache
 def _exact_scheme(form: str) -> Scheme | None:
     try:
-        scheme = find_scheme(EXACT, form)
+        scheme = find_scheme(_EXACT, form)
     except UsageError:
         return None
     return scheme if scheme.order is None and not scheme.options.model_fields else None
@@ -94,18 +93,18 @@ def reference_of(top: Top, kind: str | None = None, judged: Scheme | None = None
     """
     if kind is not None and kind not in METHODS:
         raise UsageError(f"unknown reference {quoted(kind)}; use {' or '.join(METHODS)}")
-    itself = judged is not None and judged.name == EXACT
+    itself = judged is not None and judged.name == _EXACT
     if kind == TAYLOR or (kind is None and (itself or top.form in LESS_ACCURATE)):
         return Reference(top)
     closed = closed_form_of(top)
-    if closed is None and kind == EXACT:
+    if closed is None and kind == _EXACT:
         raise UsageError(
             f"the top {TOPS.called(top.form)} has no scheme exact to compare with; use the reference {TAYLOR}"
         )
     return Reference(top, closed)
 
 
-def obstacle(top: Top, scheme: Scheme) -> str:
+def error_obstacle(top: Top, scheme: Scheme) -> str:
     """Reason why there is no reference for runs of ``top`` under ``scheme``; empty if there is one."""
     return reference_of(top, judged=scheme).obstacle
 

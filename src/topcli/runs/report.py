@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 
 
-NAMES = {
+_NAMES = {
     "symbol": "invariant",
     "first": "first value",
     "max_deviation_relative": "max deviation, relative",
@@ -39,8 +39,6 @@ FORMATS: dict[str, Format] = {
     **dict.fromkeys(("first", "min", "max"), ten_digits),
     **dict.fromkeys(("drift_error", "drift_bound"), two_digits),
 }
-COMPARED = ("max_deviation", "drift", "drift_error", "model", "verdict")
-"""Fields that comparisons of runs show."""
 SENTENCES = ("name", "statement", "reason")
 """Fields that tables leave out."""
 VERDICT_MARKS = {"lost": "bad", "drifting": "middling", "exact": "good"}
@@ -50,7 +48,7 @@ VERDICT_MARKS = {"lost": "bad", "drifting": "middling", "exact": "good"}
 def invariant_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Table of all figures on the invariants, one a column."""
     lines = [{key: value for key, value in row.items() if key not in SENTENCES} for row in rows]
-    return Table("Conservation laws", lines, FORMATS, names=NAMES, across=True, marks=VERDICT_MARKS)
+    return Table("Conservation laws", lines, FORMATS, names=_NAMES, across=True, marks=VERDICT_MARKS)
 
 
 def report_tables(report: Mapping[str, Any]) -> list[Table]:
@@ -92,7 +90,7 @@ def brief_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         for row in rows
     ]
     caption = "Deviations are relative, drifts have 95 % bounds; -v prints all values."
-    return Table("", lines, FORMATS, names=NAMES, right=columns[1:4], caption=caption, marks=VERDICT_MARKS)
+    return Table("", lines, FORMATS, names=_NAMES, right=columns[1:4], caption=caption, marks=VERDICT_MARKS)
 
 
 def open_lines(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
@@ -230,9 +228,9 @@ def section_note(experiment: Experiment, crossings: NDArray[np.int64] | None) ->
     )
     total, never = int(crossings.sum()), int((crossings == 0).sum())
     if not total:
-        return f"; never crossed the section {where}"
+        return f"; no crossing of the section {where}"
     note = f"; {counted(total, 'crossing')} of the section {where}"
-    return note + (f"; {never} of {len(crossings)} trajectories never crossed it" if never else "")
+    return note + (f"; {never} of {len(crossings)} trajectories have not crossed it" if never else "")
 
 
 ORDINARY = ("iterations", "evaluations", "expansions")
@@ -254,7 +252,7 @@ SHOWN_TRAJECTORIES = 20
 """Failures listed in the report; the table of trajectories contains all of them."""
 
 
-WORDS = {
+_WORDS = {
     Outcome.COMPLETED: "completed",
     Outcome.LEFT_MOTION: "left their energy surface",
     Outcome.BLEW_UP: "blew up",
@@ -284,7 +282,7 @@ def ensemble_message(endings: Endings, N: int) -> str:
     counts, failed = endings.outcomes, endings.failed
     if counts.get(Outcome.COMPLETED) == len(endings):
         return f"all {len(endings)} trajectories completed {counted(N, 'step')}"
-    outcomes = ", ".join(f"{count} {WORDS[outcome]}" for outcome, count in counts.items())
+    outcomes = ", ".join(f"{count} {_WORDS[outcome]}" for outcome, count in counts.items())
     message = f"of {len(endings)} trajectories {outcomes}"
     if len(failed):
         message += f"; the first of them, trajectory {failed[0]}, {endings[int(failed[0])].message}"
@@ -340,7 +338,7 @@ def ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         }
         lines.append({**{key: row[key] for key in ("symbol", "within_round_off", "judged")}, **quantiles})
     caption = "Quantiles over the trajectories."
-    return Table("Conservation laws", lines, names=NAMES, across=True, caption=caption)
+    return Table("Conservation laws", lines, names=_NAMES, across=True, caption=caption)
 
 
 def ensemble_statements(report: Mapping[str, Any]) -> list[str]:
@@ -365,4 +363,4 @@ def brief_ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         for row in rows
     ]
     caption, right = "Quantiles over the trajectories; -v prints all values.", list(lines[0])[1:]
-    return Table("", lines, names=NAMES, right=right, caption=caption)
+    return Table("", lines, names=_NAMES, right=right, caption=caption)

@@ -30,7 +30,7 @@ CHECKPOINT_SECONDS = 10.0
 """Seconds between two checkpoints; the first one comes after half of it."""
 COST = 100.0
 """A checkpoint waits at least this many times the seconds that the last one took: at most 1 % of a run."""
-Progress = Callable[[int, int], None]
+_Progress = Callable[[int, int], None]
 """Called with (steps done, all steps) between chunks; of an ensemble, with those of all trajectories."""
 
 
@@ -56,7 +56,7 @@ class RunOptions:
     checkpoint_every: float = CHECKPOINT_SECONDS
     threads: int | None = None
     stop: Callable[[], bool] = lambda: False
-    on_progress: Progress = lambda done, total: None
+    on_progress: _Progress = lambda done, total: None
     on_message: Callable[[str], None] = lambda line: None
 
 

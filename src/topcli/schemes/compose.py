@@ -151,10 +151,11 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
     The exact invariants of the base scheme are those of the result; its modified integrals depend on the step size and
     are lost. The options are those of the base scheme. Raises UsageError if the base scheme cannot be composed.
     """
-    if reason := obstacle(base):
+    if reason := composition_obstacle(base):
         raise UsageError(f"scheme {base.name!r} cannot be composed: it {reason}")
     order_with, weights = base.order_with, composition.weights
 
+    # whether a step may be composed can depend on the options, which are known only here
     def build(top: Any, options: Any) -> Method:
         method = base.build(top, options)
         reason = _method_obstacle(method, top)
@@ -180,7 +181,7 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
         build=build,
         modified=None,
         longest_step=None,
-        doc=f"{stages} ({composition.citation}).\n\n{CONSERVED}\n\n{base.name}: {base.doc}",
+        doc=f"{stages} ({composition.citation}).\n\n{_CONSERVED}\n\n{base.name}: {base.doc}",
     )
 
 
@@ -190,14 +191,14 @@ def _composed_tangent(tangent: Callable[[], Stepper], weights: tuple[float, ...]
     return replace(base, step=composed_step(base.step, weights, base.width))
 
 
-CONSERVED = (
+_CONSERVED = (
     "Self-adjoint, like the base scheme. Invariants that the base scheme conserves for every step size are conserved. "
     "Its modified integrals depend on the step size and are lost: they deviate by their difference from the integrals "
     "of the top, which are conserved to the new order."
 )
 
 
-def obstacle(base: Scheme) -> str:
+def composition_obstacle(base: Scheme) -> str:
     """Reason why ``base`` cannot be composed, a verb phrase; empty if it can.
 
     The method is built with the default options, if there are any.

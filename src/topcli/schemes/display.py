@@ -21,7 +21,7 @@ FAMILIES: tuple[dict[str, str], ...] = (
 """Name in configs and display name of each scheme and of variants that figures compare; a family has one colour."""
 COMPOSED = {"yoshida4": "Yoshida 4", "suzuki4": "Suzuki 4", "kahan-li6": "Kahan-Li 6", "kahan-li8": "Kahan-Li 8"}
 """Display names of the compositions."""
-NAMES = {name: text for family in FAMILIES for name, text in family.items()}
+_NAMES = {name: text for family in FAMILIES for name, text in family.items()}
 """Display name of each scheme."""
 
 
@@ -48,11 +48,11 @@ def display_name(label: str) -> str:
     >>> display_name("my-scheme:h=0.1")
     'my-scheme:h=0.1'
     """
-    if label in NAMES:
-        return NAMES[label]
+    if label in _NAMES:
+        return _NAMES[label]
     scheme, _, settings = label.partition(":")
     name, plus, composition = scheme.partition("+")
-    if name not in NAMES or (plus and composition not in COMPOSED):
+    if name not in _NAMES or (plus and composition not in COMPOSED):
         return label
-    text = f"{NAMES[name]} + {COMPOSED[composition]}" if plus else NAMES[name]
+    text = f"{_NAMES[name]} + {COMPOSED[composition]}" if plus else _NAMES[name]
     return f"{text} ({', '.join(settings.split(','))})" if settings else text

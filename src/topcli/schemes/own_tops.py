@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Floats, Top
-from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.field.integrals import broken_integral
-from topcli.schemes.plugins import is_built_in, line_of, origin_of, plugin_failures
+from topcli.schemes.plugins import is_built_in, line_of, origin_of, plugin_failures, require_plugin
 from topcli.tops import CUSTOM, TOPS
 from topcli.tops.bodies import checked_rotation
 
 KIND = re.compile(r"[a-z][a-z0-9_-]*")
-TAKEN = ("n", "t")
+_TAKEN = ("n", "t")
 """Columns of every series."""
 ORIGINS: dict[str, str] = {}
 """Package or file of each form of a top that a plugin registered."""
-STATES = 4
+_STATES = 4
 """States at which a field is tried."""
 
 
@@ -103,7 +103,7 @@ def _fault(declared: type[Top]) -> str:
         return f"components of top {kind!r} are {components!r}; give a tuple of names"
 
     # each column of a series has a name of its own
-    columns = [*TAKEN, *components, *declared.integrals]
+    columns = [*_TAKEN, *components, *declared.integrals]
     for i, column in enumerate(columns):
         if not column.isidentifier():
             return f"{column!r} is not the name of a component or an integral of top {kind!r}"
@@ -123,7 +123,7 @@ def tried(function: Callable[[Any, Floats], Any], d: int, p: Floats) -> Any:
 
     The components of the first state are positive.
     """
-    first, *others = np.random.default_rng(d).normal(size=(STATES, d)).tolist()
+    first, *others = np.random.default_rng(d).normal(size=(_STATES, d)).tolist()
     for y in (tuple(map(abs, first)), *map(tuple, others[:-1])):
         with suppress(ArithmeticError, ValueError):  # outside the domain of a root or a logarithm, perhaps
             return function(y, p)
@@ -164,14 +164,10 @@ def forms(name: str) -> list[type[Top]]:
     key = name.lower()
     if key == CUSTOM:
         raise UsageError("a custom top is declared in a config, by its section top")
-    failures = []
-    if not (key in TOPS or any(TOPS.kind(form) == key for form in TOPS)):
-        failures = plugin_failures()
-        if failed := next((failure for failure in failures if failure.name.lower() == key), None):
-            raise SchemeCodeError(f"top {name!r}: {failed}")
+    failures = [] if key in TOPS or any(TOPS.kind(form) == key for form in TOPS) else require_plugin(key, "top")
     classes = [TOPS[form] for form in TOPS if TOPS.kind(form) == key] or ([TOPS[key]] if key in TOPS else [])
     if not classes:
-        raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}", *map(str, failures[:2]))
+        raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}", *failures)
     return classes
 
 

@@ -10,8 +10,7 @@ import sysconfig
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -20,45 +19,22 @@ from typing import Any
 from topcli.contracts import Scheme, Top
 from topcli.errors import SchemeCodeError, TopcliError, UsageError
 
-GROUPS = ("topcli.tops", "topcli.schemes", "topcli.figures")
+_GROUPS = ("topcli.tops", "topcli.schemes", "topcli.figures")
 """Groups of entry points in which installed packages declare plugins; each may bring anything."""
 PLUGIN_FILE = "topcli_plugin_"
 """Start of the names of the modules of plugin files; a digest of the path follows."""
 
-
-@dataclass(frozen=True)
-class PluginFailure:
-    """Plugin of an installed package that could not be imported: its name, its package, and the reason in one line."""
-
-    name: str
-    origin: str
-    reason: str
-
-    def __str__(self) -> str:
-        return f"plugin {self.name!r} of {self.origin} failed: {self.reason}"
-
-
 FILES: dict[Path, str] = {}
 """Plugin files that have been loaded, by absolute path, in that order, as they were named."""
-FAILURES: list[PluginFailure] = []
-"""Plugins of installed packages that could not be imported so far."""
-SOURCES: dict[Any, dict[str, str]] = {}
-"""Texts of the module of each registered function and class when it was registered, and of those that it needs."""
-REGISTERED: list[str] = []
-"""Names of tops, schemes, measures, figures and cases that came from outside topcli."""
-
-
-def made_from(top: type[Top], scheme: Scheme) -> list[Any]:
-    """Class of a top, and the functions ``build`` of a scheme and of those that it is composed of or wraps."""
-    build = inspect.unwrap(scheme.build)
-    cells = [cell.cell_contents for cell in getattr(build, "__closure__", None) or ()]
-    bases = [made_from(top, base)[1:] for base in cells if isinstance(base, Scheme)]
-    return [top, build, *(maker for makers in bases for maker in makers)]
+FAILURES: dict[str, str] = {}
+"""Messages about plugins of installed packages that could not be imported so far, by the name of the entry point."""
+REGISTERED: list[Any] = []
+"""Functions and classes from outside topcli that were registered: tops, schemes, measures and figures."""
 
 
 def own_sources(top: type[Top], scheme: Scheme) -> dict[str, str]:
     """``sources_of`` a top and a scheme, as far as they are not topcli's own."""
-    return sources_of(maker for maker in made_from(top, scheme) if not is_built_in(maker))
+    return sources_of(value for value in (top, scheme.maker) if not is_built_in(value))
 
 
 def is_built_in(value: Any) -> bool:
@@ -66,26 +42,20 @@ def is_built_in(value: Any) -> bool:
     return value.__module__.partition(".")[0] == "topcli"
 
 
-def file_of(value: Any) -> str:
-    """File of a function or class, or the name of its module if there is none."""
-    module = sys.modules.get(value.__module__)
-    return str(getattr(module, "__file__", None) or value.__module__)
-
-
 def line_of(function: Callable[..., Any]) -> str:
-    """``file:line`` of the definition of a function; its file for anything else."""
+    """``file:line`` of the definition of a function; its module for anything else."""
     code = getattr(inspect.unwrap(function), "__code__", None)
-    return f"{code.co_filename}:{code.co_firstlineno}" if code else file_of(function)
+    return f"{code.co_filename}:{code.co_firstlineno}" if code else function.__module__
 
 
 def origin_of(value: Any) -> str:
     """``topcli``, the installed package, or the file of a function or class, which is noted as registered."""
     if is_built_in(value):
         return "topcli"
-    file = file_of(value)
-    REGISTERED.append(getattr(value, "__name__", ""))
+    REGISTERED.append(value)
     with suppress(SchemeCodeError):  # without a file; refused where a result is stored
-        SOURCES[value] = _texts(value.__module__)
+        _texts(value.__module__)  # as they are at this moment
+    file = str(getattr(sys.modules.get(value.__module__), "__file__", None) or value.__module__)
     return value.__module__.partition(".")[0] if _is_installed(file) else file
 
 
@@ -101,22 +71,27 @@ def load_plugin_file(path: Path) -> None:
     where = path.resolve()
     if where in FILES:
         return
-    try:
-        text = path.read_bytes()
-    except (OSError, ValueError):
-        raise UsageError(f"plugin {path}: no such file") from None
+    if not path.is_file():
+        raise UsageError(f"plugin {path}: no such file")
     if path.suffix != ".py":
         raise UsageError(f"plugin {path}: not a Python file (expected a name ending in .py)")
+    # a module of its own for each path: two files of one name do not meet
+    _texts.cache_clear()
     module = ModuleType(PLUGIN_FILE + hashlib.sha256(str(where).encode()).hexdigest()[:12])
     module.__file__ = str(path)
     sys.modules[module.__name__] = module
     count = len(REGISTERED)
-    with _modules_beside(where.parent):
-        try:
-            exec(compile(text, str(path), "exec"), module.__dict__)
-        except Exception as error:
-            reason = str(users_error(error) or reason_of(error))
-            raise UsageError(reason if reason.startswith(str(path)) else f"plugin {path}: {reason}") from error
+    sys.path.insert(0, str(where.parent))
+    bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # it would miss an edit within one second
+    try:
+        _require_own_modules(where)
+        exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
+    except Exception as error:
+        reason = str(users_error(error) or reason_of(error))
+        raise UsageError(reason if reason.startswith(str(path)) else f"plugin {path}: {reason}") from error
+    finally:
+        sys.path.remove(str(where.parent))
+        sys.dont_write_bytecode = bytecode
     if len(REGISTERED) == count:
         raise UsageError(
             f"plugin {path}: registers nothing; decorate a class with @topcli.top, or a function with "
@@ -125,60 +100,46 @@ def load_plugin_file(path: Path) -> None:
     FILES[where] = str(path)
 
 
-@contextmanager
-def _modules_beside(folder: Path) -> Iterator[None]:
-    """Make the modules of ``folder`` importable within the block.
-
-    They are forgotten at the end: a module of the same name beside another plugin file is another module.
-    """
-    names = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__init__.py")}
-    names -= sys.stdlib_module_names | {"topcli"}
-
-    def taken() -> dict[str, ModuleType]:
-        """Modules of these names, which are no longer loaded."""
-        modules = {name: module for name, module in sys.modules.items() if name.partition(".")[0] in names}
-        for name in modules:
-            del sys.modules[name]
-        return modules
-
-    hidden = taken()
-    sys.path.insert(0, str(folder))
-    written, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # bytecode misses an edit within one second
-    try:
-        yield
-    finally:
-        sys.path.remove(str(folder))
-        sys.dont_write_bytecode = written
-        taken()
-        sys.modules.update(hidden)
+def _require_own_modules(path: Path) -> None:
+    """Raise UsageError if a module beside a file, which it imports, has the name of one that is loaded already."""
+    for file in _with_modules_beside(path)[1:]:
+        name = file.relative_to(path.parent).parts[0].removesuffix(".py")
+        other = getattr(sys.modules.get(name), "__file__", None)
+        if other and path.parent not in Path(other).resolve().parents:
+            raise UsageError(f"a module {name!r} is loaded already, from {other}; rename {file.name}")
 
 
 @cache
 def installed_plugins() -> tuple[EntryPoint, ...]:
     """Entry points of plugins, by name."""
-    entries = {(entry.name, entry.value): entry for group in GROUPS for entry in entry_points(group=group)}
+    entries = {(entry.name, entry.value): entry for group in _GROUPS for entry in entry_points(group=group)}
     return tuple(entries[key] for key in sorted(entries))
 
 
 @cache
-def _import_installed() -> None:
+def plugin_failures() -> dict[str, str]:
+    """Import the plugins of installed packages; one that fails stops nothing else. Return ``FAILURES``."""
     for entry in installed_plugins():
         try:
             entry.load()
         except (KeyboardInterrupt, MemoryError):
             raise
         except BaseException as error:  # including SystemExit: a plugin must not end the program
+            reason = (users_error(error) if isinstance(error, Exception) else None) or reason_of(error)
             origin = entry.dist.name if entry.dist else entry.name
-            reason = str(users_error(error) or reason_of(error)) if isinstance(error, Exception) else reason_of(error)
-            FAILURES.append(PluginFailure(entry.name, origin, reason))
-
-
-def plugin_failures() -> list[PluginFailure]:
-    """Import the plugins of installed packages; one that fails stops nothing else. Return all that have failed."""
-    _import_installed()
+            FAILURES[entry.name.lower()] = f"plugin {entry.name!r} of {origin} failed: {reason}"
     return FAILURES
 
 
+def require_plugin(name: str, what: str) -> list[str]:
+    """Raise SchemeCodeError if the plugin called ``name`` has failed. Return messages about others that have."""
+    failures = plugin_failures()
+    if name in failures:
+        raise SchemeCodeError(f"{what} {name!r}: {failures[name]}")
+    return list(failures.values())[:2]
+
+
+@lru_cache
 def _texts(name: str) -> dict[str, str]:
     """Texts of a user's module and of those that it needs, by the names of their copies in a run folder.
 
@@ -192,26 +153,28 @@ def _texts(name: str) -> dict[str, str]:
             "write it into a file, or use topcli.simulate, which stores nothing"
         )
     file, package = Path(place), name.partition(".")[0]
-    files, top = [file], file.parent
+    files, folder = [file], file.parent
     if package != name or file.name == "__init__.py":
-        root = next((folder for folder in file.parents if folder.name == package), top)
-        files, top = sorted(root.rglob("*.py")), root.parent
+        root = next((parent for parent in file.parents if parent.name == package), folder)
+        files, folder = sorted(root.rglob("*.py")), root.parent
     elif not _is_installed(str(file)):
-        for path in files:  # which grows
-            files += [helper for helper in _beside(path) if helper not in files]
+        files = _with_modules_beside(file)
     return {
-        f"source.{re.sub(r'[^A-Za-z0-9_.-]', '.', str(path.relative_to(top)))}": path.read_text("utf-8", "replace")
+        f"source.{re.sub(r'[^A-Za-z0-9_.-]', '.', str(path.relative_to(folder)))}": path.read_text("utf-8", "replace")
         for path in files
     }
 
 
-def _beside(path: Path) -> list[Path]:
-    """Files of the modules and packages beside a file that it may import, also inside its functions."""
-    imports = re.findall(r"^\s*(?:from|import)\s(.*)", path.read_text("utf-8", "replace"), re.MULTILINE)
-    words = set(re.findall(r"\w+", " ".join(imports))) - sys.stdlib_module_names - {"topcli"}
-    modules = (path.with_name(f"{word}.py") for word in sorted(words))
-    packages = (file for word in sorted(words) for file in sorted((path.parent / word).rglob("*.py")))
-    return [*filter(Path.is_file, modules), *packages]
+def _with_modules_beside(path: Path) -> list[Path]:
+    """A file, and those of the modules and packages beside it that it may import, also inside its functions."""
+    files = [path]
+    for file in files:  # which grows
+        imports = re.findall(r"^\s*(?:from|import)\s(.*)", file.read_text("utf-8", "replace"), re.MULTILINE)
+        words = set(re.findall(r"\w+", " ".join(imports))) - sys.stdlib_module_names - {"topcli"}
+        for word in sorted(words):
+            beside = [file.with_name(f"{word}.py"), *sorted((file.parent / word).rglob("*.py"))]
+            files += [other for other in beside if other.is_file() and other not in files]
+    return files
 
 
 def sources_of(values: Iterable[Any]) -> dict[str, str]:
@@ -219,10 +182,7 @@ def sources_of(values: Iterable[Any]) -> dict[str, str]:
 
     It is the text at the time when they were registered. Raises SchemeCodeError for what has no file.
     """
-    texts: dict[str, str] = {}
-    for value in values:
-        texts |= SOURCES.get(value) or _texts(value.__module__)
-    return texts
+    return {name: text for value in values for name, text in _texts(value.__module__).items()}
 
 
 TOPCLI = str(Path(__file__).parents[1])

@@ -22,11 +22,11 @@ import numpy as np
 
 from topcli.arithmetic.fused import defined, follow_precision
 from topcli.arithmetic.sized import Operators
-from topcli.contracts import Floats, Invariant, StepFunction, Stepper, Top, same_state
+from topcli.contracts import Floats, Invariant, Method, StepFunction, Stepper, Top, same_state
 from topcli.errors import UsageError
 from topcli.field.integrals import polynomial_value
 from topcli.field.polynomial import NotPolynomialError, Polynomial, decimal
-from topcli.field.straight_line import ONE, Graph, Sum, function_of, minus
+from topcli.field.straight_line import ONE, Graph, Sum, compiled_function, minus
 
 DEPENDENT = 2.0**-30
 """Squared sine of the angle to the earlier gradients below which a gradient is left out."""
@@ -100,10 +100,10 @@ def projection(top: Top, first: int) -> Projection:
     integrals = _polynomials(top)
     n, values = len(integrals), [graph.node_of(invariant.value(formulas)[0].terms) for invariant, _ in integrals]
     slopes = [node(integral.derivative(j)) for _, integral in integrals for j in range(d)]
-    evaluated, text = function_of(graph, "evaluated", [*values, *slopes]), graph.source("values", values)
+    evaluated, text = compiled_function(graph, "evaluated", [*values, *slopes]), graph.source("values", values)
     limits = {"DEPENDENT": DEPENDENT, "SETTLED": SETTLED, "ROUNDS": ROUNDS, "nan": math.nan}
     project = defined(_source(n, d), f"projection {n}/{d}", evaluated=evaluated, __name__=__name__, **limits)["project"]
-    return Projection(n, function_of(graph, "values", values), project, tuple(graph.constants), text)
+    return Projection(n, compiled_function(graph, "values", values), project, tuple(graph.constants), text)
 
 
 def _source(n: int, d: int) -> str:
@@ -153,15 +153,18 @@ def _polynomials(top: Top) -> list[tuple[Invariant, Polynomial]]:
     return integrals
 
 
-def projected(method: Stepper, top: Top, every: int) -> Stepper:
+def projected(method: Method, top: Top, every: int) -> Stepper:
     """``method`` with a projection onto the initial values of all integrals of ``top`` after every ``every`` steps.
 
     The working state is that of ``method`` up to its status, the targets, the number of steps to the next projection,
     the status and the counters. If the working state of ``method`` does not begin with the physical state, it is made
     again from the projected state.
 
-    Raises UsageError for a top without integrals, or with an integral that is not a polynomial.
+    Raises UsageError for a method with its own time loop, for a top without integrals, or with an integral that is not
+    a polynomial.
     """
+    if not isinstance(method, Stepper):
+        raise UsageError("scheme.project: a scheme with its own time loop cannot be projected")
     d, before = len(top.components), len(method.parameters(top))  # numbers of constants before those of the projection
     used = projection(cast(Any, top), before)
     inner, values, project, period = method.step, used.values, used.project, float(every)

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, wraps
+from functools import cache
 from importlib import import_module
 from typing import Any, TypeVar
 
@@ -22,8 +22,8 @@ from pydantic import BaseModel, Field, ValidationError, create_model
 
 from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
-from topcli.schemes.compose import Composition, compose, find_composition, obstacle
-from topcli.schemes.plugins import line_of, origin_of, plugin_failures, users_error
+from topcli.schemes.compose import Composition, compose, composition_obstacle, find_composition
+from topcli.schemes.plugins import line_of, origin_of, plugin_failures, require_plugin, users_error
 from topcli.schemes.projection import projected
 from topcli.schemes.steppers import compensated
 from topcli.tops import BUILT_IN, TOPS
@@ -43,7 +43,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "hk-exact": ("euler.hk_exact",),
 }
 """Modules in which the schemes of topcli are registered, by name."""
-SUCCESSORS = {
+_SUCCESSORS = {
     "hk-projected": "hk with project: 1",
     "hk-symproj": "hk with project: 1",
     "dg4": "backlund, or hk with project: 1",
@@ -99,10 +99,9 @@ def scheme(
     options: type[BaseModel] = NoOptions,
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
     adaptive: bool = False,
-    limits: Mapping[str, str] | Callable[[Top], Iterable[str]] | None = None,
+    limits: Callable[[Top], Iterable[str]] | None = None,
     longest_step: Callable[[Any, Floats, Any], float] | None = None,
     order_with: Callable[[Any], int | None] | None = None,
-    formula: str = "",
     requires: Callable[[Top], object] | None = None,
     changes: bool = False,
 ) -> Callable[[B], B]:
@@ -110,8 +109,9 @@ def scheme(
 
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
     its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
-    the sections ``Source``, ``Equations``, ``Formula`` and ``Limits``, each underlined, if they are not arguments. The
-    other arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
+    the underlined sections ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
+    delimiters, separated by empty lines) and ``Limits`` (names of conditions, each with the reason below it). The
+    arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
     ----------
@@ -143,11 +143,9 @@ def scheme(
         ``Invariant``. Their functions map states, shape (n, d), to values, shape (n,).
     adaptive : bool, optional
         True if the method divides each h into internal steps, controlled by a tolerance.
-    limits : mapping of str to str or callable, optional
-        Conditions under which the scheme fails, each with the reason in a sentence; by default those of the section
-        ``Limits``, a list of names, each with the reason below it. A function ``limits(top)`` returns those that apply
-        to a top: names of that section, or a mapping. A key may be the name of a hard case; ``topcli stress`` then
-        tests that the scheme fails this case.
+    limits : callable, optional
+        ``limits(top)`` returns the names of the conditions in the section ``Limits`` under which the scheme fails for a
+        top; by default all. A name may be that of a hard case; ``topcli stress`` then tests that the scheme fails it.
     longest_step : callable, optional
         ``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from ``y0``. A
         single run with a larger step size is refused before it starts. In an ensemble, ``step`` of the ``Stepper`` must
@@ -155,9 +153,6 @@ def scheme(
     order_with : callable, optional
         ``order_with(options)`` returns the order, if it depends on the options; ``order`` is then the order with the
         default options.
-    formula : str, optional
-        Step in LaTeX for the documentation: display formulas without delimiters, separated by empty lines; by default
-        the section ``Formula``.
     requires : callable, optional
         With ``top=None``: ``requires(top)`` raises UsageError with the reason if the scheme does not integrate ``top``.
     changes : bool, optional
@@ -200,9 +195,8 @@ def scheme(
         reasons = _reasons(parts["Limits"])
 
         def limits_of(top: Top) -> Mapping[str, str]:
-            names = reasons if limits is None else limits(top) if callable(limits) else limits
-            # python -OO removes docstrings
-            return names if isinstance(names, Mapping) else {name: reasons.get(name, name) for name in names}
+            names = limits(top) if limits else reasons
+            return {name: reasons.get(name, name) for name in names}  # python -OO removes docstrings
 
         traits = {
             "title": title or first.rstrip(".") or key,
@@ -213,6 +207,7 @@ def scheme(
             "citation": citation or " ".join(parts["Source"].split()),
             "equations": equations or " ".join(parts["Equations"].split()),
             "build": build if origin == "topcli" else _checked(build, key),
+            "maker": build,
             "options": options,
             "modified": modified,
             "adaptive": adaptive,
@@ -221,7 +216,7 @@ def scheme(
             "doc": (parts["Description"] if title else rest) or title or first,
             "origin": origin,
             "order_with": order_with,
-            "formula": formula or parts["Formula"],
+            "formula": parts["Formula"],
         }
         SCHEMES.setdefault(key, []).append(Declaration(key, forms, requires, changes, traits))
         return build
@@ -265,7 +260,6 @@ def _require_declaration(name: str, forms: tuple[str, ...] | None, options: type
 def _checked(build: Build, name: str) -> Build:
     """``build`` of a scheme from outside, with errors that name its file and line."""
 
-    @wraps(build)
     def checked(top: Any, options: Any) -> Method:
         try:
             method = build(top, options)
@@ -294,16 +288,16 @@ PROJECT = Field(
 def _bound(declaration: Declaration, cls: type[Top], composition: Composition | None = None) -> Scheme:
     """The scheme for one form of a top, composed or not, with the wrappers of its steps."""
     top, traits = cls.generic(), dict(declaration.traits)
-    for key in ("conserves", "limits"):
-        if callable(traits[key]):
-            traits[key] = traits[key](top)
-    traits["conserves"], traits["limits"] = tuple(traits["conserves"]), dict(traits["limits"])
+    conserves: Any = traits["conserves"]
+    names: Any = conserves(top) if callable(conserves) else conserves
+    traits["conserves"] = tuple(names)
+    traits["limits"] = traits["limits"](top)
     if traits["origin"] != "topcli":
         names = [invariant.name for invariant in top.invariants()]
         for conserved in traits["conserves"]:
             if conserved not in names:
                 what = f"scheme {declaration.name!r} conserves {conserved!r}, no invariant of top {cls.form!r}"
-                raise UsageError(f"{line_of(traits['build'])}: {what}; {nearest(conserved, names)}")
+                raise UsageError(f"{line_of(traits['maker'])}: {what}; {nearest(conserved, names)}")
     with suppress(ValidationError):  # options without defaults
         declared = getattr(cls, "hk", None)  # integrals of the map, some of them for special parameters
         if traits["modified"] and not declared and not traits["modified"](top, 0.1, traits["options"]()):
@@ -317,42 +311,34 @@ def _bound(declaration: Declaration, cls: type[Top], composition: Composition | 
     return projectable(scheme) if has_steps else scheme
 
 
-def _with_option(scheme: Scheme, **option: Any) -> type[BaseModel]:
-    """Options of a scheme and a further one, a type and its field; unknown ones are refused, as by ``NoOptions``."""
-    bases = tuple(dict.fromkeys((scheme.options, NoOptions)))
-    return create_model(scheme.options.__name__, __base__=bases, **option)
+def _with_key(scheme: Scheme, key: str, option: tuple[type, Any], wrap: Callable[[Any, Any, Any], Stepper]) -> Scheme:
+    """``scheme`` with the option ``key``: a value other than zero makes its steps ``wrap(method, top, value)``."""
+
+    def build(top: Any, options: Any) -> Method:
+        method, value = scheme.build(top, options), getattr(options, key)
+        return wrap(method, top, value) if value else method
+
+    bases = tuple(dict.fromkeys((scheme.options, NoOptions)))  # NoOptions refuses unknown keys
+    fields: dict[str, Any] = {key: option}
+    return replace(scheme, build=build, options=create_model(scheme.options.__name__, __base__=bases, **fields))
 
 
 def compensable(scheme: Scheme) -> Scheme:
     """``scheme``, whose steps have a ``change``, with the option of compensated sums."""
-
-    def build(top: Any, options: Any) -> Method:
-        method = scheme.build(top, options)
-        if not options.compensated:
-            return method
-        assert isinstance(method, Stepper)
-        return compensated(method, len(top.components))
-
-    return replace(scheme, build=build, options=_with_option(scheme, compensated=(bool, COMPENSATED)))
+    return _with_key(
+        scheme, "compensated", (bool, COMPENSATED), lambda method, top, _: compensated(method, len(top.components))
+    )
 
 
 def projectable(scheme: Scheme) -> Scheme:
     """``scheme`` with the option of a projection onto the integrals, which ends its modified integrals."""
 
-    def build(top: Any, options: Any) -> Method:
-        method = scheme.build(top, options)
-        if not options.project:
-            return method
-        if not isinstance(method, Stepper):
-            raise UsageError(f"scheme {scheme.name!r} cannot be projected: it has its own time loop")
-        return projected(method, top, options.project)
-
     def modified(top: Any, h: float, options: Any) -> tuple[Invariant, ...]:
-        assert scheme.modified is not None
-        return () if options.project else scheme.modified(top, h, options)
+        return () if options.project or not scheme.modified else scheme.modified(top, h, options)
 
-    options = _with_option(scheme, project=(int, PROJECT))
-    return replace(scheme, build=build, options=options, modified=modified if scheme.modified else None)
+    return replace(
+        _with_key(scheme, "project", (int, PROJECT), projected), modified=modified if scheme.modified else None
+    )
 
 
 # look-up
@@ -422,19 +408,16 @@ def find_scheme(name: str, top: str) -> Scheme:
 def _not_found(name: str, cls: type[Top]) -> UsageError:
     """Error for a scheme that does not exist, or not for this top."""
     names = names_for(cls.form)
-    if name in SUCCESSORS:
-        return UnknownNameError(f"there is no scheme {name!r} any more; use {SUCCESSORS[name]}")
+    if name in _SUCCESSORS:
+        return UnknownNameError(f"there is no scheme {name!r} any more; use {_SUCCESSORS[name]}")
     reasons = dict.fromkeys(misfit(declaration, cls) for declaration in SCHEMES.get(name, ()))
     if reasons:
         return SchemeMisfitError(
             f"scheme {quoted(name)} does not fit top {TOPS.called(cls.form)!r}; {'; '.join(reasons)}; "
             f"schemes for {TOPS.called(cls.form)}: {', '.join(names) or 'none'}"
         )
-    failures = plugin_failures()
-    failed = next((failure for failure in failures if failure.name.lower() == name), None)
-    if failed:
-        return SchemeCodeError(f"scheme {name!r}: {failed}")
-    return UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, names)}", *map(str, failures[:2]))
+    failures = require_plugin(name, "scheme")
+    return UnknownNameError(f"unknown scheme {quoted(name)}; {nearest(name, names)}", *failures)
 
 
 def names_for(top: str) -> list[str]:
@@ -456,7 +439,7 @@ def all_schemes() -> tuple[Scheme, ...]:
 
 def composable_names(form: str) -> list[str]:
     """Return the names of the schemes for the given form of a top that can be composed."""
-    return [scheme.name for scheme in schemes_of(form) if not obstacle(scheme)]
+    return [scheme.name for scheme in schemes_of(form) if not composition_obstacle(scheme)]
 
 
 class SchemeMisfitError(UsageError):

@@ -12,7 +12,7 @@ from typing import Any
 from topcli.errors import printable
 from topcli.studies import Watch
 
-PATIENCE = 0.5
+_PATIENCE = 0.5
 """Seconds before anything is shown."""
 FIRST_LINE, LAST_PAUSE = 15.0, 600.0
 """Seconds before the first line in a log, and the longest pause between two lines; pauses grow with the work."""
@@ -50,7 +50,7 @@ class Progress(Watch):
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show that ``done`` of ``total`` are done, and a ``note`` behind it."""
         now = self._clock()
-        if not self._visible or now - self._began < PATIENCE:
+        if not self._visible or now - self._began < _PATIENCE:
             return
         try:
             self._show(now, done, total, f", {note}" if note else "")

@@ -1,137 +1,58 @@
-"""``topcli.run``, ``sweep`` and ``motion``: what the commands do, with a result that has a table, a plot and files."""
+"""``topcli.run``, ``sweep`` and ``motion``: what the commands do, with a result in Python."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topcli.analysis.motion import Motion, motion_table
+from topcli.analysis.motion import Motion
 from topcli.config.load import load, load_experiment
-from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.contracts import Outcome
 from topcli.errors import UsageError, nearest, quoted
-from topcli.figures.study import on_axes, picture
+from topcli.figures.study import on_axes
+from topcli.figures.sweep import draw_sweep
+from topcli.pages.stored import MOST_ROWS, rows_table, run_chapter, sweep_chapter, sweep_choices
 from topcli.runs.report import report_tables
 from topcli.runs.run import RunOptions, RunResult, run_experiment
 from topcli.show.progress import Progress
-from topcli.store.files import json_text, write_by_ending
+from topcli.store.results import StoredResult
 from topcli.store.series import read_series, series_names
-from topcli.studies.report import PICTURES, html_of
+from topcli.studies.report import Report
 from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
+from topcli.sweeps.store import intact_sweep
 from topcli.sweeps.table import read_rows, require_names
+from topcli.table import Table
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
     from topcli.pages.page import Chapter
-    from topcli.table import Cells
-
-
-class ResultReport(ABC):
-    """Base class of the reports that ``topcli.run``, ``topcli.sweep`` and ``topcli.motion`` return.
-
-    Attributes
-    ----------
-    table : pandas.DataFrame
-        The main table of the command, with all digits of its numbers.
-    """
-
-    has_page: ClassVar[bool] = True
-
-    @property
-    @abstractmethod
-    def table(self) -> pd.DataFrame:
-        """Main table of the report as a DataFrame."""
-
-    @abstractmethod
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON, as the option ``--json`` of the command prints it."""
-
-    @abstractmethod
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the report into ``ax`` and return the axes; without ``ax``, make new axes."""
-
-    def chapter(self) -> Chapter:
-        """Return the chapter of a page."""
-        raise NotImplementedError
-
-    @abstractmethod
-    def cells(self) -> Cells:
-        """Texts of the table that a notebook shows."""
-
-    @property
-    @abstractmethod
-    def headline(self) -> str:
-        """Subject and result of the report in a sentence."""
-
-    def save(self, path: str | Path) -> Path:
-        """Write the report to a file; an existing file is overwritten.
-
-        If writing fails, no partial file is left, and an existing file stays as it was.
-
-        Parameters
-        ----------
-        path : path or str
-            Name of the file. Its ending chooses the content: ``.html`` gives the page that ``topcli report`` writes
-            (not for a motion), ``.json`` the plain data, ``.csv`` the main table, and ``.png``, ``.pdf`` or ``.svg``
-            the plot.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        UsageError
-            If the name has another ending, or if the folder of the file cannot be written to.
-        RunError
-            If writing fails.
-        """
-        from topcli.pages.page import page_of
-
-        contents: dict[str, Callable[[], str | bytes]] = {
-            ".json": lambda: json_text(self.as_dict()),
-            ".csv": lambda: str(self.table.to_csv()),
-        }
-        if self.has_page:
-            contents = {".html": lambda: page_of([self.chapter()]), **contents}
-        pictures = {ending: partial(picture, self.plot, ending[1:]) for ending in PICTURES}
-        return write_by_ending(path, contents | pictures)
-
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__} of {self.headline}>"
-
-    def _repr_html_(self) -> str:
-        """Headline and main table for a notebook."""
-        return html_of([self.headline], self.cells())
 
 
 @dataclass(frozen=True, repr=False)
-class RunReport(ResultReport):
+class RunReport(Report):
     """Report on a stored run or ensemble, as returned by ``topcli.run``.
 
-    ``report[name]`` is the column called ``name`` of the series, which contains the recorded rows of the run.
+    ``report[name]`` is the column called ``name`` of the series, which contains the recorded rows of the run. The
+    report draws the last vector of the state over time, for example gamma; an ensemble has no picture.
 
     Attributes
     ----------
     result : RunResult
         The folder of the run with its manifest (the description of the run), the content of ``report.json``, and
         ``status``.
-    table : pandas.DataFrame
-        One row per invariant, indexed by the name of the invariant. The columns contain deviations, drift and verdict;
-        for an ensemble, they contain quantiles over the trajectories.
     """
 
-    result: RunResult
+    result: RunResult = field(kw_only=True)
+
+    def __repr__(self) -> str:
+        return f"<RunReport of {self.title}: {self.answer}>"
 
     @property
     def folder(self) -> Path:
@@ -153,13 +74,8 @@ class RunReport(ResultReport):
         return self.result.status
 
     @property
-    def is_ensemble(self) -> bool:
-        """True if the report is on an ensemble."""
-        return self.result.report.get("kind") == "ensemble"
-
-    @property
     def table(self) -> pd.DataFrame:
-        """DataFrame of the invariants, one row each, indexed by name."""
+        """Deviations, drift and verdict of each invariant, or quantiles over the trajectories, indexed by its name."""
         import pandas as pd
 
         return pd.json_normalize(self.result.report["invariants"], sep=", ").set_index("name")
@@ -182,49 +98,18 @@ class RunReport(ResultReport):
         """Return the content of ``report.json``, with the ``folder`` and the ``status``."""
         return {"folder": str(self.folder), "status": self.status, **self.result.report}
 
-    def chapter(self) -> Chapter:
-        """Return the chapter of a page."""
-        from topcli.pages.stored import run_chapter
-
+    def _chapter(self) -> Chapter:
         return run_chapter(self.result.stored)
 
-    def cells(self) -> Cells:
-        """Texts of the invariants."""
-        return report_tables(self.result.report)[0].cells()
 
-    @property
-    def headline(self) -> str:
-        """Name of the run, and how it ended."""
-        return f"{self.result.report['name']}: {self.result.report['message']}"
+def _draw_run(stored: StoredResult, axes: Axes) -> None:
+    """Draw the last vector of the state over time."""
+    from topcli.figures.run import recorded_vectors, run_pictures, series_of
 
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the last vector of the state over time, for example gamma.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into; their style is kept. By default, new axes are made. ``report[name]`` gives the columns
-            for other plots.
-
-        Returns
-        -------
-        matplotlib Axes
-            The axes.
-
-        Raises
-        ------
-        UsageError
-            For an ensemble.
-        """
-        from topcli.figures.run import recorded_vectors, run_pictures, series_of
-
-        stored = self.result.stored
-        if self.is_ensemble:
-            raise UsageError("plot: an ensemble has no picture; draw one of its trajectories, run by itself")
-        experiment = load(stored.manifest["config"])
-        data = series_of(stored.series, experiment.h)
-        vectors = recorded_vectors(list(data), experiment)  # their pictures come first
-        return on_axes(run_pictures(data, experiment)[len(vectors) - 1].draw, ax)
+    experiment = load(stored.manifest["config"])
+    data = series_of(stored.series, experiment.h)
+    vectors = recorded_vectors(list(data), experiment)  # their pictures come first
+    run_pictures(data, experiment)[len(vectors) - 1](axes)
 
 
 def run(
@@ -291,23 +176,33 @@ def run(
     with Progress(progress) as bar:
         bar.begin(experiment.name)
         options = RunOptions(force, threads=threads, on_progress=bar)
-        return RunReport(run_experiment(experiment, Path(out), options))
+        result = run_experiment(experiment, Path(out), options)
+    report, stored = result.report, result.stored
+    return RunReport(
+        "run",
+        report["name"],
+        report["message"],
+        report_tables(report),
+        config=stored.manifest["config"],
+        draw=None if experiment.ensemble else lambda axes, _: _draw_run(stored, axes),
+        result=result,
+    )
 
 
 @dataclass(frozen=True, repr=False)
-class SweepReport(ResultReport):
-    """Report on a sweep, as returned by ``topcli.sweep``.
+class SweepReport(Report):
+    """Report on a stored sweep, as returned by ``topcli.sweep``.
 
     Attributes
     ----------
     result : SweepResult
-        Folder of the sweep, its number of rows, and the number of finished rows with each outcome.
-    table : pandas.DataFrame
-        The rows of the sweep, indexed by their numbers. The columns are the varied keys, ``outcome``, ``message``, the
-        measures, and ``digest`` (a hash of what the row computes). ``table.attrs`` names the keys and the measures.
+        Folder of the sweep and number of rows for each outcome.
     """
 
-    result: SweepResult
+    result: SweepResult = field(kw_only=True)
+
+    def __repr__(self) -> str:
+        return f"<SweepReport of {self.title}: {self.answer}>"
 
     @property
     def folder(self) -> Path:
@@ -315,7 +210,7 @@ class SweepReport(ResultReport):
         return self.result.folder
 
     @property
-    def outcomes(self) -> dict[str, int]:
+    def outcomes(self) -> Mapping[str, int]:
         """Number of rows for each outcome."""
         return self.result.outcomes
 
@@ -335,23 +230,8 @@ class SweepReport(ResultReport):
             "rows": table.astype(object).where(table.notna(), None).to_dict("records"),
         }
 
-    def chapter(self) -> Chapter:
-        """Return the chapter of a page."""
-        from topcli.pages.stored import sweep_chapter
-        from topcli.sweeps.store import intact_sweep
-
+    def _chapter(self) -> Chapter:
         return sweep_chapter(intact_sweep(self.folder))
-
-    def cells(self) -> Cells:
-        """Texts of the first rows."""
-        from topcli.pages.stored import rows_table
-
-        return rows_table(read_rows(self.folder))
-
-    @property
-    def headline(self) -> str:
-        """Name of the sweep, and the number of its rows for each outcome."""
-        return f"{self.folder.name}: {', '.join(f'{count} {outcome}' for outcome, count in self.outcomes.items())}"
 
     def plot(self, ax: Axes | None = None, y: str | None = None) -> Axes:
         """Draw a measure against the numeric key with the most values, with a curve for each scheme or top.
@@ -363,27 +243,24 @@ class SweepReport(ResultReport):
         y : str, optional
             Measure; by default the first one. ``table`` gives the rows for other plots.
 
-        Returns
-        -------
-        matplotlib Axes
-            The axes.
-
         Raises
         ------
         UsageError
             If the measure is unknown, or if there is nothing to draw.
         """
-        from topcli.figures.sweep import draw_sweep
-        from topcli.pages.stored import sweep_choices
+        return on_axes(lambda axes: _draw_sweep(self.folder, axes, y), ax)
 
-        rows = read_rows(self.folder)
-        if y is not None:
-            require_names(rows, "measure", [y], "plot: y")
-        choices = {choice.y: choice for choice in sweep_choices(rows)}
-        choice = choices.get(y or next(iter(choices), ""))
-        if choice is None:
-            raise UsageError("plot: no key of the sweep varies, or the measure has no value")
-        return on_axes(lambda axes: draw_sweep(axes, rows, choice), ax)
+
+def _draw_sweep(folder: Path, axes: Axes, y: str | None = None) -> None:
+    """Draw the measure ``y``, by default the first one."""
+    rows = read_rows(folder)
+    if y is not None:
+        require_names(rows, "measure", [y], "plot: y")
+    choices = {choice.y: choice for choice in sweep_choices(rows)}
+    choice = choices.get(y or next(iter(choices), ""))
+    if choice is None:
+        raise UsageError("plot: no key of the sweep varies, or the measure has no value")
+    draw_sweep(axes, rows, choice)
 
 
 def sweep(
@@ -451,76 +328,26 @@ def sweep(
     with Progress(progress) as bar:
         bar.begin(loaded.name, unit="rows")
         options = SweepOptions(force=force, threads=threads, dask=dask, on_progress=bar)
-        return SweepReport(run_sweep(loaded, Path(out), options))
+        result = run_sweep(loaded, Path(out), options)
+    rows = read_rows(result.folder)
+    return SweepReport(
+        "sweep",
+        loaded.name,
+        ", ".join(f"{count} {outcome}" for outcome, count in result.outcomes.items()),
+        [Table("Rows", rows.head(MOST_ROWS).to_dict("records"), stored=rows_table(rows))],
+        config=loaded.resolved(),
+        draw=lambda axes, _: _draw_sweep(result.folder, axes),
+        result=result,
+    )
 
 
 IRRELEVANT = {"scheme": "taylor", "h": 0.01}
 """Keys that a config needs and a motion does not."""
 
 
-@dataclass(frozen=True, repr=False)
-class MotionReport(Motion, ResultReport):
-    """Exact motion from an initial state, as returned by ``topcli.motion``.
-
-    Attributes
-    ----------
-    experiment : Experiment
-        Experiment of the config, of which only the top and the initial state matter.
-    table : pandas.DataFrame
-        Value and meaning of each quantity, indexed by the name of the quantity.
-    """
-
-    experiment: Experiment = field(kw_only=True)
-    has_page = False
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """DataFrame of the quantities, one row each, indexed by name."""
-        return motion_table(self).frame()
-
-    def cells(self) -> Cells:
-        """Texts of the quantities."""
-        return motion_table(self).cells()
-
-    @property
-    def headline(self) -> str:
-        """Name of the config, and the class of the motion in words."""
-        return f"{self.experiment.name}: {self.title}"
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the motion.
-
-        The picture depends on the top. For the Kowalevski top, the picture shows the place of the integrals of the
-        motion in the bifurcation diagram. For the Euler top, it shows the polhode (the path of omega in the body) on
-        the energy ellipsoid. For other tops, it shows the path of the symmetry axis in space, or of the vertical in the
-        body, on the unit sphere, and for tops without either the components of the state over time.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. By default, new axes are made. Polhodes and paths on the sphere are three-dimensional;
-            for them, two-dimensional axes are replaced by three-dimensional ones at their place.
-
-        Returns
-        -------
-        matplotlib Axes
-            The axes of the picture.
-
-        Raises
-        ------
-        RunError
-            If the motion is too fast to be integrated for the picture.
-        """
-        from topcli.analysis.motion.of_top import closed_form_top
-        from topcli.figures.motion import motion_drawing
-
-        draw, projection = motion_drawing(closed_form_top(self.experiment.top), self, self.experiment.name)
-        return on_axes(draw, ax, projection)
-
-
 def motion(
     config: str | Path | Mapping[str, Any] | None = None, overrides: Sequence[str] = (), **changes: Any
-) -> MotionReport:
+) -> Motion:
     """Return the class, the frequencies and the periods of an exact motion.
 
     All results follow from the initial state and the closed form of the motion. Nothing is integrated, so the scheme,
@@ -539,11 +366,10 @@ def motion(
 
     Returns
     -------
-    MotionReport
-        For the Kowalevski top, the report gives the class of the torus, its frequencies and periods, and the distance
-        to the nearest separatrix. For the Euler top, the report gives the class and the period of the polhode. For the
-        Lagrange top, it gives nutation and precession. For a top without a closed form, the report gives only the
-        integrals.
+    Motion
+        For the Kowalevski top, the class of the torus, its frequencies and periods, and the distance to the nearest
+        separatrix. For the Euler top, the class and the period of the polhode. For the Lagrange top, nutation and
+        precession. For a top without a closed form, only the integrals.
 
     Raises
     ------
@@ -567,5 +393,4 @@ def motion(
     from topcli.analysis.motion.of_top import motion_of
 
     experiment = load_experiment(config, overrides, changes, any_precision=True)
-    plain = motion_of(experiment.top, experiment.y0)
-    return MotionReport(**{entry.name: getattr(plain, entry.name) for entry in fields(plain)}, experiment=experiment)
+    return motion_of(experiment.top, experiment.y0)

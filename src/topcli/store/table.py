@@ -29,7 +29,7 @@ MANY_PIECES = 32
 """Pieces of rows from which on they are short, and are copied into one."""
 
 
-class Table:
+class GrowingTable:
     """Table ``name`` in ``folder``, to which rows are added until ``finish`` completes its file; a context manager.
 
     ``metadata`` goes into the schema of the Parquet file. Every method may raise OSError.
@@ -48,7 +48,7 @@ class Table:
         self._part: tuple[BinaryIO, Any] | None = None
         self._parquet: tuple[BinaryIO, Any] | None = None
 
-    def __enter__(self) -> Table:
+    def __enter__(self) -> GrowingTable:
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -36,7 +36,7 @@ UNIT = 1e-3
 """Deviation of the length of a unit vector from 1 that the first row may have; beyond it the units are wrong."""
 START_AGREEMENT = 1e-6
 """Difference from the config's initial state, relative to its largest component, that writing few digits explains."""
-EVEN = 1e-6
+_EVEN = 1e-6
 """Deviation from even times, in units of their spacing, that writing few digits explains."""
 BRIEF = ("max_deviation", "drift", "drift_error", "model", "verdict")
 """Fields of an invariant that are shown without --verbose."""
@@ -282,7 +282,7 @@ def _judged(
         numbers, h, kind = (n - n[0]).astype(np.int64), experiment.h, "steps of the config's h"
         invariants = (*invariants, *experiment.modified)
     rounding = 4.0 * np.finfo(np.float64).eps * np.abs(t).max()
-    if np.abs(t - (t[0] + np.arange(len(t)) * spacing)).max() > EVEN * abs(spacing) + rounding:
+    if np.abs(t - (t[0] + np.arange(len(t)) * spacing)).max() > _EVEN * abs(spacing) + rounding:
         return *uneven_report(top, invariants, states, steps, float(t[-1] - t[0])), "uneven"
     report, step = invariant_report(top, invariants, numbers, h, states, steps)
     return report, None if step is None else int(np.searchsorted(numbers, step)), kind

@@ -34,11 +34,11 @@ from topcli.schemes.display import display_name
 from topcli.schemes.plugins import FILES, load_plugin_file, reason_of
 from topcli.schemes.registry import composable_names, names_for
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import code_failures, entry
+from topcli.studies.entries import code_failures, entry_named
 from topcli.studies.ladder import (
     USELESS,
-    Curve,
-    Measure,
+    ErrorCurve,
+    Measurement,
     NoResultError,
     Prepare,
     ladder,
@@ -51,9 +51,9 @@ from topcli.table import Row, Table, two_digits
 
 DECADES = tuple(float(f"1e-{n}") for n in range(3, 13))
 """Errors at which the fastest are named."""
-KINDS = ("scheme", "peer")
+_KINDS = ("scheme", "peer")
 """Kinds of competitors."""
-COMPOSED = dict.fromkeys(("hk", "midpoint", "splitting"), ("kahan-li6", "kahan-li8"))
+_COMPOSED = dict.fromkeys(("hk", "midpoint", "splitting"), ("kahan-li6", "kahan-li8"))
 """Compositions that take part by default if their base fits."""
 SETUP = 1e-3
 """Set-ups for an initial state that take longer than this, in seconds, are mentioned."""
@@ -172,7 +172,7 @@ def start_peer(prepare: Any, config: Mapping[str, Any], times: Array, plugins: S
 
 
 @cache
-def peer_in_process() -> Measure:
+def peer_in_process() -> Measurement:
     """Measurements of the peer of this process."""
     prepare, config, times, plugins = _started
     for path in plugins:
@@ -188,7 +188,7 @@ def run_peer(setting: float, calls: int) -> tuple[Array, float]:
         raise NoResultError(reason_of(error)) from None
 
 
-def peer_measure(peer: Peer, experiment: Experiment, times: Array, stack: ExitStack) -> Measure:
+def peer_measure(peer: Peer, experiment: Experiment, times: Array, stack: ExitStack) -> Measurement:
     """Measurements of a peer in a process that ends with the ``stack``. They raise SchemeCodeError if it dies."""
     plugins = [*FILES]
     arguments = peer.prepare, experiment.resolved(), times, plugins
@@ -204,7 +204,7 @@ def peer_measure(peer: Peer, experiment: Experiment, times: Array, stack: ExitSt
 
 
 def take_turns(
-    curves: Sequence[Curve], reference: Array, repetitions: int, watch: Callable[[int, int], None]
+    curves: Sequence[ErrorCurve], reference: Array, repetitions: int, watch: Callable[[int, int], None]
 ) -> list[str]:
     """Let all competitors climb, and time them in turns; returns a line for each whose code failed."""
     tasks = [(curve.name, partial(curve.climb, reference)) for curve in curves]
@@ -222,7 +222,7 @@ def take_turns(
 def default_names(form: str) -> list[str]:
     """Names of every scheme of a form of a top, and of the compositions and settings that take part by default."""
     names, composable = names_for(form), composable_names(form)
-    composed = [f"{base}+{name}" for base, parts in COMPOSED.items() if base in composable for name in parts]
+    composed = [f"{base}+{name}" for base, parts in _COMPOSED.items() if base in composable for name in parts]
     return [*names, *(["backlund:nodes=exact"] if "backlund" in names else []), *composed]
 
 
@@ -234,7 +234,7 @@ def choose(experiment: Experiment, names: Sequence[str]) -> dict[str, Experiment
     schemes: dict[str, Experiment] = {}
     for name in names or default_names(experiment.top.form):
         try:
-            scheme = entry(experiment, name.lower())
+            scheme = entry_named(experiment, name.lower())
             method = scheme.method()
             tolerance_option(scheme.scheme)
             if isinstance(method, Sampler):
@@ -248,11 +248,11 @@ def choose(experiment: Experiment, names: Sequence[str]) -> dict[str, Experiment
     return schemes
 
 
-def point_rows(curves: Sequence[Curve], duration: float) -> list[Row]:
+def point_rows(curves: Sequence[ErrorCurve], duration: float) -> list[Row]:
     """Row for each point; times are per unit of simulated time, but for that of the set-up."""
     return [
         {
-            **{kind: curve.name if kind == curve.kind else None for kind in KINDS},
+            **{kind: curve.name if kind == curve.kind else None for kind in _KINDS},
             "setting": f"{curve.parameter}={point.setting:.2g}", "error": point.error,
             "seconds": point.seconds / duration, "repetitions": len(point.samples),
             "set_up": min(curve.setups, default=0.0),
@@ -272,7 +272,7 @@ def decade_rows(points: Sequence[Row]) -> list[Row]:
     rows: list[Row] = []
     for error in DECADES:
         row: dict[str, Any] = {"error": error}
-        for kind in KINDS:
+        for kind in _KINDS:
             best = fastest([point for point in points if point[kind]], error) or {}
             row |= {f"best {kind}": best.get(kind), f"{kind} with": best.get("setting")}
             row[f"{kind} µs"] = 1e6 * best["seconds"] if best else None
@@ -363,17 +363,18 @@ def bench(
     watch.begin(experiment.name, experiment, unit="measurements")
     times = np.arange(samples + 1) * (duration / samples)
     reference = reference_states(top, experiment.y0, times)
+    # all take turns, so that a slow moment of the machine meets them alike
     with ExitStack() as stack:
         curves = []
         for name, scheme in line_up.items():
             setups: list[float] = []
             calls, settings = measured(scheme_calls(scheme, times, setups), times), ladder(scheme, float(times[1]))
             parameter = tolerance_option(scheme.scheme) or "h"
-            curves.append(Curve(name, "scheme", parameter, settings, budget, calls, setups=setups))
+            curves.append(ErrorCurve(name, "scheme", parameter, settings, budget, calls, setups=setups))
         for name, peer in peers.items():
             if name not in missing:
                 calls = peer_measure(peer, experiment, times, stack)
-                curves.append(Curve(name, "peer", "tol", peer.tolerances, budget * peer.patience, calls))
+                curves.append(ErrorCurve(name, "peer", "tol", peer.tolerances, budget * peer.patience, calls))
         errors = take_turns(curves, reference, repetitions, watch)
     for curve in curves:
         if not curve.points and curve.failure:

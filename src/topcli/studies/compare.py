@@ -25,7 +25,7 @@ from topcli.studies import SILENT, Watch
 from topcli.studies.entries import SCHEME, code_failures, common_strides, entries_of, refuse_keys
 from topcli.studies.report import Report, Table
 
-FIGURES = ("max_deviation", "max_deviation_relative", "drift", "drift_error", "drift_bound", "model", "verdict")
+_FIGURES = ("max_deviation", "max_deviation_relative", "drift", "drift_error", "drift_bound", "model", "verdict")
 """Figures of each invariant in the detailed table, as in the report of a run."""
 
 
@@ -127,7 +127,7 @@ def compare(
         deviations.append({"scheme": label, **{row["symbol"]: deviation_text(row) for row in of_top}})
         drifts.append({"scheme": label, **{row["symbol"]: _drift(row) for row in of_top}})
         figures += [
-            {"scheme": label, "invariant": row["symbol"]} | {key: row[key] for key in FIGURES} for row in measured
+            {"scheme": label, "invariant": row["symbol"]} | {key: row[key] for key in _FIGURES} for row in measured
         ]
         for name, values in (("error", error), ("swing", run.states[:, swing])):
             columns[f"{name}:{label}"] = np.append(values, np.full(len(t) - len(values), np.nan))

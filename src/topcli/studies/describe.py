@@ -42,7 +42,7 @@ def generated_source(schemes: Sequence[Scheme]) -> str:
         if source is not None:
             texts.append(f"# {scheme.name} ({scheme.top})\n{source()}")
     if not texts:
-        name, top, file = schemes[0].name, schemes[0].top, inspect.getsourcefile(inspect.unwrap(schemes[0].build))
+        name, top, file = schemes[0].name, schemes[0].top, inspect.getsourcefile(schemes[0].maker)
         raise UsageError(f"scheme {name!r} of the top {top!r} is not made from the field; see {file}")
     return "\n".join(texts)
 

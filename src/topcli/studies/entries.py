@@ -19,7 +19,7 @@ from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.testing import GENERIC
 
-SCENES = {
+_SCENES = {
     "kowalevski": "kowalevski_generic_hk",
     "lagrange": "lagrange_hk",
     "lagrange/inertial": "lagrange_bs",
@@ -33,8 +33,8 @@ SCENES = {
 def scene_of(texts: Sequence[str]) -> str:
     """Packaged scene of the first form of a top that fits the schemes of all ``texts``; else that of Kowalevski's."""
     bases = [text.lower().partition(":")[0].partition("+")[0] for text in texts]
-    fits = (scene for form, scene in SCENES.items() if all(base in names_for(form) for base in bases))
-    return next(fits, SCENES["kowalevski"])
+    fits = (scene for form, scene in _SCENES.items() if all(base in names_for(form) for base in bases))
+    return next(fits, _SCENES["kowalevski"])
 
 
 FEW_ROWS = 100
@@ -67,7 +67,7 @@ def entries_of(base: Experiment, texts: Sequence[str]) -> dict[str, Experiment]:
     experiments: dict[str, Experiment] = {}
     for text in texts:
         label = printable(text.replace(" ", "").lower())
-        experiment = entry(base, text)
+        experiment = entry_named(base, text)
         same = f"{experiment.scheme.name} {experiment.options.model_dump_json()} {experiment.h}"
         if (earlier := labels.setdefault(same, label)) in experiments:
             what = "is named twice" if earlier == label else f"computes the same as {earlier}; keep one of them"
@@ -92,7 +92,7 @@ OWN = ("h", "N", "T")
 """Keys of an entry that are no options of its scheme."""
 
 
-def entry(base: Experiment, text: str) -> Experiment:
+def entry_named(base: Experiment, text: str) -> Experiment:
     """``base`` under the scheme of ``text``, such as ``hybrid:branch=sign,h=0.01``, over the same time.
 
     Raises UsageError; the message on a setting begins with the text.

@@ -38,11 +38,11 @@ Call = Callable[[], Array]
 """Integrates once, warm, and returns the states (m, d) at the times of comparison. Raises NoResultError."""
 Prepare = Callable[[float], Call]
 """Prepares the call for a setting, h or a tolerance; everything is compiled then. Raises NoResultError."""
-Measure = Callable[[float, int], tuple[Array, float]]
+Measurement = Callable[[float, int], tuple[Array, float]]
 """States of a setting, and the mean CPU seconds of a number of calls. Raises NoResultError."""
 
 
-def measured(prepare: Prepare, times: Array) -> Measure:
+def measured(prepare: Prepare, times: Array) -> Measurement:
     """Measurements of calls, each of which is prepared once."""
     prepared = cache(prepare)
 
@@ -136,7 +136,7 @@ class Point:
 
 
 @dataclass
-class Curve:
+class ErrorCurve:
     """Points of a competitor of the ``kind`` scheme or peer, over ``settings`` of a parameter, coarse to fine.
 
     ``limit`` is the longest call in CPU seconds. ``failure`` is the reason why the first of the settings without a
@@ -148,7 +148,7 @@ class Curve:
     parameter: str
     settings: Iterable[float]
     limit: float
-    measure: Measure
+    measure: Measurement
     points: list[Point] = field(default_factory=list)
     setups: list[float] = field(default_factory=list)
     failure: str = ""

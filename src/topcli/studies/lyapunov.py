@@ -83,6 +83,7 @@ def lyapunov(
         {"number": i, "per unit of time": x if x is None else plus_minus(x, error), "exponent": x, "error": error}
         for i, (x, error) in enumerate(zip(exponents, errors, strict=True), start=1)
     ]
+    # what the run says about the orbit: the verdict, and from which exponent on it would have been seen
     T, rate, verdict = growth.T, growth.rate[0], growth.verdicts[0]
     reached = growth.n[np.isfinite(growth.logs).all(axis=1)][-1:].sum()
     orbit = {
@@ -105,8 +106,10 @@ def lyapunov(
     if verdict is Verdict.BROKE_OFF:
         step = orbit["completed_steps"]
         faults.append(f"the orbit broke off at or soon after step {step}: it blew up, or a step did not converge")
-    curves = {f"exponent_{i + 1}": logs / growth.t for i, logs in enumerate(growth.logs.T)}
-    columns = {"t": growth.t, **curves, "regular": np.log1p(rate * growth.t) / growth.t}
+    later = growth.t > 0.0
+    t = growth.t[later]
+    curves = {f"exponent_{i + 1}": logs[later] / t for i, logs in enumerate(growth.logs.T)}
+    columns = {"t": t, **curves, "regular": np.log1p(rate * t) / t}
 
     def draw(axes: Any, looks: Callable[..., Any]) -> None:
         for i, (name, values) in enumerate(curves.items()):

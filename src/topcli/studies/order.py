@@ -18,8 +18,8 @@ from topcli.contracts import Array
 from topcli.errors import ExitCode, UsageError
 from topcli.schemes.registry import names_for
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import SCHEME, code_failures, entry, refuse_keys, scene_of
-from topcli.studies.ladder import Curve, ladder, measured, scheme_calls
+from topcli.studies.entries import SCHEME, code_failures, entry_named, refuse_keys, scene_of
+from topcli.studies.ladder import ErrorCurve, ladder, measured, scheme_calls
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
 
@@ -108,7 +108,7 @@ def order(
     notes, broken, false = [], [], []
     for i, (name, experiment) in enumerate(chosen.items()):
         steps = [h for h in ladder(experiment, interval) if base.duration <= max_steps * h * (1.0 + 1e-9)]
-        curve = Curve(
+        curve = ErrorCurve(
             name, "scheme", "h", chosen_sizes or steps, SECONDS, measured(scheme_calls(experiment, times, []), times)
         )
         with code_failures(broken, name):
@@ -186,7 +186,7 @@ def _with_orders(base: Experiment, names: Sequence[str], named: bool) -> dict[st
         if name in chosen:
             raise UsageError(f"scheme {name!r} is named twice")
         try:
-            experiment = entry(base, name)
+            experiment = entry_named(base, name)
             if experiment.scheme.adaptive:
                 raise UsageError(f"{name}: has no order in h: it chooses its steps by a tolerance")
             if not experiment.scheme.order_for(experiment.options):

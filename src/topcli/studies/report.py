@@ -27,17 +27,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from topcli.errors import ExitCode, RunError, UsageError, printable
-from topcli.table import Cells, Table, plain
+from topcli.table import Table, plain
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-Draw = Callable[..., None]
+    from topcli.pages.page import Chapter
+
+_Draw = Callable[..., None]
 PICTURES = (".png", ".pdf", ".svg")
 TABLES = (".csv", ".md", ".tex")
 """Endings of the names of files of pictures and of tables."""
-KEYS = ("command", "title", "answer", "notes", "errors", "code", "config")
+_KEYS = ("command", "title", "answer", "notes", "errors", "code", "config")
 
 
 @dataclass(frozen=True, repr=False)
@@ -76,7 +78,7 @@ class Report:
     code: int = ExitCode.SUCCESS
     config: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, Any] = field(default_factory=dict)
-    draw: Draw | None = None
+    draw: _Draw | None = None
 
     @property
     def table(self) -> pd.DataFrame:
@@ -86,7 +88,7 @@ class Report:
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON, as the option ``--json`` of the command prints it."""
         tables = [table.as_dict() for table in self.tables]
-        return {"schema_version": 1, **{key: plain(getattr(self, key)) for key in KEYS}, "tables": tables}
+        return {"schema_version": 1, **{key: plain(getattr(self, key)) for key in _KEYS}, "tables": tables}
 
     def record(self) -> dict[str, Any]:
         """Everything that a page shows: plain data, the picture as SVG, and the environment."""
@@ -116,11 +118,10 @@ class Report:
 
         return picture(self._drawing(), form)
 
-    def _page(self) -> str:
-        from topcli.pages.page import page_of
+    def _chapter(self) -> Chapter:
         from topcli.pages.stored import record_chapter
 
-        return page_of([record_chapter(self.record())])
+        return record_chapter(self.record())
 
     def _text(self, form: str) -> str:
         return "\n".join(table.text(form) for table in self.tables if table.rows)
@@ -147,12 +148,13 @@ class Report:
         RunError
             If writing fails; then no partial file is left.
         """
+        from topcli.pages.page import page_of
         from topcli.store.files import sealed_text, write_by_ending
 
         texts = {
             ".json": lambda: sealed_text(self.record()),
-            ".html": self._page,
-            ".csv": lambda: self.tables[0].text("csv"),
+            ".html": lambda: page_of([self._chapter()]),
+            ".csv": lambda: str(self.table.to_csv(lineterminator="\n")),
             ".md": lambda: self._text("markdown"),
             ".tex": lambda: self._text("latex"),
         }
@@ -164,15 +166,11 @@ class Report:
 
     def _repr_html_(self) -> str:
         """Title, answer and main table for a notebook."""
-        return html_of((self.title, self.answer), self.tables[0].cells())
+        import pandas as pd
 
-
-def html_of(lines: Sequence[str], cells: Cells) -> str:
-    """Lines and a table for a notebook, with everything escaped."""
-    import pandas as pd
-
-    head = "<br>".join(escape(printable(line)) for line in lines if line)
-    return f"<p>{head}</p>" + pd.DataFrame(cells.lines, columns=list(cells.header)).to_html(index=False)
+        cells = self.tables[0].cells()
+        head = "<br>".join(escape(printable(line)) for line in (self.title, self.answer) if line)
+        return f"<p>{head}</p>" + pd.DataFrame(cells.lines, columns=list(cells.header)).to_html(index=False)
 
 
 def read_record(path: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from topcli.engine.timing import nanoseconds_per_step
 from topcli.errors import ExitCode, UsageError, counted
 from topcli.runs.simulate import simulate
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import SCHEME, entry, refuse_keys, scene_of
+from topcli.studies.entries import SCHEME, entry_named, refuse_keys, scene_of
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
 
@@ -141,14 +141,14 @@ def roundoff(
 
 def _forms(base: Experiment, scheme: str) -> dict[str, Experiment]:
     """Experiment with plain and, if the scheme and its options allow it, with compensated sums."""
-    plain = entry(base, scheme)
+    plain = entry_named(base, scheme)
     if isinstance(plain.method(), Sampler):
         raise UsageError(f"scheme {scheme!r} is a closed form, which has no steps with errors that add up")
     if "compensated" not in type(plain.options).model_fields:
         return {"plain": plain}
     sums = scheme + (",compensated=" if ":" in scheme else ":compensated=")
     try:
-        return {"plain": entry(base, f"{sums}false"), "compensated": entry(base, f"{sums}true")}
+        return {"plain": entry_named(base, f"{sums}false"), "compensated": entry_named(base, f"{sums}true")}
     except UsageError:  # an option that cannot be combined with it
         return {"plain": plain}
 

@@ -26,7 +26,7 @@ from topcli.analysis.swings import minima_times
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Floats, Invariant, Outcome, Scheme, Stepper, Top
-from topcli.engine.collect import Orbit, orbit
+from topcli.engine.drive import Orbit, orbit
 from topcli.engine.machine import machine_of
 from topcli.errors import (
     ExitCode,
@@ -45,14 +45,14 @@ from topcli.schemes.own_tops import forms
 from topcli.schemes.plugins import reason_of, users_error
 from topcli.schemes.registry import find_scheme, names_for, schemes_of
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import code_failures, entry
+from topcli.studies.entries import code_failures, entry_named
 from topcli.studies.report import Report, Table
 from topcli.tops import CATALOGUE, TOPS, gentle_scene
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 
 HELD, NOT_TRIED, DEGRADED, BROKE = "held", "not tried", "degraded", "broke"
-EPS = float(np.finfo(float).eps)
+_EPS = float(np.finfo(float).eps)
 INTERPRETED_STEPS = 400
 """Approximate number of steps of a scheme that runs in the interpreter, which takes longer ones instead."""
 
@@ -138,7 +138,7 @@ def keeps_order(trial: Trial) -> Finding:
         allowed = EXACT_ERROR if trial.order is None else ADAPTIVE_ERROR
         return Finding(HELD if last <= allowed else DEGRADED, f"error {last:.1e}")
     # errors at the level of round-off show no order
-    floor = 64.0 * EPS * math.sqrt(4.0 * trial.N)
+    floor = 64.0 * _EPS * math.sqrt(4.0 * trial.N)
     order = observed_order([4.0, 2.0, 1.0], worst, floor)
     if order is None or trial.order is None:
         return Finding(HELD, f"error {last:.1e}: round-off")
@@ -205,7 +205,7 @@ def returns(trial: Trial) -> Finding:
         return Finding(BROKE, back.ending.message, back.ending.step)
     y0 = np.array(trial.y0)
     missed = float(np.abs(back.states[-1] - y0).max()) / float(np.abs(y0).max())
-    bound = 4.0 * EPS * (math.sqrt(trial.N) + abs(trial.h) * trial.N**1.5)
+    bound = 4.0 * _EPS * (math.sqrt(trial.N) + abs(trial.h) * trial.N**1.5)
     why = f"misses the start by {missed:.1e} (round-off: {bound:.1e})"
     if missed <= bound:
         return Finding(HELD, why)
@@ -236,7 +236,7 @@ class Case:
         start = {"top": self.top.section(), "initial": self.top.initial_section(state)}
         scheme = text.partition(":")[0]
         base = load_experiment({"name": "stress", **start, "scheme": scheme, "h": h, "N": self.N})
-        return base if scheme == text else entry(base, text)
+        return base if scheme == text else entry_named(base, text)
 
 
 def singular_step(top: Top, state: Floats) -> float:

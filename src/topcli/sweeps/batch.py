@@ -20,16 +20,15 @@ from topcli.analysis.order import probe_rows
 from topcli.analysis.tally import BLOCKS, OF_INVARIANT, Tally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, StopAsked, check_stop
-from topcli.engine.collect import Memory
-from topcli.engine.consumer import Consumer
+from topcli.engine.consumers import Consumer, Memory
 from topcli.engine.drive import drive
 from topcli.engine.endings import Endings
 from topcli.engine.machine import Machine, machine_of
-from topcli.engine.plan import Plan
+from topcli.engine.rows import Plan
 from topcli.errors import TopcliError, UsageError, quoted
 from topcli.runs.references import Errors, reference_of
 from topcli.schemes.plugins import users_error
-from topcli.sweeps.measures import ERROR, FINAL_ERROR, PROBES, RECORDED, STATES, Measure, integrals_of
+from topcli.sweeps.measures import ERROR, FINAL_ERROR, PROBES, RECORDED, STATES, Measure, measured_integrals
 
 WHOLE = (Outcome.COMPLETED, Outcome.LEFT_MOTION)
 """Outcomes of runs that took all their steps."""
@@ -148,7 +147,7 @@ class Measuring:
             experiment.output.every,
         )
         self.machine = machine or machine_of(top, scheme, experiment.options)
-        integrals = integrals_of(top, scheme, h, experiment.options)
+        integrals = measured_integrals(top, scheme, h, experiment.options)
         d, rows = len(top.components), N // every + 1
         none = np.empty((0, d))
         self._plan = Plan(top, self.machine, none, h, N, every, invariants=integrals, quantities=experiment.quantities)

@@ -16,7 +16,15 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, StopAsked, stopping_when
 from topcli.engine.machine import Machine
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.schemes.plugins import FILES, SOURCES, load_plugin_file, plugin_failures, reason_of, users_error
+from topcli.schemes.plugins import (
+    FILES,
+    REGISTERED,
+    load_plugin_file,
+    plugin_failures,
+    reason_of,
+    sources_of,
+    users_error,
+)
 from topcli.store.sources import digest_of_texts, package_digest
 from topcli.sweeps.batch import Measuring, evaluate
 from topcli.sweeps.measures import resolve_measures
@@ -113,7 +121,7 @@ def _failed(error: Exception | str, count: int, names: Sequence[str]) -> list[St
 def code_of_process() -> str:
     """Digest of topcli and of all tops, schemes and measures that come from elsewhere, as they are in this process."""
     plugin_failures()
-    texts = {name + text for files in SOURCES.values() for name, text in files.items()}
+    texts = {name + text for value in REGISTERED for name, text in sources_of([value]).items()}
     return digest_of_texts([package_digest(), *sorted(texts)])
 
 

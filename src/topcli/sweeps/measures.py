@@ -23,9 +23,9 @@ from topcli.analysis.swings import first_swing_spacing as first_spacing_of
 from topcli.analysis.swings import minima_times
 from topcli.analysis.tally import OF_INVARIANT
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
-from topcli.engine.tangent import obstacle as tangent_obstacle
+from topcli.engine.tangent import tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
-from topcli.runs.references import obstacle as error_obstacle
+from topcli.runs.references import error_obstacle
 from topcli.schemes.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
 from topcli.schemes.registry import schemes_of
 
@@ -38,8 +38,8 @@ COLUMN, FIGURE = "column", "figure"
 RECORDED = (STATES, SWING, PROBES, ERROR, FINAL_ERROR)
 """Words that ``needs`` may hold beside the names of columns. A family may also need ``COLUMN``, the column of its name,
 or ``FIGURE``, the figure of an invariant that the measure is."""
-TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output"}
-TAKEN |= {"sample", "seed"}
+_TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output"}
+_TAKEN |= {"sample", "seed"}
 """Names of other columns of a table of rows; those of keys may be followed by a dot."""
 FAMILY = ".NAME"
 """End of the name of a family."""
@@ -154,7 +154,7 @@ def measure(
     fault = ""
     if not name.isprintable() or len(name.split()) != 1:
         fault = "a name has no spaces or control characters"
-    elif name.partition(".")[0] in TAKEN:
+    elif name.partition(".")[0] in _TAKEN:
         fault = "a column of the results has this name already; choose another"
     elif name in MEASURES:
         fault = f"already registered by {MEASURES[name].origin}"
@@ -184,7 +184,7 @@ def all_measures() -> tuple[Measure, ...]:
     return tuple(MEASURES[name] for name in sorted(MEASURES))
 
 
-def integrals_of(
+def measured_integrals(
     top: Top, scheme: Scheme, h: float = H_OF_NAMES, options: BaseModel | None = None
 ) -> tuple[Invariant, ...]:
     """Integrals of ``top``, and those of ``scheme`` itself at step ``h``."""
@@ -194,10 +194,10 @@ def integrals_of(
 
 def integral_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     """Names of the invariants of the top and of the integrals of the scheme."""
-    return [integral.name for integral in integrals_of(top, scheme, options=options)]
+    return [integral.name for integral in measured_integrals(top, scheme, options=options)]
 
 
-def column_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
+def measured_columns(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     """Names of the components of the state and of the integrals."""
     return [*top.components, *integral_names(top, scheme, options)]
 
@@ -210,7 +210,7 @@ def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
 
 def fitting_measures(top: Top, scheme: Scheme, options: BaseModel, quantities: Sequence[str] = ()) -> Iterator[Measure]:
     """Yield all measures that fit ``top`` and ``scheme``, with the members of families."""
-    columns = [*column_names(top, scheme, options), *quantities]
+    columns = [*measured_columns(top, scheme, options), *quantities]
     for each in all_measures():
         members = map(each.member, _member_names(each, top, scheme, options, quantities)) if each.names else [each]
         yield from (member for member in members if not member.misfit(columns, top, scheme))
@@ -233,7 +233,7 @@ def resolve_measures(
     ones, and UsageError for a measure that cannot be computed, with the reason.
     """
     options = options or scheme.options()
-    columns = [*column_names(top, scheme, options), *quantities]
+    columns = [*measured_columns(top, scheme, options), *quantities]
     resolved: list[Measure] = []
     for name in names:
         measure = _measure_called(name, top, scheme, options, quantities)
@@ -304,7 +304,7 @@ def _register_extreme(name: str, word: str, function: Callable[..., Array]) -> N
     """Register a function of the recorded rows of a column as a family."""
     summary = f"{word} value of NAME over the recorded rows"
 
-    @measure(name + FAMILY, summary, OF_NAME, needs=[COLUMN], names=column_names)
+    @measure(name + FAMILY, summary, OF_NAME, needs=[COLUMN], names=measured_columns)
     def of_column(batch: Batch, column: str) -> Array:
         return function(batch.columns[column], axis=1)
 
@@ -345,7 +345,7 @@ def first_spacing(batch: Batch) -> Array:
     "frequency of the strongest spectral line of NAME in the recorded rows",
     "cycles per unit time",
     needs=[COLUMN],
-    names=column_names,
+    names=measured_columns,
 )
 def frequency(batch: Batch, column: str) -> Array:
     """Frequency, below half a cycle per row; 0 for a constant column, nan below 2.5 cycles over the run."""
@@ -358,7 +358,7 @@ def frequency(batch: Batch, column: str) -> Array:
     "number of decimal digits in which the weighted averages of NAME over the two halves of the run agree",
     NUMBER,
     needs=[COLUMN],
-    names=column_names,
+    names=measured_columns,
 )
 def digits(batch: Batch, column: str) -> Array:
     """Weighted Birkhoff digits: few on a chaotic orbit, up to 16 on a regular one."""

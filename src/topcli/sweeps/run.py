@@ -92,7 +92,7 @@ class SweepResult:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """All rows of a sweep in ``groups``, the digest of each row, and warnings about the first ones."""
 
     groups: list[Group]
@@ -110,7 +110,7 @@ class Plan:
         return waiting
 
 
-def plan_of(sweep: Sweep) -> Plan:
+def sweep_plan(sweep: Sweep) -> SweepPlan:
     """Validate every row of a sweep.
 
     Raises ConfigError or UnknownNameError with the file, the line and the key of the fault, also for a measure that
@@ -141,12 +141,12 @@ def plan_of(sweep: Sweep) -> Plan:
             digests[number] = digest.digest()
         if index < WARNED_GROUPS:
             warnings += [*moment_warnings(top), *unit_warnings(type(top), states[:WARNED_STATES])]
-    return Plan(groups, digests, list(dict.fromkeys(warnings)))
+    return SweepPlan(groups, digests, list(dict.fromkeys(warnings)))
 
 
-def planned(sweep: Sweep, out: Path) -> tuple[Plan, NDArray[np.bool_]]:
+def planned(sweep: Sweep, out: Path) -> tuple[SweepPlan, NDArray[np.bool_]]:
     """Plan of a sweep, and True for each of its rows that has to run; no row is run."""
-    plan, folder = plan_of(sweep), out / sweep.name
+    plan, folder = sweep_plan(sweep), out / sweep.name
     require_sweep_folder(folder)
     if not (folder / DATABASE).exists():
         return plan, plan.waiting({})
@@ -174,7 +174,7 @@ def run_sweep(sweep: Sweep, out: Path, options: SweepOptions = SweepOptions()) -
     if not options.force and (stored := _up_to_date(folder, sweep, code)):
         rows, outcomes = stored.manifest["rows"], stored.manifest["outcomes"]
         return SweepResult(folder, rows, 0, outcomes, False, time.perf_counter() - began)
-    plan = plan_of(sweep)
+    plan = sweep_plan(sweep)
     for line in plan.warnings[:SHOWN_WARNINGS]:
         options.on_message(f"warning: {sweep.name}: {line}")
     require_writable(out)
@@ -224,7 +224,7 @@ def _claimed(folder: Path, sweep: Sweep, options: SweepOptions) -> Iterator[None
         release(folder, lock)
 
 
-def _run_rows(sweep: Sweep, plan: Plan, store: RowStore, pool: tuple[Executor, int], options: SweepOptions) -> int:
+def _run_rows(sweep: Sweep, plan: SweepPlan, store: RowStore, pool: tuple[Executor, int], options: SweepOptions) -> int:
     """Run the rows of a plan that have to run, and store them; return their number."""
     finished = store.read()
     waiting = plan.waiting(finished)

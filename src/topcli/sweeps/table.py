@@ -21,7 +21,7 @@ Frame = Any
 SPREADS = {"median": " [quartiles]", "mean": " ± standard error", "max": ""}
 """Aggregates, each with the spread that is given beside it."""
 ENDS = ("", ":low", ":high")
-CLOSE = 1e-9
+_CLOSE = 1e-9
 """Relative difference within which a number given for a key is its value in the file."""
 
 
@@ -57,7 +57,7 @@ def read_rows(folder: Path, where: Sequence[str] = ()) -> Frame:
         column: Frame = rows[key]
         same: Frame = column == value
         if column.dtype.kind in "fi":
-            same = np.isclose(column, float(value) if is_number(value) else math.nan, rtol=CLOSE, atol=0.0)
+            same = np.isclose(column, float(value) if is_number(value) else math.nan, rtol=_CLOSE, atol=0.0)
         if not same.any():
             values = ", ".join(key_labels(column).values())
             raise UsageError(f"--where {quoted(text)}: no row has this value; {key} is one of: {values}")
@@ -68,7 +68,7 @@ def read_rows(folder: Path, where: Sequence[str] = ()) -> Frame:
     return rows
 
 
-def names_of(rows: Frame) -> str:
+def names_hint(rows: Frame) -> str:
     """Keys and measures that a table or a figure may show, as a hint."""
     return f"keys: {', '.join(rows.attrs['keys'])}; measures: {', '.join(rows.attrs['measures'])}"
 
@@ -105,7 +105,7 @@ def _label(value: Any, digits: int) -> str:
     return f"{mantissa}e{int(exponent)}" if e else text
 
 
-def summary(values: Frame, aggregate: str | None) -> tuple[float, ...]:
+def aggregate_of(values: Frame, aggregate: str | None) -> tuple[float, ...]:
     """Aggregate of values and the ends of its spread; empty without a value.
 
     The median has the quartiles, which halve the values below and above it; the mean has its standard error on both
@@ -221,7 +221,7 @@ def sweep_table(
         advice = f"choose with --where {over[0]}=VALUE, or add --aggregate median" if over else "add --aggregate median"
         because = f", because {', '.join(over)} still {'varies' if len(over) == 1 else 'vary'}" if over else ""
         raise UsageError(f"up to {most} values fall into one cell{because}", advice)
-    cells = {name: [summary(part[name], aggregate) for _, part in grouped] for name in measures}
+    cells = {name: [aggregate_of(part[name], aggregate) for _, part in grouped] for name in measures}
     values: Frame = pd.DataFrame({name: pd.Series(of, sizes.index, dtype=object) for name, of in cells.items()})
     if column:
         values = values[measures[0]].unstack(column)[list(rows[column].unique())]

@@ -11,13 +11,13 @@ from topcli.contracts import EulerPoisson, Top
 from topcli.errors import UsageError
 from topcli.field.polynomial import Polynomial, exact_top, required_field
 
-ROUNDING = 1e-12
+_ROUNDING = 1e-12
 """Relative difference of coefficients that rounded parameters may leave."""
 MOVED = 1e-6
 """Relative change of a vertical that finite differences may leave."""
-EPS = 2.0**-50
+_EPS = 2.0**-50
 """Rounding error of a vertical, which finite differences divide by their step."""
-PROBES = 4
+_PROBES = 4
 """States at which a vertical is tried."""
 
 
@@ -66,7 +66,7 @@ def _difference(top: Top, equations: EulerPoisson, needed_by: str) -> str:
         expected = rates[i] * (sign if i < 3 else 1)
         for monomial in sorted({*expected.terms, *field[i].terms}):
             a, b = field[i].terms.get(monomial, 0), expected.terms.get(monomial, 0)
-            if abs(a - b) > Fraction(ROUNDING) * max(abs(a), abs(b)):
+            if abs(a - b) > Fraction(_ROUNDING) * max(abs(a), abs(b)):
                 factors = "*".join(top.components[k] for k in monomial) or "1"
                 return (
                     f"{name}' is {float(a):.10g}*{factors} by the field and {float(b):.10g}*{factors} by the equations"
@@ -93,7 +93,7 @@ def checked_rotation(top: Top, needed_by: str) -> None:
         )
     p, d = top.constants(), len(top.components)
     errors: list[Exception] = []
-    for probe in range(PROBES):
+    for probe in range(_PROBES):
         y = np.cos(np.arange(1.0, d + 1.0) + d * probe)  # in general position
         try:
             rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
@@ -112,14 +112,14 @@ def checked_rotation(top: Top, needed_by: str) -> None:
         with np.errstate(all="ignore"):
             omega, before, here, after = np.array(values, dtype=float)
             rate, turn = (after - before) / (2.0 * step), np.cross(here, omega)
-            size = np.abs(here).max() * (MOVED * (1.0 + np.abs(omega).max()) + EPS / step) + MOVED * np.abs(rate).max()
+            size = np.abs(here).max() * (MOVED * (1.0 + np.abs(omega).max()) + _EPS / step) + MOVED * np.abs(rate).max()
             if np.abs(rate - turn).max() > size:
                 texts = [", ".join(f"{value:.6g}" for value in vector) for vector in (rate, turn, y)]
                 raise UsageError(
                     f"top {top.kind!r}: its vertical is not fixed in space: it changes by ({texts[0]}), and "
                     f"vertical x angular_velocity is ({texts[1]}), at ({texts[2]})"
                 )
-    if len(errors) == PROBES:
+    if len(errors) == _PROBES:
         reason = f"{type(errors[-1]).__name__}: {errors[-1]}"
         raise UsageError(
             f"top {top.kind!r}: angular_velocity or vertical fails at every state that was tried: {reason}"
@@ -136,7 +136,7 @@ def moment_warnings(top: Top) -> list[str]:
     except UsageError:
         return []
     (small, _), (middle, _), (large, axis) = sorted(zip(moments, "ABC", strict=True))
-    if large <= (small + middle) * (1.0 + ROUNDING):  # decimals such as 0.3, 0.1, 0.2 are rounded
+    if large <= (small + middle) * (1.0 + _ROUNDING):  # decimals such as 0.3, 0.1, 0.2 are rounded
         return []
     listed = ", ".join(f"{moment:g}" for moment in moments)
     return [

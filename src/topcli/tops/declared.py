@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from fractions import Fraction
 from functools import cache
 from inspect import get_annotations
 from keyword import iskeyword
@@ -29,9 +30,9 @@ from topcli.tops import CUSTOM, BodyTop
 CATALOGUE_FILES = Path(__file__).parent / "catalogue"
 VECTORS = ("angular_velocity", "vertical")
 """Keys of vectors of the body, each a list of three formulas."""
-KEYS = ("components", "vectors", "parameters", "body", "field", "invariants", "hk", *VECTORS)
+_KEYS = ("components", "vectors", "parameters", "body", "field", "invariants", "hk", *VECTORS)
 """Keys of the section beside its kind."""
-TAKEN = frozenset(("n", "t", "h", "trajectory", "normalize", "kind", *KEYS, *FUNCTIONS))
+_TAKEN = frozenset(("n", "t", "h", "trajectory", "normalize", "kind", *_KEYS, *FUNCTIONS))
 """Names that mean something else in a config, a formula or a table."""
 
 
@@ -62,7 +63,11 @@ class Declared(Top):
     def _exists(self, name: str) -> bool:
         """True if the condition of an integral holds for the decimal numbers that the parameters are given as."""
         condition = self.conditions.get(name)
-        return condition is None or not in_arithmetic(condition, decimal)((), tuple(map(decimal, self.constants())))[0]
+        if condition is None:
+            return True
+        # numbers of other precisions are judged by their doubles, whose shortest texts are the decimals of the config
+        constants = (value if isinstance(value, int | float | Fraction) else float(value) for value in self.constants())
+        return not in_arithmetic(condition, decimal)((), tuple(map(decimal, constants)))[0]
 
     def invariants(self) -> tuple[Invariant, ...]:
         """Return the integrals whose conditions hold."""
@@ -94,9 +99,6 @@ class Declared(Top):
         A, B, C, x, y, z = self.body_numbers((), self.constants())
         return EulerPoisson((A, B, C), (x, y, z))
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _remade, (json.dumps(self.section()),)
-
 
 class Custom(Declared):
     """Top declared in a config."""
@@ -113,7 +115,7 @@ class Custom(Declared):
         """Return the section ``top`` of a config as plain data, with these ``parameters`` in place of the top's own."""
         values = {**self.model_dump(mode="json"), **(parameters or {})}
         whole = {**self.declaration, "parameters": values}
-        return {"kind": self.kind, **{key: whole[key] for key in KEYS if whole.get(key)}}
+        return {"kind": self.kind, **{key: whole[key] for key in _KEYS if whole.get(key)}}
 
     @classmethod
     def parameters_in(cls, section: object) -> dict[str, Any]:
@@ -121,12 +123,6 @@ class Custom(Declared):
         assert isinstance(section, dict)
         beside = {key: value for key, value in section.items() if key in cls.model_fields}
         return {**(section.get("parameters") or {}), **beside}
-
-
-def _remade(text: str) -> Top:
-    section = json.loads(text)
-    cls = custom_class(section) if section["kind"] == CUSTOM else catalogue_class(section["kind"])
-    return cls.model_validate(cls.parameters_in(section))
 
 
 def name_fault(name: str, what: str, earlier: Mapping[str, str]) -> str:
@@ -145,7 +141,7 @@ def name_fault(name: str, what: str, earlier: Mapping[str, str]) -> str:
     of_models = what == "component" and name in dir(BaseModel)
     declared = hasattr(Custom, name) or any(name in get_annotations(base) for base in Custom.__mro__)
     of_tops = what == "parameter" and (declared or name == "cls" or name[:6] == "model_")
-    if name in TAKEN or of_models or of_tops:
+    if name in _TAKEN or of_models or of_tops:
         return f"{name!r} is taken; choose another name for the {what}"
     return ""
 
@@ -158,7 +154,7 @@ def custom_class(section: Mapping[str, Any]) -> type[Custom]:
 
     The parameters of the first such section with which the field has values are the defaults. Raises ExpressionError.
     """
-    declaration = {key: section[key] for key in KEYS if key != "parameters" and section.get(key)}
+    declaration = {key: section[key] for key in _KEYS if key != "parameters" and section.get(key)}
     if "field" in declaration:
         declaration["field"] = {name: section["field"][name] for name in section["components"]}
     text, parameters = json.dumps(declaration), dict(section.get("parameters") or {})
@@ -192,7 +188,7 @@ def catalogue_class(kind: str) -> type[Declared]:
         )
         for name, value in read["parameters"].items()
     }
-    declaration = {"components": list(read.get("field", ())), **{key: read[key] for key in KEYS if key in read}}
+    declaration = {"components": list(read.get("field", ())), **{key: read[key] for key in _KEYS if key in read}}
     texts = {key: read[key] for key in ("title", "citation", "formula", "swing", "energy", "symbols") if key in read}
     texts["__doc__"] = f"{read['title']}.\n\n{read['about']}"
     return _new(Declared, declaration, parameters, kind=kind, form=kind, **texts)
@@ -222,6 +218,7 @@ def with_body(declaration: Mapping[str, Any]) -> dict[str, Any]:
     def added(*terms: str) -> str:
         return " ".join(filter(None, terms)).removeprefix("+ ")
 
+    # terms that are zero are left out, so that a free body has no gravity and no rotor in its code
     rates: dict[str, str] = {}
     for i, j, m in CYCLES:
         inertia = term("+", "0" if J[j] == J[m] else f"({J[j]}) - ({J[m]})", f"{omega[j]}*{omega[m]}")
@@ -270,6 +267,7 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
     def of_parameters(*texts: Any) -> Callable[..., Any]:
         return function_of("of_parameters", [parse(str(text), names) for text in texts], (), names)
 
+    # formulas become functions of the state and the parameters, as those of a top written in Python
     functions: dict[str, dict[str, Any]] = {"invariants": {}, "hk": {}, "on": {}, "if": {}}
     for key, more in (("invariants", ()), ("hk", ("h",))):
         for name, relation in (full.get(key) or {}).items():
@@ -286,6 +284,7 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
         name: (components.index(part[0]), components.index(part[-1]) + 1)
         for name, part in (full.get("vectors") or {}).items()
     }
+    # a class, since a top is a type with parameters for all that follows, from defaults to several instances
     namespace: dict[str, Any] = {
         "__module__": __name__,
         "__annotations__": dict.fromkeys(names, float),

@@ -45,7 +45,7 @@ def m_omega(y: Floats, p: Floats) -> Any:
     return p[0] * y[0] ** 2 + p[1] * y[1] ** 2 + p[2] * y[2] ** 2
 
 
-def m_gamma(y: Floats, p: Floats) -> Any:
+def euler_m_gamma(y: Floats, p: Floats) -> Any:
     """Angular momentum about the vertical."""
     return p[0] * (y[0] * y[3]) + p[1] * (y[1] * y[4]) + p[2] * (y[2] * y[5])
 
@@ -121,4 +121,4 @@ class EulerGamma(Euler):
     vertical = BodyTop.vertical
     unit_vectors = BodyTop.unit_vectors
     field = staticmethod(field_with_gamma)
-    integrals: ClassVar[Mapping[str, Integral]] = {**Euler.integrals, "gamma_sq": gamma_sq, "m_gamma": m_gamma}
+    integrals: ClassVar[Mapping[str, Integral]] = {**Euler.integrals, "gamma_sq": gamma_sq, "m_gamma": euler_m_gamma}

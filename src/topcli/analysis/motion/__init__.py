@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.table import Table, ten_digits
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class MotionQuantity(NamedTuple):
@@ -71,6 +74,14 @@ class Motion:
             if quantity.name == name:
                 return quantity.value
         raise UnknownNameError(f"this motion has no quantity {quoted(name)}; {nearest(name, list(self))}")
+
+    def __repr__(self) -> str:
+        return f"<Motion of the top {self.top}: {self.title}>"
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Value and meaning of each quantity, indexed by the name of the quantity."""
+        return motion_table(self).frame()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the motion as plain data, ready for JSON; an infinite value is None."""

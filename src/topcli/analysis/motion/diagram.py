@@ -129,7 +129,7 @@ def _real_zeros(coefficients: Sequence[Real]) -> list[Real]:
     return [x.real for x in zeros if abs(x.imag) <= size * mp.mpf(10) ** (-mp.dps // 3)]
 
 
-POINTS = 1000
+_POINTS = 1000
 """Points of a curve."""
 
 
@@ -166,20 +166,20 @@ def regions(E: Array, k_sq: Array, L: float, G: float) -> NDArray[np.int64]:
 
 def branches(L: float, G: float, E: tuple[float, float], k_sq: tuple[float, float]) -> Iterator[Branch]:
     """Parts of the critical curves between the given energies and k², one kind each."""
-    k = np.linspace(k_sq[0] ** 0.5, k_sq[1] ** 0.5, POINTS)
+    k = np.linspace(k_sq[0] ** 0.5, k_sq[1] ** 0.5, _POINTS)
     for side in (-1.0, 1.0):
         energies, kinds = on_parabola(k, side, L, G)
         yield from _parts(energies, k * k, kinds, (energies >= E[0]) & (energies <= E[1]))
     reach = 2.0 * max(abs(v) for v in (*E, *k_sq, 1.0))
     for sign in (-1.0, 1.0):
-        x = sign * np.geomspace(1e-4, reach, 8 * POINTS)
+        x = sign * np.geomspace(1e-4, reach, 8 * _POINTS)
         energies = x * x + L / x
         squares, kinds = on_double_root(x, energies, L, G)
         inside = (energies >= E[0]) & (energies <= E[1]) & (squares >= k_sq[0]) & (squares <= k_sq[1])
         yield from _parts(energies, squares, kinds, inside)
     if k_sq[0] == 0.0:
-        line = np.linspace(*E, POINTS)
-        yield from _parts(line, 0.0 * line, [(DELONE, regions(line, np.full(POINTS, 1e-9), L, G) > 0)], line == line)
+        line = np.linspace(*E, _POINTS)
+        yield from _parts(line, 0.0 * line, [(DELONE, regions(line, np.full(_POINTS, 1e-9), L, G) > 0)], line == line)
 
 
 def _parts(E: Array, k_sq: Array, kinds: Kinds, inside: NDArray[np.bool_]) -> Iterator[Branch]:

@@ -31,14 +31,14 @@ from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
-AXES = "ABC"
+_AXES = "ABC"
 Described = tuple[str, str, Sequence[MotionQuantity]]
 """Kind, title and quantities of a motion."""
 LARGEST = 1e70
 """Largest number of a state or a top; the fourth power of larger ones overflows."""
 CUSP = 1e-12
 """Largest rate of precession at a turning point, relative to its terms, that counts as a cusp."""
-NOTHING = 1e-50
+_NOTHING = 1e-50
 """Differences of numbers of the order of one below this are rounding errors of the multiprecision."""
 
 
@@ -86,6 +86,7 @@ def closed_form_top(top: Top) -> Top:
 def _free(omega: Floats, moments: Floats) -> Described:
     """Motion without gravity from ``omega``, for the moments of inertia ``moments``."""
     w, J = ([Fraction(v) for v in values] for values in (omega, moments))
+    # exact fractions, so that a separatrix and a symmetric top are decided and not guessed
     square = sum((a * b) ** 2 for a, b in zip(J, w, strict=True))
     twice = sum(a * b * b for a, b in zip(J, w, strict=True))
     if not twice:
@@ -99,11 +100,12 @@ def _free(omega: Floats, moments: Floats) -> Described:
         quantity = MotionQuantity("frequency.rotation", speed, "revolutions of the body per unit time")
         stability = "" if not different else "unstable " if effective == middle else "stable "
         return "steady rotation", f"{stability}steady rotation about a principal axis", (quantity,)
+    # otherwise omega moves on a polhode about one axis, or along the separatrix, whose period is infinite
     axis, argument = motion.elliptic.axes[0], motion.elliptic.argument
     if argument.quarter is None:
         period = MotionQuantity("period", math.inf, "time from one steady rotation about the middle axis to the other")
         return "separatrix", "separatrix: asymptotic to the rotation about the middle axis", (period,)
-    half, name = 2 * argument.quarter / argument.rate, AXES[axis]
+    half, name = 2 * argument.quarter / argument.rate, _AXES[axis]
     quantities = [
         MotionQuantity("frequency", float(0.5 / half), "cycles of ω along the polhode per unit time"),
         MotionQuantity("period", float(2 * half), "time in which ω traverses the polhode"),
@@ -157,7 +159,7 @@ class Nutation:
         total, quarter = mp.mpf(0), mp.elliprf(0, m1, 1)
         # 1/(1 - c²) in partial fractions; each integral over sin² with its own characteristic
         for weight, start, sign in ((self.bv - self.ba, 1 - low, 1), (self.bv + self.ba, 1 + low, -1)):
-            if abs(weight) > NOTHING and start:
+            if abs(weight) > _NOTHING and start:
                 n = sign * apart / start
                 total += weight / 2 / start * third_kind(quarter, mp.mpf(1), mp.mpf(0), m1, n)
         return 4 * total / rate
@@ -206,7 +208,7 @@ def _curve(nutation: Nutation, low: Real, high: Real) -> tuple[str, str]:
     bv, ba = nutation.bv, nutation.ba
     if not bv and not ba:
         return "pendulum", "planar pendulum"
-    poles = [name for name, at in (("upright", 1 - high), ("hanging", 1 + low)) if at <= NOTHING]
+    poles = [name for name, at in (("upright", 1 - high), ("hanging", 1 + low)) if at <= _NOTHING]
     if poles:
         return "through the pole", f"nutation through the {' and the '.join(poles)} position"
     if not ba:

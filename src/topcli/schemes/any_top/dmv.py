@@ -25,10 +25,9 @@ from functools import partial
 from topcli.arithmetic.fused import fma, follow_precision, unlikely
 from topcli.arithmetic.vectors import VECTOR_VARIANTS, Matrix, Vector, cayley_increment, solve3
 from topcli.contracts import Floats, NoOptions, Stepper, Top
-from topcli.schemes.any_top.splitting import KEPT, entering, kick, leaving, state_length
+from topcli.schemes.any_top.splitting import KEPT, kicked
 from topcli.schemes.limits import all_invariants
 from topcli.schemes.registry import scheme
-from topcli.schemes.steppers import stepper
 from topcli.tops.bodies import checked_equations
 
 NEEDED_BY = "scheme 'dmv'"
@@ -145,31 +144,12 @@ def momentum_change(c: Vector, m: Vector, r: Vector) -> Vector:
     return (x1 if r[0] != 0.0 else 0.0, x2 if r[1] != 0.0 else 0.0, x3 if r[2] != 0.0 else 0.0)
 
 
-def rotation(m: Vector, c: Floats, h: float) -> Solution:
-    """Cayley vector of a step; ``c`` are the inverse moments and the r_i."""
-    d = 0.5 * h
-    return cayley_vector(((d * c[0]) * m[0], (d * c[1]) * m[1], (d * c[2]) * m[2]), (c[3], c[4], c[5]))
-
-
-def free_change(s: Floats, h: float, p: Floats) -> Floats:
-    """Change of m; the coefficients of the top follow m."""
-    m, c = (s[0], s[1], s[2]), s[3:9]
-    c1, c2, c3, status, more = rotation(m, c, h)
-    return (*momentum_change((c1, c2, c3), m, (c[3], c[4], c[5])), status, more)
-
-
-def heavy_change(s: Floats, h: float, p: Floats) -> Floats:
-    """Change of m and gamma: half a kick, the rotation, half a kick; coefficients and weight follow."""
-    g1, g2, g3, c = s[3], s[4], s[5], s[6:12]
-    x, y, z = s[12:15]
-    d = 0.5 * h
-    u1, u2, u3 = kick(d, g1, g2, g3, x, y, z)
-    m: Vector = (s[0] + u1, s[1] + u2, s[2] + u3)
-    c1, c2, c3, status, more = rotation(m, c, h)
-    a1, a2, a3 = momentum_change((c1, c2, c3), m, (c[3], c[4], c[5]))
-    b1, b2, b3 = cayley_increment(c1, c2, c3, g1, g2, g3)
-    v1, v2, v3 = kick(d, g1 + b1, g2 + b2, g3 + b3, x, y, z)
-    return ((u1 + v1) + a1, (u2 + v2) + a2, (u3 + v3) + a3, b1, b2, b3, status, more)
+def free(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vector, Floats]:
+    """Changes of m and gamma, the new gamma; status and count. ``c`` are the inverse moments and the r_i."""
+    d, r = 0.5 * h, (c[3], c[4], c[5])
+    c1, c2, c3, status, more = cayley_vector(((d * c[0]) * m[0], (d * c[1]) * m[1], (d * c[2]) * m[2]), r)
+    b1, b2, b3 = cayley_increment(c1, c2, c3, g[0], g[1], g[2])
+    return momentum_change((c1, c2, c3), m, r), (b1, b2, b3), (g[0] + b1, g[1] + b2, g[2] + b3), (status, more)
 
 
 @scheme(
@@ -182,7 +162,7 @@ def heavy_change(s: Floats, h: float, p: Floats) -> Floats:
     conserves=lambda top: all_invariants(top) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ()),
     limits=lambda top: LONG_STEPS.get(top.form, ("long steps",)),
 )
-def build(top: Top, options: NoOptions) -> Stepper:
+def build_dmv(top: Top, options: NoOptions) -> Stepper:
     r"""Discrete Moser-Veselov scheme (RATTLE).
 
     A kick (gravity alone for h/2), a discrete Moser-Veselov step of the free body for h, and another kick for h/2.
@@ -218,15 +198,7 @@ def build(top: Top, options: NoOptions) -> Stepper:
         If h is longer than about 1/|omega|, the equation for the rotation of the body in a step has no solution.
         The run then ends as `no_convergence`.
     """
-    equations, d = checked_equations(top, NEEDED_BY), state_length(top, NEEDED_BY)
+    equations = checked_equations(top, NEEDED_BY)
     A, B, C = equations.moments
-    c = ((C - B) / A, (A - C) / B, (B - A) / C)
-    return stepper(
-        free_change if d == 3 else heavy_change,
-        d,
-        6 if d == 3 else 9,
-        counters=("iterations",),
-        iterative=True,
-        enter=entering(equations, d, c if d == 3 else (*c, *equations.gravity)),
-        leave=leaving(equations, d),
-    )
+    r = ((C - B) / A, (A - C) / B, (B - A) / C)
+    return kicked(top, equations, free, r, ("iterations",), needed_by=NEEDED_BY)

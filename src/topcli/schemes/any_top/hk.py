@@ -1,7 +1,7 @@
 """Hirota-Kimura scheme (Kahan's method) of every quadratic field, generated from the field (``topcli.field.implicit``).
 
 Of a step of some motion the linear system is singular for certain lengths of the order of 1/|omega|. The determinant is
-1 + O(h²), so that a small one shows such a step: the state then jumps far away. A top with an energy ends as
+1 + O(h²), so that a small determinant shows such a step: the state then jumps far away. A top with an energy ends as
 ``left_motion`` or ``blew_up`` within a few steps; for a top without one, steps with a small determinant are counted.
 """
 
@@ -13,12 +13,12 @@ from functools import lru_cache, partial
 from topcli.contracts import Floats, Invariant, NoOptions, StepFunction, Stepper, Top
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import required_field
-from topcli.field.straight_line import function_of
+from topcli.field.straight_line import compiled_function
 from topcli.schemes.limits import has_own_cases, linear_invariants
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import first
 
-NEEDED_BY = "scheme 'hk'"
+_NEEDED_BY = "scheme 'hk'"
 NEAR_SINGULAR = "near_singular_solves"
 SMALL = 2.0**-10
 """Determinant, which is 1 at h = 0, below which a step is counted: three digits are lost to cancellation."""
@@ -26,9 +26,9 @@ SMALL = 2.0**-10
 
 def _tangent(top: Top) -> Stepper:
     """The step of ``top`` with its tangent map."""
-    field = required_field(top, NEEDED_BY, 2)
+    field = required_field(top, _NEEDED_BY, 2)
     code = generated(KahanTangent, field, len(top.constants()))
-    return Stepper(function_of(code.graph, "tangent", code.outputs), 2 * len(field), constants=code.constants)
+    return Stepper(compiled_function(code.graph, "tangent", code.outputs), 2 * len(field), constants=code.constants)
 
 
 @lru_cache(maxsize=256)  # steppers that share the functions share their machine code
@@ -58,17 +58,17 @@ def counted(step: StepFunction, change: StepFunction, determinants: StepFunction
 def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
     """Integrals of the map, as far as they are known."""
     if top.form in ("euler", "euler+gamma"):
-        from topcli.schemes.euler.hk_integrals import hk_integrals
+        from topcli.schemes.euler.hk_integrals import euler_hk_integrals
 
-        return hk_integrals(top, h)
+        return euler_hk_integrals(top, h)
     if top.form in ("lagrange", "lagrange-gyrostat"):
-        from topcli.schemes.lagrange.hk_integrals import hk_integrals
+        from topcli.schemes.lagrange.hk_integrals import lagrange_hk_integrals
 
-        return hk_integrals(top, h)
+        return lagrange_hk_integrals(top, h)
     return top.modified_invariants("hk", h)
 
 
-def limits(top: Top) -> tuple[str, ...]:
+def hk_limits(top: Top) -> tuple[str, ...]:
     """Hard cases of the tops of the paper in which steps are too long."""
     far = has_own_cases(top) and top.form != "lagrange/inertial"  # whose determinant does not vanish
     return ("singular-step", "resonance") if far else ()
@@ -77,16 +77,16 @@ def limits(top: Top) -> tuple[str, ...]:
 @scheme(
     "hk",
     top=None,
-    requires=partial(required_field, needed_by=NEEDED_BY, degree=2),
+    requires=partial(required_field, needed_by=_NEEDED_BY, degree=2),
     order=2,
     explicit=True,
     self_adjoint=True,
     conserves=linear_invariants,
     modified=modified,
-    limits=limits,
+    limits=hk_limits,
     changes=True,
 )
-def build(top: Top, options: NoOptions) -> Stepper:
+def build_hk(top: Top, options: NoOptions) -> Stepper:
     r"""Hirota-Kimura scheme (Kahan's method).
 
     Kahan's method for quadratic equations of motion: each step solves one linear system, in closed form.
@@ -128,9 +128,9 @@ def build(top: Top, options: NoOptions) -> Stepper:
         omega bounded, but the modified integral in place of gamma², a quadratic form in gamma, may be indefinite
         for such steps; gamma then grows without bound. The page Tops gives the exact condition.
     """
-    field, d = required_field(top, NEEDED_BY, 2), len(top.components)
+    field, d = required_field(top, _NEEDED_BY, 2), len(top.components)
     code = generated(KahanStep, field, len(top.constants()))
-    of = partial(function_of, code.graph)
+    of = partial(compiled_function, code.graph)
     step, change = of("step", code.outputs), of("change", code.changes())
     if any(invariant.name == top.energy for invariant in top.invariants()) or not code.determinants:
         plain = Stepper(step, d, change=change)

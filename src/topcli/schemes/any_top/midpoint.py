@@ -19,7 +19,7 @@ from topcli.arithmetic.fused import defined, follow_precision
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
 from topcli.field.implicit import MidpointTangent, NewtonStep, generated
 from topcli.field.polynomial import Field, NotPolynomialError, field_of, strongly_connected
-from topcli.field.straight_line import function_of
+from topcli.field.straight_line import compiled_function
 from topcli.schemes.limits import quadratic_invariants
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import first, stepper
@@ -69,7 +69,7 @@ def _generated_change(newton: NewtonStep) -> StepFunction:
     """
     d = len(newton.field)
     kinds = strongly_connected([rate.nonlinear() for rate in newton.field], range(d))
-    return _change(function_of(newton.graph, "newton", newton.outputs), d, kinds)
+    return _change(compiled_function(newton.graph, "newton", newton.outputs), d, kinds)
 
 
 @lru_cache(maxsize=256)
@@ -163,7 +163,7 @@ def _tangent_stepper(newton: NewtonStep, tangent: MidpointTangent) -> Stepper:
     parts = {"state": "s[{i}]", "half": "0.5 * x[{i}]", "vector": "s[{v}]", "new": "s[{i}] + x[{i}]", "image": "w[{i}]"}
     functions = {
         "change": _generated_change(newton),
-        "tangent": function_of(tangent.graph, "tangent", tangent.outputs),
+        "tangent": compiled_function(tangent.graph, "tangent", tangent.outputs),
         "__name__": __name__,
     }
     text = _TANGENT.format(d=d, **{name: listed(part) for name, part in parts.items()})
@@ -193,7 +193,7 @@ def _midpoint_tangent(field: Field, top: Top, newton: NewtonStep) -> Stepper:
     limits=lambda top: LONG_STEPS.get(top.form, ()),
     changes=True,
 )
-def build(top: Top, options: NoOptions) -> Stepper:
+def build_midpoint(top: Top, options: NoOptions) -> Stepper:
     r"""Implicit midpoint rule.
 
     An implicit step: Newton's method solves its equation, y' = y + h f((y + y')/2), to round-off.

@@ -30,7 +30,7 @@ def vector_operations(d: int) -> tuple[Axpy, Add]:
     return functions["axpy"], functions["add"]
 
 
-def limits(top: Top) -> tuple[str, ...]:
+def explicit_limits(top: Top) -> tuple[str, ...]:
     """Hard cases in which an explicit Runge-Kutta method fails."""
     if not has_own_cases(top):
         return ()
@@ -65,7 +65,7 @@ runge_kutta = partial(scheme, top=None, explicit=True, self_adjoint=False, conse
 @runge_kutta(
     "rk2",
     order=2,
-    limits=lambda top: (*limits(top), "long runs") if top.kind == "lagrange" else limits(top),
+    limits=lambda top: (*explicit_limits(top), "long runs") if top.kind == "lagrange" else explicit_limits(top),
 )
 def build_rk2(top: Top, options: NoOptions) -> Stepper:
     r"""Explicit midpoint rule.
@@ -99,7 +99,7 @@ def build_rk2(top: Top, options: NoOptions) -> Stepper:
 @runge_kutta(
     "rk4",
     order=4,
-    limits=limits,
+    limits=explicit_limits,
 )
 def build_rk4(top: Top, options: NoOptions) -> Stepper:
     r"""Classical Runge-Kutta method.
@@ -189,6 +189,7 @@ def build_dop853(top: Top, options: Tolerances) -> Stepper:
         def rates(_: float, y: Array) -> Floats:
             return field(tuple(y.tolist()), p)
 
+        # the step size that the last call arrived at; a run that would exceed the evaluations ends after a trial
         first = min(s[d], abs(h)) or None
         with np.errstate(over="ignore", invalid="ignore"):
             solver = DOP853(rates, 0.0, np.array(s[:d]), h, rtol=options.rtol, atol=options.atol, first_step=first)

@@ -66,44 +66,10 @@ def kick(d: float, g1: float, g2: float, g3: float, x: float, y: float, z: float
     )
 
 
-def inverse_moments(equations: EulerPoisson) -> tuple[float, float, float]:
-    """Inverse of each moment of inertia."""
-    A, B, C = equations.moments
-    return (1.0 / A, 1.0 / B, 1.0 / C)
-
-
-def state_length(top: Top, needed_by: str) -> int:
-    """Number of components of the state of ``top``: 3 or 6. Raises UsageError if a body without gamma has weight."""
-    d = len(top.components)
-    if d == 3 and any(top.euler_poisson().gravity):
-        raise UsageError(f"top {top.kind!r}: {needed_by} needs gamma as part of the state of a top with weight")
-    return d
-
-
-def entering(equations: EulerPoisson, d: int, rest: Floats) -> StepFunction:
-    """``enter`` of a working state (m, gamma) followed by the inverse moments and ``rest``."""
-    A, B, C = (equations.omega_sign * moment for moment in equations.moments)
-    after = (*inverse_moments(equations), *rest)
-
-    def enter(y: Floats, h: float, p: Floats) -> Floats:
-        return (A * y[0], B * y[1], C * y[2], *y[3:d], *after)
-
-    return enter
-
-
-def leaving(equations: EulerPoisson, d: int) -> StepFunction:
-    """``leave`` of the working state: omega from m and the inverse moments, and gamma if it is part of the state."""
-    sign = equations.omega_sign
-
-    def leave(s: Floats, h: float, p: Floats) -> Floats:
-        return (sign * s[0] * s[d], sign * s[1] * s[d + 1], sign * s[2] * s[d + 2], *s[3:d])
-
-    return leave
-
-
-NEEDED_BY = "scheme 'splitting'"
-Free = Callable[[Vector, Vector, Floats, float], tuple[Vector, Vector, Vector]]
-"""``free(m, gamma, c, h)``: changes of m and gamma in a step of the free body, and the new gamma."""
+_NEEDED_BY = "scheme 'splitting'"
+_Free = Callable[[Vector, Vector, Floats, float], tuple[Vector, Vector, Vector, Floats]]
+"""``free(m, gamma, c, h)``: changes of m and gamma in a step of the free body, the new gamma, and what ends a change:
+nothing, or its status and counts."""
 
 
 def turn(chi: float, m1: float, m2: float, g1: float, g2: float) -> Floats:
@@ -115,7 +81,7 @@ def turn(chi: float, m1: float, m2: float, g1: float, g2: float) -> Floats:
     return (a1, a2, p1, p2, n1, n2)
 
 
-def axes(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vector]:
+def axes(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vector, Floats]:
     """Rotations about the axes 1, 2, 3, 2, 1; ``c`` are the inverse moments."""
     m1, m2, m3 = m
     g1, g2, g3 = g
@@ -131,10 +97,10 @@ def axes(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vec
     g3, g1 = g3 + t3, g1 + t1
     f2, f3, w2, w3, _, _ = turn(d1 * m1, m2, m3, g2, g3)
     of_m = (b1 + (c1 + e1), a2 + (c2 + f2), (a3 + b3) + (e3 + f3))
-    return of_m, (q1 + (r1 + t1), p2 + (r2 + w2), (p3 + q3) + (t3 + w3)), (g1, g2 + w2, g3 + w3)
+    return of_m, (q1 + (r1 + t1), p2 + (r2 + w2), (p3 + q3) + (t3 + w3)), (g1, g2 + w2, g3 + w3), ()
 
 
-def closed(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vector]:
+def closed(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vector, Floats]:
     """Exact free motion for A = B; ``c`` are the inverse moments."""
     m1, m2, m3 = m
     g1, g2, g3 = g
@@ -142,43 +108,69 @@ def closed(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, V
     p1, p2, p3 = orthogonal_rodrigues_increment(f * m1, f * m2, f * m3, g1, g2, g3)
     g1, g2, g3 = g1 + p1, g2 + p2, g3 + p3
     a1, a2, q1, q2, _, _ = turn((h * (c[2] - c[0])) * m3, m1, m2, g1, g2)
-    return (a1, a2, -0.0), (p1 + q1, p2 + q2, p3), (g1 + q1, g2 + q2, g3)  # x + -0.0 is x, for x = -0.0 too
+    return (a1, a2, -0.0), (p1 + q1, p2 + q2, p3), (g1 + q1, g2 + q2, g3), ()  # x + -0.0 is x, for x = -0.0 too
 
 
-def free_change(free: Free) -> StepFunction:
-    """Return the change of m in a step without gamma; the inverse moments follow m."""
+def free_change(free: _Free) -> StepFunction:
+    """Return the change of m in a step without gamma; the coefficients of the top follow m."""
 
     def change(s: Floats, h: float, p: Floats) -> Floats:
-        return free((s[0], s[1], s[2]), (0.0, 0.0, 0.0), s[3:], h)[0]
+        by_turns, _, _, ending = free((s[0], s[1], s[2]), (0.0, 0.0, 0.0), s[3:], h)
+        return (*by_turns, *ending)
 
     return change
 
 
-def kicked_change(free: Free) -> StepFunction:
-    """Return the change of m and gamma, half a kick, the free body, half a kick; inverse moments and weight follow."""
+def kicked_change(free: _Free) -> StepFunction:
+    """Return the change of m and gamma, half a kick, the free body, half a kick; weight and coefficients follow."""
 
     def change(s: Floats, h: float, p: Floats) -> Floats:
-        m1, m2, m3, g1, g2, g3, _, _, _, x, y, z = s
+        m1, m2, m3, g1, g2, g3, x, y, z = s[:9]
         d = 0.5 * h
         u1, u2, u3 = kick(d, g1, g2, g3, x, y, z)
-        (a1, a2, a3), by_turns, (g1, g2, g3) = free((m1 + u1, m2 + u2, m3 + u3), (g1, g2, g3), s[6:9], h)
+        (a1, a2, a3), by_turns, (g1, g2, g3), ending = free((m1 + u1, m2 + u2, m3 + u3), (g1, g2, g3), s[9:], h)
         v1, v2, v3 = kick(d, g1, g2, g3, x, y, z)
-        return ((u1 + v1) + a1, (u2 + v2) + a2, (u3 + v3) + a3, *by_turns)
+        return ((u1 + v1) + a1, (u2 + v2) + a2, (u3 + v3) + a3, *by_turns, *ending)
 
     return change
+
+
+def kicked(
+    top: Top, equations: EulerPoisson, free: _Free, rest: Floats = (), counters: tuple[str, ...] = (), *, needed_by: str
+) -> Stepper:
+    """Stepper of the working state with the free body ``free``, which is iterative if it has ``counters``.
+
+    The inverse moments, followed by ``rest``, are the coefficients c of ``free``. Raises UsageError if a body without
+    gamma in its state has weight.
+    """
+    d, sign, (A, B, C) = len(top.components), equations.omega_sign, equations.moments
+    if d == 3 and any(equations.gravity):
+        raise UsageError(f"top {top.kind!r}: {needed_by} needs gamma as part of the state of a top with weight")
+    weight = () if d == 3 else equations.gravity
+    after, place = (*weight, 1.0 / A, 1.0 / B, 1.0 / C, *rest), d + len(weight)
+    a, b, c = sign * A, sign * B, sign * C
+
+    def enter(y: Floats, h: float, p: Floats) -> Floats:
+        return (a * y[0], b * y[1], c * y[2], *y[3:d], *after)
+
+    def leave(s: Floats, h: float, p: Floats) -> Floats:
+        return (sign * s[0] * s[place], sign * s[1] * s[place + 1], sign * s[2] * s[place + 2], *s[3:d])
+
+    change = (free_change if d == 3 else kicked_change)(free)
+    return stepper(change, d, len(after), counters=counters, iterative=bool(counters), enter=enter, leave=leave)
 
 
 @scheme(
     "splitting",
     top=None,
-    requires=partial(checked_equations, needed_by=NEEDED_BY),
+    requires=partial(checked_equations, needed_by=_NEEDED_BY),
     order=2,
     explicit=True,
     self_adjoint=True,
     conserves=lambda top: KEPT.get(top.form, ()),
     limits=lambda top: ("singular-step",) if top.form in ("kowalevski", "lagrange", "heavy") else (),
 )
-def build(top: Top, options: NoOptions) -> Stepper:
+def build_splitting(top: Top, options: NoOptions) -> Stepper:
     r"""Splitting into kicks and rotations.
 
     A step combines exact motions: gravity alone for h/2 (a kick), the free body for h, gravity alone for h/2.
@@ -214,8 +206,6 @@ def build(top: Top, options: NoOptions) -> Stepper:
         If the body turns by several radians in a step, the kicks and rotations no longer approximate the exact
         motion: the energy deviates by several times its first value.
     """
-    equations, d = checked_equations(top, NEEDED_BY), state_length(top, NEEDED_BY)
+    equations = checked_equations(top, _NEEDED_BY)
     free = closed if equations.moments[0] == equations.moments[1] else axes
-    change = (free_change if d == 3 else kicked_change)(free)
-    enter = entering(equations, d, () if d == 3 else equations.gravity)
-    return stepper(change, d, d, enter=enter, leave=leaving(equations, d))
+    return kicked(top, equations, free, needed_by=_NEEDED_BY)

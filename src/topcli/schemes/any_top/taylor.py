@@ -1,7 +1,8 @@
 """Taylor series of high order for every top.
 
 Performance:
-- the equations are quadratic, so that all coefficients follow from sums of products, eight of them in one vector;
+- the field is rewritten with products of two factors, so that all coefficients follow from sums of products, several of
+  them in one vector;
 - a coefficient depends on four products with the previous one and on no division; all other sums are computed ahead,
   and the step size is chosen from coefficients before the last;
 - a series of order 28 reaches a quarter of the radius of convergence; shorter steps h are evaluations of a polynomial.
@@ -24,7 +25,7 @@ from topcli.field.polynomial import Field as VectorField
 from topcli.field.polynomial import required_field, variational
 from topcli.field.units import NaturalUnits
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of, expand, taylor_increment
-from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, two_sum
+from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, vector_two_sum
 from topcli.schemes.limits import linear_invariants
 from topcli.schemes.registry import scheme
 
@@ -186,6 +187,7 @@ def series_loop(a: Arrangement, order: int, extended_precision: bool) -> str:
     the status; the number of expansions. The function may return before all steps are done, after
     ``MAX_EXPANSIONS`` expansions.
     """
+    # three pieces of one loop: the series, the rows within its reach, and the step to its end
     names = count()
     base, d = 2 * a.lanes, a.components
 
@@ -197,10 +199,11 @@ def series_loop(a: Arrangement, order: int, extended_precision: bool) -> str:
     natural, late, missed = expand(expansion, a, order, y0, "%slevel")
     written, written_rest = taylor_increment(writing, order, "%sd", missed)
     main, rest = taylor_increment(moving, order, "%sm", missed)
-    new, lost = two_sum(moving, "%hi", main)
+    new, lost = vector_two_sum(moving, "%hi", main)
     rest = moving.add(rest, moving.add("%lo", lost))
     hi = moving.add(new, rest)
     lo = moving.sub(rest, moving.sub(hi, new))
+    # where the loop finds its numbers in the working state of ``series_block``
     arrays = ["y", *(f"{side}{v}" for v in range(len(a.products)) for side in ("left", "right"))]
     slots = {"lop": a.lanes, "stepp": base + STEP, "partp": base + FRACTION, "lagp": base + LAG, "timep": base + TIME}
     slots |= {"levelp": base + LOG2_TOL, "unitp": base + UNITS}
@@ -282,7 +285,7 @@ def log2_tolerance(tol: float) -> float:
     conserves=linear_invariants,
     options=Tolerance,
 )
-def build(top: Top, options: Tolerance) -> Block:
+def build_taylor(top: Top, options: Tolerance) -> Block:
     r"""Taylor series.
 
     An adaptive Taylor series with a tolerance that may be as small as round-off; h only sets the recorded times.
@@ -319,6 +322,7 @@ def series_block(field: VectorField, tol: float) -> Block:
     natural, base, d = NaturalUnits(field, order), 2 * a.lanes, len(field)
     tables: dict[tuple[int, ...], Array] = {}
 
+    # states of one class of sizes share the units, and with them the table of coefficients
     def enter(y: Array, work: Array, p: Array, h: float) -> int:
         scaled, k, units = natural.at(y)
         key = (k, *units)

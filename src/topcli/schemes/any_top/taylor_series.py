@@ -34,7 +34,7 @@ Lanes = tuple[int, ...]
 """For each lane of a vector, the lane of another vector that it takes its number from."""
 Entry = tuple[int, Monomial]
 """Coefficient of the field: its component and its monomial."""
-ONE: Entry = (-1, ())
+_ONE: Entry = (-1, ())
 """Coefficient of the product that an auxiliary component is."""
 Factors = tuple[int, ...]
 
@@ -107,7 +107,7 @@ class Arrangement:
         levels = [0] * self.components
         for pair in auxiliary:
             levels.append(1 + max(levels[i] for i in pair))
-            rows.append([(ONE, pair)])
+            rows.append([(_ONE, pair)])
         return rows, levels
 
     def _next(self, auxiliary: dict[Factors, int]) -> int:
@@ -209,7 +209,7 @@ class Arrangement:
     def values(self, field: Field) -> list[float]:
         """Numbers of all tables for a field of this pattern, or of a part of it."""
         return [
-            0.0 if entry is None else 1.0 if entry is ONE else float(field[entry[0]].terms.get(entry[1], 0))
+            0.0 if entry is None else 1.0 if entry is _ONE else float(field[entry[0]].terms.get(entry[1], 0))
             for table in self.tables
             for entry in table
         ]
@@ -413,7 +413,7 @@ MAX_RADIUS_FRACTION = 0.6
 """Longest step, as a fraction of the radius of convergence estimated from the later coefficients."""
 
 
-NEAR_ZERO = 2.0**-10
+_NEAR_ZERO = 2.0**-10
 """Size of a state relative to its motion in the step, below which the latter counts."""
 VANISHING = -1000.0
 """Logarithm of a coefficient that vanishes."""
@@ -429,7 +429,7 @@ def step_size(o: IRWriter, order: int, log2_tol: Scalar) -> tuple[Scalar, Scalar
     """
     half, last = order // 2, order - STEP_SIZE_LEAD
     y0, y1, before, late = (o.logarithm(o.load("y", m)) for m in (0, 1, last - 1, last))
-    motion = o.add(y1, o.number(math.log2(NEAR_ZERO)))
+    motion = o.add(y1, o.number(math.log2(_NEAR_ZERO)))
     middle = o.largest(o.logarithm(o.load("y", half - 1)), o.logarithm(o.load("y", half)))
     least = o.largest(before, late)
 

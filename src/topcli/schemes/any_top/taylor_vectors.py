@@ -17,7 +17,7 @@ Pair = tuple[Vector, Vector | None]
 """Vector in more than double precision: high and low part; in double precision if the low part is None."""
 
 
-def two_sum(o: IRWriter, x: Vector, z: Vector) -> tuple[Vector, Vector]:
+def vector_two_sum(o: IRWriter, x: Vector, z: Vector) -> tuple[Vector, Vector]:
     """Return the rounded sum of two vectors and its rounding error."""
     rounded = o.add(x, z)
     part = o.sub(rounded, x)
@@ -28,7 +28,7 @@ def pair_add(o: IRWriter, x: Pair, z: Pair) -> Pair:
     """Return the sum of two pairs."""
     if x[1] is None or z[1] is None:
         return o.add(x[0], z[0]), None
-    rounded, missing = two_sum(o, x[0], z[0])
+    rounded, missing = vector_two_sum(o, x[0], z[0])
     return rounded, o.add(missing, o.add(x[1], z[1]))
 
 
@@ -51,7 +51,7 @@ def literal(x: float) -> str:
     return f"0x{struct.unpack('<Q', struct.pack('<d', x))[0]:016X}"
 
 
-ROUNDING = 1.5 * 2.0**52
+_ROUNDING = 1.5 * 2.0**52
 """Adding this to a number leaves the nearest integer in the lowest bits."""
 POWER = (0.23986, 0.70294)
 """Coefficients p_0, p_1 of 2^x = 1 + x (p_1 + x p_0) on [-1/2, 1/2]."""
@@ -181,8 +181,8 @@ class IRWriter:
 
     def power(self, x: str) -> str:
         """Return 2^x for -1022 < x < 1023, from the exponent and a parabola for the mantissa: to 0.3 percent."""
-        moved = self.add(x, literal(ROUNDING + 1023.0))
-        whole = self.sub(moved, literal(ROUNDING + 1023.0))
+        moved = self.add(x, literal(_ROUNDING + 1023.0))
+        whole = self.sub(moved, literal(_ROUNDING + 1023.0))
         part = self.sub(x, whole)
         shifted = self.emit(f"shl i64 {self.emit(f'bitcast double {moved} to i64')}, 52")
         two = self.emit_scalar(f"bitcast i64 {shifted} to double")

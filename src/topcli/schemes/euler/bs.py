@@ -62,6 +62,7 @@ def new_change(w: Vector, d: float, p: Floats) -> Floats:
     c1, c2, c3 = d * p[3], d * p[4], d * p[5]
     e1, e2, e3 = d / A, d / B, d / C
     m1, m2, m3 = A * w1, B * w2, C * w3
+    # Newton's method from the change of the last step, until a correction is below the rounding of the change
     x1, x2, x3 = old_change(w, d, p)
     status = math.nan
     for _ in range(NEWTON_LIMIT):

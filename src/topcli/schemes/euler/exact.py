@@ -165,7 +165,7 @@ def _rotated(y0: Array, h: float, n: NDArray[Any]) -> Array:
     return along + np.cos(angle)[:, None] * (gamma - along) + np.sin(angle)[:, None] * np.cross(gamma, axis)
 
 
-def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
+def euler_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     """States (m, d) of the free motion after ``n`` (m,) steps of ``h`` from ``y0`` (d,), d = 3 or 6."""
     moments = tuple(float(v) for v in p[:3])
     with digits():
@@ -191,7 +191,7 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     self_adjoint=True,
     conserves=all_invariants,
 )
-def build_exact(top: Top, options: NoOptions) -> Sampler:
+def build_euler(top: Top, options: NoOptions) -> Sampler:
     r"""Solution in closed form.
 
     The scheme computes omega by Jacobi functions sn, cn, dn, and gamma by an elliptic integral of the third kind.
@@ -217,4 +217,4 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
     a_3^2 = \frac{2TA - m^2}{C(A - C)}, \quad
     \lambda^2 = \frac{(A - B)(m^2 - 2TC)}{ABC}, \quad k^2 = \frac{(B - C)(2TA - m^2)}{(A - B)(m^2 - 2TC)}
     """
-    return Sampler(exact_states)
+    return Sampler(euler_states)

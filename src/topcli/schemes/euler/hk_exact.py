@@ -12,7 +12,7 @@ from topcli.arithmetic.multiprecision import digits, mp, real
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.euler.exact import Elliptic, axes_of
-from topcli.schemes.euler.hk_integrals import hk_integrals
+from topcli.schemes.euler.hk_integrals import euler_hk_integrals
 from topcli.schemes.registry import scheme
 
 
@@ -67,7 +67,7 @@ def hk_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     order=2,
     explicit=True,
     self_adjoint=True,
-    modified=lambda top, h, options: hk_integrals(top, h),
+    modified=lambda top, h, options: euler_hk_integrals(top, h),
 )
 def build_hk_exact(top: Top, options: NoOptions) -> Sampler:
     r"""Closed-form solution of the Hirota-Kimura map.

@@ -26,30 +26,30 @@ from typing import Any
 
 from topcli.contracts import Floats, Integral, Invariant, Top, invariant_of
 
-LONGEST = 2.0**511
+_LONGEST = 2.0**511
 """Steps from here on have squares that are no double."""
-AXES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+_AXES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 
 
-def hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
+def euler_hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
     """Exact integrals of the HK map: five of omega and, if gamma is part of the state, two with gamma.
 
     m² and m·omega are divided by the mean of the three K_i. Instead of K_1/K_2 = 1 + (h/2)² alpha_3 q, the integral is
     q = (alpha_1 omega_2² - alpha_2 omega_1²)/K_2: it loses no digits for small h and tends to an integral of the motion
     as h -> 0.
     """
-    square, p = ((0.5 * h) ** 2 if abs(h) < LONGEST else math.inf), top.constants()
+    square, p = ((0.5 * h) ** 2 if abs(h) < _LONGEST else math.inf), top.constants()
     moments, alpha = p[:3], p[3:]
 
     def K(y: Floats) -> list[Any]:
-        return [1.0 - square * alpha[j] * alpha[k] * y[i] ** 2 for i, j, k in AXES]
+        return [1.0 - square * alpha[j] * alpha[k] * y[i] ** 2 for i, j, k in _AXES]
 
     def mean(y: Floats) -> Any:
         a, b, c = K(y)
         return (a + b + c) / 3.0
 
     def q(y: Floats) -> list[Any]:
-        return [alpha[j] * y[k] ** 2 - alpha[k] * y[j] ** 2 for _, j, k in AXES]
+        return [alpha[j] * y[k] ** 2 - alpha[k] * y[j] ** 2 for _, j, k in _AXES]
 
     def modified_m_sq(y: Floats, p: Floats) -> Any:
         """m² divided by the mean of K1, K2, K3."""
@@ -70,7 +70,7 @@ def hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
         """m·γ, modified so that the HK map conserves it."""
         k, x = K(y), q(y)
         total: Any = 0.0
-        for i, j, n in AXES:
+        for i, j, n in _AXES:
             even = 0.5 * (moments[n] * k[j] + moments[j] * k[n]) * x[i]
             odd = moments[i] * (k[j] + k[n]) - square * (moments[j] + moments[n]) * x[i]
             rho = moments[i] * k[j] * k[n] + square * (even + 0.25 * odd * (alpha[n] * x[n] - alpha[j] * x[j]))
@@ -80,11 +80,12 @@ def hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
     def modified_gamma_sq(y: Floats, p: Floats) -> Any:
         """γ², modified so that the HK map conserves it."""
         k, x = K(y), q(y)
-        R = [k[j] * k[n] - (square * x[j]) * (square * x[n]) for _, j, n in AXES]
+        R = [k[j] * k[n] - (square * x[j]) * (square * x[n]) for _, j, n in _AXES]
         along = sum((1.0 + square * x[i] / k[i]) * y[i] * y[3 + i] for i in range(3))
-        squares = sum(R[j] * R[n] / k[i] * y[3 + i] ** 2 for i, j, n in AXES)
+        squares = sum(R[j] * R[n] / k[i] * y[3 + i] ** 2 for i, j, n in _AXES)
         return (squares + square * k[0] * k[1] * k[2] * along**2) / mean(y) ** 4
 
+    # without gravity there are five; gamma adds two
     gamma, m, omega = r"\boldsymbol{\gamma}", r"\boldsymbol{m}", r"\boldsymbol{\omega}"
     integrals: dict[str, tuple[Integral, str, str]] = {
         "modified_m_sq": (modified_m_sq, "m²/K", rf"{m}^2/K"),

@@ -1,7 +1,7 @@
 """Integrable discretization of the Kowalevski top: two Bäcklund transformations at once, in rational form.
 
 The step maps each torus of the continuous top to itself and is a translation on it: it conserves gamma², 2l, E and k²,
-is Poisson, commutes with the flow and with steps of other lengths, and has a discrete Lax pair (``analysis.lax``).
+is Poisson, commutes with the flow and with steps of other lengths, and has a discrete Lax pair.
 
 **The step.** With C = 1, (a, b, n) = -h/2 (w1, w2, w3/2), d = c h²/8 gamma and t = 2 - tau, the vector e = (1; y, -x,
 -z) solves a 3x3 linear system (the formula below). Multiplied by the determinant e0 of that system, everything is a
@@ -15,7 +15,7 @@ rounding errors are proportional to them.
 
 tau is computed once, from the initial state. On the surface of the initial integrals this is the same map; off it, a
 deviation by round-off contracts, because the surface attracts. |m.gamma|² <= |gamma|² (F + 2k) for every real state,
-and within ``LONGEST`` 1 - S + P is at least 1/32: round-off of tau does no harm there.
+and within ``_LONGEST`` 1 - S + P is at least 1/32: round-off of tau does no harm there.
 
 **Exact nodes.** A step of length h is the flow of E over the time T_E(h) and that of k² over T_K(h). With s from 0 to
 h/2, and r, S, P for a step of length 2s::
@@ -40,11 +40,11 @@ from topcli.arithmetic.fused import fma
 from topcli.contracts import Array, Floats, Stepper, Top
 from topcli.schemes.registry import scheme
 
-LONGEST = 3.6
+_LONGEST = 3.6
 """Longest step times sqrt(2 E + 2 k) and times sqrt|c gamma|: 1 - S + P is then at least 1/32."""
 SHORTEST = 1e-290
 """Shortest step: omega times h loses digits among denormal numbers."""
-ROUNDING = 1.0 + 1e-9
+_ROUNDING = 1.0 + 1e-9
 """Factor by which a step may be longer: the longest one of a state that was projected differs by round-off."""
 FOREVER = 1e300
 """Longest step at rest without gravity; finite, because ensembles test their working states for infinities."""
@@ -126,7 +126,7 @@ def longest_step(constants: Floats) -> float:
     scale = max(constants[1], constants[2])
     if not math.isfinite(constants[1] - constants[0]) or not math.isfinite(scale):
         return 0.0
-    return min(LONGEST / math.sqrt(scale), FOREVER) if scale > 0.0 else FOREVER
+    return min(_LONGEST / math.sqrt(scale), FOREVER) if scale > 0.0 else FOREVER
 
 
 def tau_of(h: float, constants: Floats) -> float:
@@ -166,7 +166,7 @@ def plain_step(s: Floats, h: float, p: Floats) -> Floats:
 def enter(y: Floats, h: float, p: Floats) -> Floats:
     """(a, b, n), gamma; tau; the status: 0.0, or nan if the step is too long or too short."""
     constants, k, tau = constants_at(y, p[0]), -0.5 * h, math.nan
-    if SHORTEST <= abs(h) <= ROUNDING * longest_step(constants):
+    if SHORTEST <= abs(h) <= _ROUNDING * longest_step(constants):
         tau = rounded_tau(tau_of(h, constants), h * h * constants[4])
     return (k * y[0], k * y[1], (0.5 * k) * y[2], y[3], y[4], y[5], tau, tau - tau)
 
@@ -178,9 +178,9 @@ def leave(s: Floats, h: float, p: Floats) -> Floats:
 
 
 QUADRATURE = 32
-"""Gauss-Legendre points: their error is 1e-18 up to ``LONGEST``."""
-ROUNDS = 60
-CLOSE = 1e-9
+"""Gauss-Legendre points: their error is 1e-18 up to ``_LONGEST``."""
+_ROUNDS = 60
+_CLOSE = 1e-9
 """Relative change of a length after which one more round of Newton's method yields round-off."""
 FEWEST, MOST = 3, 4
 """Numbers of forward steps: with the smaller one a step is cheaper, with the larger one H may be longer."""
@@ -217,13 +217,13 @@ def forward_length(b: float, count: int, constants: Floats, unit: float) -> floa
     """
     target = flow_times(b, constants, unit)[1] / count
     a, close = b, False
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         times = flow_times(a, constants, unit)
         change = (times[1] - target) / times[3]
         a -= change
         if close:
             return a
-        close = abs(change) <= CLOSE * a
+        close = abs(change) <= _CLOSE * a
     return math.nan
 
 
@@ -244,7 +244,7 @@ def lengths(H: float, count: int, constants: Floats) -> tuple[float, float]:
     unit, root = abs(H), count ** (1.0 / 3.0)
     lower, upper = 0.0, longest_step(constants)
     b, close = min(root * unit / (count - root), upper), False
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         a = forward_length(b, count, constants, unit)
         forward, back = flow_times(a, constants, unit), flow_times(b, constants, unit)
         off = (count * forward[0] - back[0]) - unit
@@ -254,7 +254,7 @@ def lengths(H: float, count: int, constants: Floats) -> tuple[float, float]:
         last, b = b, b - off / (back[3] * (forward[2] / forward[3]) - back[2])
         if not lower <= b <= upper:
             b = 0.5 * (lower + upper)
-        close = abs(b - last) <= CLOSE * b
+        close = abs(b - last) <= _CLOSE * b
     return math.nan, math.nan
 
 
@@ -333,7 +333,7 @@ def domain(top: Top, y0: Floats, options: BacklundOptions) -> float:
 
 
 PLAIN = Stepper(plain_step, 8, enter, leave, iterative=True, checked=6)
-NODES = Stepper(nodes_step, 16, enter_nodes, leave_nodes, iterative=True, checked=6)
+_NODES = Stepper(nodes_step, 16, enter_nodes, leave_nodes, iterative=True, checked=6)
 
 
 @scheme(
@@ -347,7 +347,7 @@ NODES = Stepper(nodes_step, 16, enter_nodes, leave_nodes, iterative=True, checke
     longest_step=domain,
     order_with=lambda options: None if options.nodes == "exact" else 2,
 )
-def build(top: Top, options: BacklundOptions) -> Stepper:
+def build_backlund(top: Top, options: BacklundOptions) -> Stepper:
     r"""Bäcklund transformation, an integrable map.
 
     Each step is a translation on the torus of the exact motion, given by explicit rational formulas.
@@ -414,4 +414,4 @@ def build(top: Top, options: BacklundOptions) -> Stepper:
         takes 3 to 20 ms for each initial state, also in an ensemble. The integrals of some motions with long steps
         deviate within 1e5 steps; the key `project: 16` of the scheme prevents this.
     """
-    return NODES if options.nodes == "exact" else PLAIN
+    return _NODES if options.nodes == "exact" else PLAIN

@@ -28,7 +28,7 @@ from topcli.contracts import Floats, StepFunction, Stepper, Top
 from topcli.schemes.registry import scheme
 
 Root = Callable[[float, float, float, float], Complex]
-Method = Callable[[float, float, float, float, float, float, float], Vector]
+_Method = Callable[[float, float, float, float, float, float, float], Vector]
 ROOTS: dict[str, Root] = {"nearest": root_nearest, "sign": root_sign}
 
 
@@ -75,7 +75,7 @@ def method_c(w1: float, w2: float, w3: float, g1: float, g2: float, g3: float, h
     return (g1 + d1, g2 + d2, g3 + d3)
 
 
-def bohlin_step(method: Method, root: Root) -> StepFunction:
+def bohlin_step(method: _Method, root: Root) -> StepFunction:
     """Return the step: gamma by ``method``, then omega3, then omega1 + i omega2 by ``root`` (section 3.2.2)."""
 
     def step(s: Floats, h: float, p: Floats) -> Floats:

@@ -27,9 +27,9 @@ MOVE = tuple(Fraction(n, 1024 << 200) for n in (713, -431, 577, 389, -631, 467))
 """Change of a state with equal roots, in no special direction."""
 EQUAL = Fraction(1, 1 << 500)
 """Discriminants below this count as zero."""
-AGREEMENT = 1e-13
+_AGREEMENT = 1e-13
 """Largest difference of the two states, relative to the terms of the equations."""
-LONGEST = 1e30
+_LONGEST = 1e30
 """Longest time, in units of 1/|omega|; phases have 50 digits."""
 SIDEWAYS = 0.01
 """Part of gamma² across the angular momentum from which on gamma² determines its length."""
@@ -57,7 +57,7 @@ def _states(y: Floats, c: float, h: float, n: NDArray[np.int64]) -> Array:
     states = motions[0].states(n, h)
     if len(motions) == 2:
         size = 1.0 + np.abs(states).max(axis=1) ** 2 / min(1.0, abs(c))
-        differ = ~(np.abs(motions[1].states(n, h) - states).max(axis=1) <= AGREEMENT * size)
+        differ = ~(np.abs(motions[1].states(n, h) - states).max(axis=1) <= _AGREEMENT * size)
         if differ.any():
             last = int(np.abs(n[differ]).min())
             raise RunError(
@@ -97,7 +97,7 @@ def _at_rest(y: Floats, c: float) -> bool:
     return not any((w2 * w3, f * g3 - w3 * w1, f * g2, g2 * w3 - g3 * w2, g3 * w1 - g1 * w3, g1 * w2 - g2 * w1))
 
 
-def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
+def kowalevski_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     """States (m, 6) of the motion after ``n`` (m,) steps of ``h`` from ``y0`` (6,); ``p`` are the constants of the top.
 
     Raises RunError for motions that are not covered.
@@ -106,7 +106,7 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     if _at_rest(y, c):
         return np.tile(np.array(y), (len(n), 1))
     if c == 0.0 or not any(y[3:]):
-        from topcli.schemes.euler.exact import exact_states as free_states
+        from topcli.schemes.euler.exact import euler_states as free_states
 
         return free_states(np.array(y), h, n, (2.0, 2.0, 1.0))  # the free symmetric top
     off = EPS * sum(v * v for v in y[:3]) / abs(c)
@@ -120,7 +120,7 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
         scaled, step, omega = math.ldexp(c, -2 * unit), math.ldexp(h, unit), [math.ldexp(v, -unit) for v in y[:3]]
     except OverflowError:
         raise RunError(REFUSED.format(f"a step of {h:g} is too long for |omega| of 2^{unit}")) from None
-    if not abs(step) * float(np.abs(n).max(initial=0)) < LONGEST:
+    if not abs(step) * float(np.abs(n).max(initial=0)) < _LONGEST:
         raise RunError(REFUSED.format(f"a run of {n[-1]:g} steps of {h:g} is longer than the digits of its phases"))
     states = _states((*omega, *y[3:]), scaled, step, n)
     states[:, :3] = np.ldexp(states[:, :3], unit)
@@ -135,7 +135,7 @@ def exact_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     self_adjoint=True,
     conserves=("gamma_sq", "two_l", "energy", "k_sq"),
 )
-def build_exact(top: Top, options: NoOptions) -> Sampler:
+def build_kowalevski(top: Top, options: NoOptions) -> Sampler:
     r"""Closed form by separation of variables.
 
     The scheme evaluates the exact motion of the Kowalevski top at any time, from Kowalevski's variables s1 and s2.
@@ -171,4 +171,4 @@ def build_exact(top: Top, options: NoOptions) -> Sampler:
         separatrix, or on an unstable motion, is computed until a deviation has grown by 2^150, and refused at later
         times.
     """
-    return Sampler(exact_states)
+    return Sampler(kowalevski_states)

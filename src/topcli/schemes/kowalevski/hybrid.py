@@ -28,7 +28,7 @@ from dataclasses import replace
 from topcli.arithmetic.fused import fma, follow_precision
 from topcli.arithmetic.vectors import Vector, cayley_increment, cayley_rotated, resolvent, rotation_increment, solve3
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
-from topcli.schemes.any_top.hk import build as build_hk
+from topcli.schemes.any_top.hk import build_hk as build_hk
 from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import first, stepper
@@ -113,7 +113,7 @@ def build_hybrid(top: Top, options: BranchOptions) -> Stepper:
 
 
 def length_correction(now: float, target: float) -> float:
-    """Relative correction of a vector of squared length ``now`` to the close value ``wanted``; 0 if that is 0."""
+    """Relative correction of a vector of squared length ``now`` to the close value ``target``; 0 if that is 0."""
     return 0.5 * ((target - now) / target) if target > 0.0 else 0.0
 
 
@@ -194,6 +194,7 @@ def hybrid_sym_change(hk: StepFunction) -> StepFunction:
         z2 = (2.0 * w1 * w2 - c * g2) - x2
         to_u = length_correction(u1 * u1 + u2 * u2, 1.0)
         xi = (x1, x2, z1, z2, to_u, length_correction(g1 * g1 + (g2 * g2 + g3 * g3), g_sq))
+        # the step of HK is close enough to begin with; corrections are halved where they would lead away
         q1, q2, q3, _, _, _ = hk(y, h, p)
         v1, v2, v3 = 0.5 * (q1 - w1), 0.5 * (q2 - w2), 0.5 * (q3 - w3)
         f1, f2, f3, b1, b2, b3, off = residuals(y, xi, h, c, v1, v2, v3)

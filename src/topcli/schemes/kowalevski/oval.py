@@ -26,7 +26,7 @@ from topcli.schemes.kowalevski.curve import Curve
 
 Integers = NDArray[np.int64]
 REFUSED = "kowalevski, scheme exact: {}; use scheme 'taylor'"
-NODES = 20
+_NODES = 20
 """Chebyshev nodes of a panel."""
 NARROWNESS = 9.0
 """Smallest Bernstein parameter of a panel: integrals by 24 Gauss nodes converge to 9^-48 = 2e-46.
@@ -34,7 +34,7 @@ NARROWNESS = 9.0
 Where p grows like the square of an offset, the parameter in p is 5, and the tables converge to 5^-20 / 20 = 5e-16.
 """
 MAX_PANELS = 2000
-NEWTON_STEPS = 14
+_NEWTON_STEPS = 14
 """Newton steps that invert an integral on a panel, where it is almost linear."""
 
 
@@ -48,9 +48,9 @@ def _gauss() -> list[tuple[Real, Real]]:
 @cache
 def _chebyshev() -> tuple[Array, Array, Array]:
     """Nodes in ascending order, the matrix from values there to coefficients, and that of the integral from -1."""
-    nodes = -np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
-    values = np.linalg.inv(chebyshev.chebvander(nodes, NODES - 1))
-    return nodes[:, None], values, chebyshev.chebint(np.eye(NODES), lbnd=-1)
+    nodes = -np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
+    values = np.linalg.inv(chebyshev.chebvander(nodes, _NODES - 1))
+    return nodes[:, None], values, chebyshev.chebint(np.eye(_NODES), lbnd=-1)
 
 
 class Panel(NamedTuple):
@@ -297,7 +297,7 @@ def _inverse(series: Array, nodes: Array) -> Array:
     """Arguments (m, k) at which growing series (n, k) take the values total (1 + nodes)/2, by Newton's method."""
     slope, x = chebyshev.chebder(series), np.broadcast_to(nodes, (len(nodes), series.shape[1]))
     expected = 0.5 * series.sum(axis=0) * (1.0 + nodes)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(_NEWTON_STEPS):
         value, rate = (chebyshev.chebval(x, each, tensor=False) for each in (series, slope))
         x = np.clip(x - (value - expected) / rate, -1.2, 1.2)
     return x

@@ -44,22 +44,22 @@ MOMENT = 2.0**-300
 """Time after the start at which the directions of s1 and s2 show."""
 FIT = 1e-60
 """Largest difference between the initial state and that of the right signs, in multiprecision."""
-NEAR = 0.05
+_NEAR = 0.05
 """Part of the roots; if |s - sigma| is smaller than it, the angle is computed from the integral of ds/|w|."""
-PROBES = (-12, 0, 105, 1311, 16543, 195_201, 2_336_007, 28_480_001)
+_PROBES = (-12, 0, 105, 1311, 16543, 195_201, 2_336_007, 28_480_001)
 """Multiples of ``PROBE_STEP`` at which a motion is compared with Taylor series before it is used."""
 PROBE_STEP = 2.0**-5
-AGREEMENT = 1e-12
+_AGREEMENT = 1e-12
 """Largest difference relative to the terms of the equations."""
 ITERATIONS = 400
 CYCLIC = ((0, 1), (1, 2), (2, 0))
-TINY = 1e-300
+_TINY = 1e-300
 NO_TAU = 1e-100
 MEETING = 0.02
 """Largest s1 - s2, relative to the differences of roots, at which h_i and k_i are computed from each other."""
 PASSAGE, AFTER = 2.0**-45, 2.0**-48
-"""Distances of s1 and s2 from sigma, in units of ``NEAR``, that are lost in rounding, and the time after which not."""
-CHUNK = 4096
+"""Distances of s1 and s2 from sigma, in units of ``_NEAR``, that are lost in rounding, and the time after which not."""
+_CHUNK = 4096
 """States evaluated together, so that the arrays stay in the cache."""
 
 
@@ -71,7 +71,7 @@ class Separated:
         e, self.c, self.curve = curve.e, c, curve
         self.sigma = (e[top].real + e[low].real) / 2
         self.one, self.two = Oval(curve, low, high, self.sigma), Oval(curve, top, None, self.sigma)
-        self.near = NEAR * float(max(abs(v) for v in e))
+        self.near = _NEAR * float(max(abs(v) for v in e))
         self.apart = float(self.one.a - self.two.a)
         self.formula = Formula.of(curve, c).rounded()
         (a, P), (b, Q) = self.one.half, self.two.half
@@ -132,8 +132,8 @@ class Separated:
         """States (m, 6) at phases."""
         states = np.empty((len(first[0]), 6))
         with np.errstate(all="ignore"):
-            for begin in range(0, len(states), CHUNK):
-                part = slice(begin, begin + CHUNK)
+            for begin in range(0, len(states), _CHUNK):
+                part = slice(begin, begin + _CHUNK)
                 here, there = ((whole[part], rest[part]) for whole, rest in (first, second))
                 states[part] = self.at(*self.places(here, there))
         return states
@@ -153,7 +153,7 @@ class Separated:
         x = _solved(equation, len(p), 2.02 * float(a + b) / slope, min(1.0, P, Q))
         first, A = bounded.place(k1, p + x, 1)
         second, B = unbounded.place(k2, q - x, 1)
-        u1, u2 = bounded.gap(first), unbounded.gap(second) / np.maximum(second.C * second.C, TINY)
+        u1, u2 = bounded.gap(first), unbounded.gap(second) / np.maximum(second.C * second.C, _TINY)
         if nudge and (by := (u1 < PASSAGE * self.near) & (u2 < PASSAGE * self.near)).any():
             at1, at2 = (at + np.where(by, AFTER * float(v), 0.0) for at, v in zip((at1, at2), self.rates, strict=True))
             return self.places((k1, at1), (k2, at2), False)
@@ -268,7 +268,7 @@ def _square(z: Any) -> Array:
 
 
 def _nonzero(z: Any) -> Any:
-    return np.where(z == 0.0, TINY, z)
+    return np.where(z == 0.0, _TINY, z)
 
 
 def _both(total: Any, difference: Any, product: complex | Array) -> tuple[Any, Any]:
@@ -334,12 +334,12 @@ def separated_motion(y: Sequence[Fraction], c: float) -> Separated:
 
 def _verify(motion: Separated, y: Array) -> None:
     """Compare states over long times with Taylor series of the equations; raise RunError if they differ."""
-    n = np.array(PROBES)
+    n = np.array(_PROBES)
     here, there = motion.states(n, PROBE_STEP), motion.states(n + 1, PROBE_STEP)
     with np.errstate(all="ignore"):
         expected = np.array(series_step(list(here.T), motion.c, PROBE_STEP, 24)).T
         size = 1.0 + np.abs(here).max() ** 2 / min(1.0, abs(motion.c))
-        missed = max(np.abs(expected - there).max(), np.abs(here[PROBES.index(0)] - y).max()) / size
-    if not missed < AGREEMENT:
+        missed = max(np.abs(expected - there).max(), np.abs(here[_PROBES.index(0)] - y).max()) / size
+    if not missed < _AGREEMENT:
         why = f"too close to a degenerate motion: a Taylor step differs by {missed:.0e} of the terms"
         raise RunError(REFUSED.format(why))

@@ -41,7 +41,7 @@ def bs_integrals(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...
     conserves=("a_sq", "m_p", "m_a"),
     modified=bs_integrals,
 )
-def build(top: Top, options: NoOptions) -> Stepper:
+def build_bs(top: Top, options: NoOptions) -> Stepper:
     r"""Bobenko-Suris scheme.
 
     The new m is m + h p x a. A Cayley transform then rotates the axis a of the top about the new m.

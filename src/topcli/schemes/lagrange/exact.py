@@ -33,10 +33,10 @@ from topcli.schemes.limits import all_invariants
 from topcli.schemes.registry import scheme
 
 MAX_SAMPLES = 1 << 15
-NOTHING = 1e-30
+_NOTHING = 1e-30
 """Squares that vanish are below this, relative to the largest, because of rounding."""
 ROOT_DIGITS = 120
-REFUSED = "lagrange, scheme exact: {}; use scheme 'taylor'"
+_REFUSED = "lagrange, scheme exact: {}; use scheme 'taylor'"
 
 
 class AsymptoticError(RunError):
@@ -87,6 +87,7 @@ def oscillation(q: Sequence[Real], x0: Real, rising: bool) -> Oscillation:
 
     if abs(value(x0)) <= tiny * size and abs((3 * a * x0 + 2 * b) * x0 + c) <= tiny * size:
         return Oscillation(x0, x0, 0.0, Argument.of(mp.mpf(0), mp.mpf(0), mp.mpf(1)), False)
+    # turning points are roots of the cubic, or of the quadratic that is left without gravity
     if a:
         g2, g3 = (b * b / 3 - a * c) / 4, (a * b * c / 3 - 2 * b**3 / 27 - a * a * d) / 16
         roots = sorted((4 * e.real - b / 3) / a for e in cubic_roots(g2, g3, True))
@@ -98,9 +99,9 @@ def oscillation(q: Sequence[Real], x0: Real, rising: bool) -> Oscillation:
         low, high = sorted(((root - c) / (2 * b), (-root - c) / (2 * b)))
         m1, rate = mp.mpf(1), mp.sqrt(-b) / 2
     if not m1 > 1e-32:
-        raise AsymptoticError(REFUSED.format("the motion is asymptotic to rest and not periodic"))
+        raise AsymptoticError(_REFUSED.format("the motion is asymptotic to rest and not periodic"))
     if max(abs(value(low)), abs(value(high))) > 1e-40 * size:
-        raise RunError(REFUSED.format("the turning points cannot be resolved, because gravity is too weak"))
+        raise RunError(_REFUSED.format("the turning points cannot be resolved, because gravity is too weak"))
     hangs, gap = bool(a < 0), high - low
     s2, c2 = (min(max(abs(x0 - x) / gap, mp.mpf(0)), mp.mpf(1)) for x in ((high, low) if hangs else (low, high)))
     with digits():
@@ -111,7 +112,7 @@ def oscillation(q: Sequence[Real], x0: Real, rising: bool) -> Oscillation:
 def _least(squares: Sequence[Real], vanishes: bool) -> float:
     """Ratio of the smaller to the larger of two squares; zero if it is only round-off, because one ``vanishes``."""
     small, large = min(squares), max(squares)
-    return float(small / large) if large > 0 and not (vanishes and small <= large * NOTHING) else 0.0
+    return float(small / large) if large > 0 and not (vanishes and small <= large * _NOTHING) else 0.0
 
 
 @dataclass(frozen=True)
@@ -158,6 +159,7 @@ def _constants(y0: Floats, nu: float) -> _Constants:
     E = square / 2 + g * a[2]
     q = 2 * g, -2 * E, 2 * S * P - 2 * g * N, 2 * E * N - S * S - N * P * P
     upright, spins = S * S == N * P * P, 2 * g * S == P * (2 * E - P * P)
+    # near an upright axis roots almost coincide, and their differences need many digits
     with digits(ROOT_DIGITS):
         nutation = oscillation([real(v) for v in q], real(a[2]), m[0] * a[1] - m[1] * a[0] >= 0)
         ends, root = (nutation.lower, nutation.upper), mp.sqrt(real(N))
@@ -215,7 +217,7 @@ def _angle(c: _Constants, by_axis: bool) -> _Angle:
             return _Angle(float(series[0].real), harmonics[: large[-1] + 1 if len(large) else 0])
         samples *= 2
     why = "almost planar motion: both the axis and the angular momentum pass too close to the vertical"
-    raise RunError(REFUSED.format(why))
+    raise RunError(_REFUSED.format(why))
 
 
 def _motion(y0: Floats, h: float, n: NDArray[np.int64], nu: float) -> Array:
@@ -277,7 +279,7 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     conserves=all_invariants,
     limits=lambda top: ("huge", "sleeping-threshold") if top.form == "lagrange" else ("huge",),
 )
-def build_exact(top: Top, options: NoOptions) -> Sampler:
+def build_lagrange(top: Top, options: NoOptions) -> Sampler:
     r"""Closed form by elliptic functions.
 
     The scheme computes gamma3, or a·p in the inertial frame, by Jacobi functions, and the angle of precession by a

@@ -61,7 +61,7 @@ def hk_corrections(A: Any, nu: Any, k: Any, h: Any, y: Any) -> tuple[Any, Any, A
     return gamma_sq, m_gamma, energy
 
 
-def hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
+def lagrange_hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
     """gamma², m·gamma and E with the corrections of the HK map, which conserves them exactly for this h."""
     parameters: Any = top
     A, C, mu, rotor, h = map(of_numpy, (parameters.A, parameters.C, parameters.mu, getattr(top, "k", 0.0), h))
