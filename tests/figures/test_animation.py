@@ -12,13 +12,13 @@ import pytest
 from matplotlib.animation import PillowWriter
 from PIL import Image
 
+from attitude_runs import TURNED, stored
 from cases import table_of
 from conftest import Said
 from topcli.arithmetic.quaternions import matrices
 from topcli.errors import RunError
 from topcli.figures.animation import BodyMotion, Stage, animate, frame_times, stored_body_motion
 from topcli.figures.style import styled
-from turning import TURNED, stored
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import topcli
+from attitude_runs import TURNED, stored, turned_apart
 from resuming import HK, small
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
@@ -16,7 +17,6 @@ from topcli.figures.animation import BodyMotion, stored_body_motion
 from topcli.runs.identity import identity_of
 from topcli.runs.run import run_experiment
 from topcli.store.series import read_series
-from turning import TURNED, stored, turned_apart
 
 QUATERNION, ANGLES = "output.attitude=quaternion", "output.attitude=euler-angles"
 

@@ -106,7 +106,7 @@ def _require_own_modules(path: Path) -> None:
         name = file.relative_to(path.parent).parts[0].removesuffix(".py")
         other = getattr(sys.modules.get(name), "__file__", None)
         if other and path.parent not in Path(other).resolve().parents:
-            raise UsageError(f"a module {name!r} is loaded already, from {other}; rename {file.name}")
+            raise UsageError(f"a module {name!r} is loaded already, from {other}; rename {name}")
 
 
 @cache
