@@ -200,7 +200,7 @@ def print_usage_error(error: Any) -> None:
 
 
 def replacement(name: str) -> str:
-    """What to use instead of a command or option of an earlier version; empty for an unknown one."""
+    """Replacement of a command or option of an earlier version; empty for an unknown one."""
     import tomllib
 
     return tomllib.loads(GONE.read_text(encoding="utf-8")).get(name, "")

@@ -59,18 +59,17 @@ def origin_facts(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def run_chapter(run: StoredResult) -> Chapter:
-    """Chapter on a finished or interrupted run or ensemble: verdicts, columns over time or quantiles, and tables."""
+    """Chapter on a finished or interrupted run or ensemble: verdicts and tables, and columns of a run over time."""
     manifest, report, config = run.manifest, run.report(), run.manifest["config"]
     if report.get("kind") == "ensemble":
-        notes, caption = ensemble_statements(report), "largest deviations over the fraction of trajectories below them"
+        notes = ensemble_statements(report)
     else:
         notes = [f"{row['symbol']}: {row['statement']}" for row in report["invariants"]]
         notes += filter(None, [precision_note(report), warning_of(report)])
-        caption = "recorded columns over time"
     try:
         figure = run_figure(run)
-        pictures = [(picture_of(figure.draw, figure.data(), figure.size, "svg"), caption)]
-    except UsageError:  # no rows, or the top is that of a plugin that is not loaded
+        pictures = [(picture_of(figure.draw, figure.data(), figure.size, "svg"), "recorded columns over time")]
+    except UsageError:  # an ensemble, no rows, or the top is that of a plugin that is not loaded
         pictures = []
     return Chapter(
         manifest["name"],

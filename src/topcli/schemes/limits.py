@@ -1,4 +1,4 @@
-"""What methods of a low degree conserve, and the tops that have hard cases of their own."""
+"""Invariants that methods of a low degree conserve, and the tops that have hard cases of their own."""
 
 from __future__ import annotations
 

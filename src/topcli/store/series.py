@@ -124,7 +124,7 @@ def _csv_types(path: Path) -> Any:
 
 
 def series_pieces(path: Path, names: Sequence[str], rows: int) -> Iterator[Mapping[str, np.ndarray]]:
-    """Yield the columns ``names`` of a series, so many ``rows`` at a time; all rows of a CSV file together.
+    """Yield the columns ``names`` of a series in pieces of at most ``rows`` rows; a CSV file is one piece.
 
     Raises RunError if the file is damaged.
     """

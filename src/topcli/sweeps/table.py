@@ -105,11 +105,11 @@ def _label(value: Any, digits: int) -> str:
     return f"{mantissa}e{int(exponent)}" if e else text
 
 
-def aggregate_of(values: Frame, aggregate: str | None) -> tuple[float, ...]:
+def aggregate_of(values: Frame, aggregate: str) -> tuple[float, ...]:
     """Aggregate of values and the ends of its spread; empty without a value.
 
     The median has the quartiles, which halve the values below and above it; the mean has its standard error on both
-    sides, if there are two values or more; the maximum, and a single value without ``aggregate``, have no spread.
+    sides, if there are two values or more; the maximum has no spread.
     """
     values = values.dropna()
     if values.empty:
@@ -221,7 +221,11 @@ def sweep_table(
         advice = f"choose with --where {over[0]}=VALUE, or add --aggregate median" if over else "add --aggregate median"
         because = f", because {', '.join(over)} still {'varies' if len(over) == 1 else 'vary'}" if over else ""
         raise UsageError(f"up to {most} values fall into one cell{because}", advice)
-    cells = {name: [aggregate_of(part[name], aggregate) for _, part in grouped] for name in measures}
+    if aggregate is None:  # each group is one row, in the order of the rows
+        numbers = rows[list(measures)].astype(float)
+        cells = {name: [() if math.isnan(value) else (value,) for value in numbers[name]] for name in measures}
+    else:
+        cells = {name: [aggregate_of(part, aggregate) for _, part in grouped[name]] for name in measures}
     values: Frame = pd.DataFrame({name: pd.Series(of, sizes.index, dtype=object) for name, of in cells.items()})
     if column:
         values = values[measures[0]].unstack(column)[list(rows[column].unique())]
