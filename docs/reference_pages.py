@@ -17,7 +17,6 @@ import topcli
 from topcli.cli.app import GROUPS, all_commands
 from topcli.cli.options import parameter_rows
 from topcli.contracts import Invariant, Scheme, Top
-from topcli.errors import capitalized
 from topcli.schemes.registry import all_schemes
 from topcli.table import DASH
 from topcli.tops import TOPS
@@ -50,6 +49,11 @@ MEMBERS = {
     "contracts.Scheme": "",
 }
 """Members of classes that the page shows."""
+
+
+def capitalized(text: str) -> str:
+    """Text with a capital first letter and the rest as it is."""
+    return text[:1].upper() + text[1:]
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Page:

@@ -62,11 +62,6 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun if count == 1 else several}"
 
 
-def capitalized(text: str) -> str:
-    """Text with a capital first letter and the rest as it is."""
-    return text[:1].upper() + text[1:]
-
-
 def quoted(name: str) -> str:
     """Return a name given by the user in the form for messages: quoted, short and printable."""
     return repr(shortened(name))
