@@ -35,29 +35,36 @@ Array = NDArray[np.floating[Any]]
 StepFunction = Callable[[Floats, float, Floats], Floats]
 
 
-stop_asked: ContextVar[Callable[[], bool]] = ContextVar("stop_asked", default=lambda: False)
-"""Function that returns True as soon as the current work must stop; set by ``stopping_when``."""
+_stop: ContextVar[Callable[[], bool]] = ContextVar("stop", default=lambda: False)
 
 
 class StopAsked(Exception):  # noqa: N818 (no error)
     """Raised to abandon the current work; a step during which it is raised counts as not taken."""
 
 
+def stop_asked() -> bool:
+    """True as soon as the current work must stop; see ``stopping_when``."""
+    return _stop.get()()
+
+
 def check_stop() -> None:
     """Abandon a long plain step if the run must stop; a long step calls this function every few milliseconds."""
-    if stop_asked.get()():
+    if stop_asked():
         raise StopAsked
 
 
 @contextmanager
 def stopping_when(stop: Callable[[], bool]) -> Iterator[None]:
-    """Within the block, let ``check_stop`` also stop the work if ``stop()`` is true."""
-    outer = stop_asked.get()
-    token = stop_asked.set(lambda: stop() or outer())
+    """Within the block, stop the work once ``stop()`` is true; this is the only way to stop any work.
+
+    A thread hears of it only if its work runs in a copy of this context (``contextvars.copy_context``).
+    """
+    outer = _stop.get()
+    token = _stop.set(lambda: stop() or outer())
     try:
         yield
     finally:
-        stop_asked.reset(token)
+        _stop.reset(token)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import pytest
 
 from conftest import random_states
 from steppers import RK2, built
-from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top
+from topcli.contracts import Ending, Floats, Method, Outcome, Stepper, Top, stopping_when
 from topcli.engine import integration
 from topcli.engine.consumers import Consumer
 from topcli.engine.drive import Chunk, drive, orbit
@@ -153,7 +153,8 @@ def test_neither_threads_nor_stops_change_rows_or_their_order(
     def note(chunk: Chunk) -> None:
         states[:] = [chunk.state()] if chunk.stopping else []
 
-    run = drive(plan, [parts], stop=lambda: next(answers) >= asked, on_chunk=note, threads=threads)
+    with stopping_when(lambda: next(answers) >= asked):
+        run = drive(plan, [parts], on_chunk=note, threads=threads)
     assert asked > 1 or Outcome.INTERRUPTED in run.endings.outcomes  # later questions may come after the end
     if states:
         run = drive(plan, [parts], start=states[0], threads=threads)

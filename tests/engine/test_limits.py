@@ -47,7 +47,8 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 def stopped(name: str, h: float, N: int, stop: Callable[[], bool], y0: Any = (GEN,)) -> tuple[Ending, np.ndarray]:
     """Ending of the first trajectory of a drive that is asked to stop, and its states."""
     memory, top = Memory(), Kowalevski()
-    run = drive(Plan(top, Machine(top, built(name)), np.array(y0), h, N), [memory], stop=stop)
+    with stopping_when(stop):
+        run = drive(Plan(top, Machine(top, built(name)), np.array(y0), h, N), [memory])
     return run.endings[0], memory.states[0]
 
 
@@ -140,6 +141,6 @@ def test_every_scheme_ends_or_refuses_extreme_values(one: Scheme, impatient: Non
         asked = AskedAt(10**9)
         refused = [RunError] if isinstance(found, Sampler) else []
         with np.errstate(all="ignore"), stopping_when(asked), suppress(*refused):
-            run = drive(Plan(top, Machine(top, found), y0[None], h, 2), stop=asked)
+            run = drive(Plan(top, Machine(top, found), y0[None], h, 2))
             assert Outcome.INTERRUPTED not in run.endings.outcomes
         assert asked.count <= (PANELS if isinstance(found, Sampler) else QUESTIONS), (size, h)

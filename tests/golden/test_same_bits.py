@@ -13,7 +13,7 @@ from conftest import random_states
 from resuming import after
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Outcome, Stepper
+from topcli.contracts import Outcome, Stepper, stopping_when
 from topcli.engine.consumers import Memory
 from topcli.engine.drive import drive, orbit
 from topcli.engine.loops import interpreted
@@ -73,7 +73,8 @@ def stored(one: Experiment, tmp: Path, options: Callable[[], RunOptions] = RunOp
 
 def resumed(one: Experiment, tmp: Path) -> Rows:
     for chunks in (1, 2):
-        run_experiment(one, tmp, RunOptions(checkpoint_every=0.0, stop=after(chunks)))
+        with stopping_when(after(chunks)):
+            run_experiment(one, tmp, RunOptions(checkpoint_every=0.0))
     result = run_experiment(one, tmp, RunOptions(checkpoint_every=0.0))
     assert result.status in ("continued", "up to date")
     return stored(one, tmp)

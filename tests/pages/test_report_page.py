@@ -17,12 +17,13 @@ from reading_html import Element, read_html
 from resuming import after
 from stored_results import BASE, experiment, store_comparison, store_ensemble, store_run, store_sweep
 from topcli.config.load import load_experiment
+from topcli.contracts import stopping_when
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.figures.run import run_pictures
 from topcli.pages.page import Chapter, page_of
 from topcli.pages.stored import stored_chapter
 from topcli.runs.report import report_tables
-from topcli.runs.run import RunOptions, run_experiment
+from topcli.runs.run import run_experiment
 from topcli.store.files import SEAL, sealed_text
 from topcli.studies.health import check_all
 from topcli.table import Cells
@@ -176,7 +177,8 @@ def test_a_damaged_result_is_refused(name: str, copied: Path) -> None:
 
 @pytest.mark.slow
 def test_a_failure_is_not_good(copied: Path) -> None:
-    run_experiment(experiment("stopped"), copied, RunOptions(stop=after(0)))
+    with stopping_when(after(0)):
+        run_experiment(experiment("stopped"), copied)
     store_run(copied, "wild", "rk4", h=5.0)
     path = copied / "compared.json"
     data = json.loads(path.read_text())

@@ -16,10 +16,10 @@ from conftest import ROOT, random_states
 from topcli.analysis.tally import DEVIATIONS
 from topcli.config.load import load
 from topcli.config.models import Experiment
-from topcli.contracts import Outcome
+from topcli.contracts import Outcome, stopping_when
 from topcli.errors import UsageError
 from topcli.runs.report import SHOWN_TRAJECTORIES
-from topcli.runs.run import RunOptions, RunResult, run_experiment
+from topcli.runs.run import RunResult, run_experiment
 from topcli.store.series import read_series
 
 RANDOM = {"count": 70, "seed": 3, "gamma": "sphere", "omega": {"near": 0.3}}
@@ -151,7 +151,8 @@ def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
 def test_members_never_begun_are_not_zeros(scheme: str, begun: int, tmp_path: Path) -> None:
     """Stopped at once: only of those that are computed one by one the first is begun."""
     store = {"ensemble": {"random": RANDOM, "store": "final"}}
-    result = run_experiment(experiment(scheme=scheme, N=100, **store), tmp_path, RunOptions(stop=lambda: True))
+    with stopping_when(lambda: True):
+        result = run_experiment(experiment(scheme=scheme, N=100, **store), tmp_path)
     report, table = result.report, columns(result.stored.folder / "trajectories.parquet")
     assert report["outcomes"] == {"interrupted": 70}
     assert not table["n"].any()

@@ -14,7 +14,7 @@ from conftest import Said
 from custom_tops import VOLTERRA
 from resuming import Killed, after, content, killed, life
 from topcli.config.load import load
-from topcli.contracts import Outcome
+from topcli.contracts import Outcome, stopping_when
 from topcli.runs import plans, run
 from topcli.runs.run import RunOptions, run_experiment
 from topcli.store.results import intact_result
@@ -96,7 +96,8 @@ def test_an_ensemble_may_be_stopped_at_any_call(tmp_path: Path, monkeypatch: pyt
     expected = content(run_experiment(experiment, tmp_path / "whole").stored.folder)
     monkeypatch.setattr("topcli.engine.integration.CALL_SECONDS", 0.0)
     for asked in (0, 1, 2, 5, 11, 17, 30, 50, 70, 90, 110):
-        run_experiment(experiment, tmp_path, RunOptions(stop=after(asked), threads=threads))
+        with stopping_when(after(asked)):
+            run_experiment(experiment, tmp_path, RunOptions(threads=threads))
     run_experiment(experiment, tmp_path)
     assert content(tmp_path / "life") == expected
 

@@ -12,6 +12,7 @@ import pytest
 from conftest import ROOT
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
+from topcli.contracts import stopping_when
 from topcli.runs.run import RunOptions, RunResult, run_experiment
 from topcli.store.files import SEAL
 
@@ -39,8 +40,8 @@ def life(experiment: Experiment, out: Path, chunks: int = 10**9, kill: bool = Fa
         if kill and done[0] >= chunks:
             raise Killed
 
-    stop = (lambda: False) if kill else (lambda: done[0] >= chunks)
-    return run_experiment(experiment, out, RunOptions(checkpoint_every=0.0, stop=stop, on_progress=on_progress))
+    with stopping_when(lambda: not kill and done[0] >= chunks):
+        return run_experiment(experiment, out, RunOptions(checkpoint_every=0.0, on_progress=on_progress))
 
 
 def after(chunks: int) -> Callable[[], bool]:

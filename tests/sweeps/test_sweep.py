@@ -13,6 +13,7 @@ import pytest
 import topcli
 from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.config.sweep import load_sweep
+from topcli.contracts import stopping_when
 from topcli.errors import RunError
 from topcli.sweeps.batch import Measuring
 from topcli.sweeps.compute import compute
@@ -81,10 +82,10 @@ def test_a_raising_row_costs_that_row_alone_and_runs_again(
     sweep(tmp_path / "whole", data)
     finished = Measuring.finished
 
-    def broken(run: Measuring, initial: Any, stop: Any) -> Any:
+    def broken(run: Measuring, initial: Any) -> Any:
         if np.isin(initial[:, 0], [values[i] for i in raising]).any():
             raise RunError("no luck")
-        return finished(run, initial, stop)
+        return finished(run, initial)
 
     with monkeypatch.context() as patch:
         patch.setattr(Measuring, "finished", broken)
@@ -102,7 +103,8 @@ def test_a_raising_row_costs_that_row_alone_and_runs_again(
 def test_a_stopped_sweep_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("topcli.sweeps.run.BATCH_ROWS", 4)
     done: list[int] = []
-    result = sweep(tmp_path, MANY, threads=1, on_progress=lambda n, *_: done.append(n), stop=lambda: bool(done))
+    with stopping_when(lambda: bool(done)):
+        result = sweep(tmp_path, MANY, threads=1, on_progress=lambda n, *_: done.append(n))
     assert result.interrupted
     assert 0 < result.finished < 160
     assert json.loads((tmp_path / "study" / "manifest.json").read_text())["outcome"] == "interrupted"

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.recurrence import Recurrence, at_rest, recurrence_of
-from topcli.contracts import Array, Floats, Method, Scheme, Top, check_stop, stop_asked, stopping_when
+from topcli.contracts import Array, Floats, Method, Scheme, Top, check_stop
 from topcli.engine.drive import default_threads
 from topcli.engine.machine import lanes_of
 from topcli.engine.tangent import TangentRun, tangent_code
@@ -311,7 +312,7 @@ def growth_of(
     orbits run side by side, on all processors; the growth along each does not depend on the others. Raises UsageError
     for a method without a tangent map, StopAsked if the work is to stop.
     """
-    stop, points = stop_asked.get(), checkpoints(N - (discard or 0))
+    points = checkpoints(N - (discard or 0))
     code = tangent_code(scheme, top, method, 1 if len(y0) == 1 else lanes_of(len(y0)))
     logs, (vectors, states) = np.zeros((len(points), len(y0))), np.zeros((2, len(points), *y0.shape))
 
@@ -321,15 +322,15 @@ def growth_of(
         # the same vector for all orbits, each in its own units, so that its growth does not depend on the others
         start = np.random.default_rng(SEED).normal(size=y0.shape[1]) * _units(top, y0[None, here])
         run = code.run(h, y0[here], start)
-        with stopping_when(stop):
-            _advance(run, discard or 0)
-            for k, n in enumerate(points.tolist()):
-                _advance(run, n - done)
-                logs[k, here], vectors[k, here], states[k, here], done = run.scales, run.vectors, run.states, n
+        _advance(run, discard or 0)
+        for k, n in enumerate(points.tolist()):
+            _advance(run, n - done)
+            logs[k, here], vectors[k, here], states[k, here], done = run.scales, run.vectors, run.states, n
 
     starts = range(0, len(y0), code.lanes)
     with ThreadPoolExecutor(min(default_threads(), len(starts))) as pool:
-        list(pool.map(follow, starts))
+        for tile in [pool.submit(copy_context().run, follow, first) for first in starts]:
+            tile.result()
     with np.errstate(all="ignore"):
         # all powers of 2 go into the scales, since those of a vector depend on when the others were scaled
         sizes, powers = np.frexp(np.linalg.norm(vectors / _units(top, states[:: _PARTS // _STATES]), axis=2))

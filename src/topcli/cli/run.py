@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,33 +25,28 @@ LISTED_ROWS = 1000
 """Rows that the JSON document of a dry run lists."""
 
 
-class Interruption:
-    """Request to stop between chunks, made by the first Ctrl-C, SIGTERM or hang-up; the second one stops at once.
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Within the block, the first Ctrl-C, SIGTERM or hang-up asks the work to stop; the second stops it at once.
 
     A hang-up that is ignored, as under ``nohup``, remains ignored.
     """
+    from topcli.contracts import stopping_when
 
-    def __init__(self) -> None:
-        self._asked = False
-        self._previous: dict[int, Any] = {}
+    asked: list[int] = []
 
-    def __enter__(self) -> Interruption:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-                self._previous[number] = signal.signal(number, self._ask)
-        return self
-
-    def _ask(self, number: int, frame: object) -> None:
-        if self._asked:
+    def ask(number: int, frame: object) -> None:
+        if asked:
             raise KeyboardInterrupt
-        self._asked = True
+        asked.append(number)
 
-    def __call__(self) -> bool:
-        """True if a stop has been requested."""
-        return self._asked
-
-    def __exit__(self, *exception: object) -> None:
-        for number, handler in self._previous.items():
+    hang_up = [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN else []
+    previous = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM, *hang_up)}
+    try:
+        with stopping_when(lambda: bool(asked)):
+            yield
+    finally:
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 
@@ -87,8 +83,8 @@ def run(
 
     entries: list[dict[str, Any]] = []
     codes: list[ExitCode] = []
-    with Interruption() as stop:
-        options = RunOptions(force, threads=threads, stop=stop, on_progress=screen, on_message=screen.warn)
+    with interruptible():
+        options = RunOptions(force, threads=threads, on_progress=screen, on_message=screen.warn)
         for number, config in enumerate(configs, 1):
             try:
                 experiment = load(config, overrides, rename=True)
@@ -231,8 +227,8 @@ def sweep(
             print_message("further failures are only counted; the messages of all are in the table")
 
     screen.begin(loaded.name, unit="rows")
-    with Interruption() as stop:
-        result = run_sweep(loaded, out, SweepOptions(force, threads, dask, stop, screen, on_failure, screen.warn))
+    with interruptible():
+        result = run_sweep(loaded, out, SweepOptions(force, threads, dask, screen, on_failure, screen.warn))
     # one line for people and one table of outcomes; the JSON has all numbers
     state = "interrupted; run it again to continue" if result.interrupted else f"{result.ran} ran"
     failed = f"; {result.failed} failed" if result.failed else ""

@@ -10,12 +10,13 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from contextvars import copy_context
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topcli.contracts import Array, Ending, Invariant, Method, Top, stopping_when
+from topcli.contracts import Array, Ending, Invariant, Method, Top, stop_asked
 from topcli.engine.consumers import Consumer, EnergyWatch, Memory, State
 from topcli.engine.integration import Integration
 from topcli.engine.machine import Machine
@@ -50,11 +51,13 @@ def drive(
     consumers: Sequence[Consumer] = (),
     *,
     start: State | None = None,
-    stop: Callable[[], bool] = lambda: False,
     on_chunk: Callable[[Chunk], None] = lambda chunk: None,
     threads: int | None = None,
 ) -> Integration:
     """Take all steps of a plan, and pass the rows recorded on the way to the ``consumers``.
+
+    Once the work is asked to stop (``contracts.stopping_when``), the trajectories that have steps left are
+    ``interrupted``. A batch stops between two tiles, which may be before the first row of the later ones.
 
     Parameters
     ----------
@@ -64,9 +67,6 @@ def drive(
         They are fed with the same pieces of rows; columns are evaluated once for all of them.
     start : mapping, optional
         ``state()`` of a chunk of an equal drive with equal consumers, to continue from there.
-    stop : callable, optional
-        Asked all the time; once it returns True, the trajectories that have steps left are ``interrupted``. A batch
-        stops between two tiles, which may be before the first row of the later ones.
     on_chunk : callable, optional
         Called between chunks.
     threads : int, optional
@@ -80,25 +80,26 @@ def drive(
     threads = threads or default_threads()
     everyone = [EnergyWatch(), *consumers]
     parts = _parts(start, 1 + len(everyone)) if start else []
-    run = Integration(plan, threads, stop, parts[0] if parts else None)
+    run = Integration(plan, threads, parts[0] if parts else None)
     for i, consumer in enumerate(everyone):
         consumer.begin(plan)
         if parts:
             consumer.restore(parts[1 + i])
 
     def advance(tile: int) -> list[Any]:
-        with np.errstate(all="ignore"), stopping_when(stop):  # both are those of a thread
-            rows = run.advance(tile)
-            return [consumer.add(rows) for consumer in everyone]
+        rows = run.advance(tile)
+        return [consumer.add(rows) for consumer in everyone]
 
     threads = min(threads, len(run.done)) if run.lanes > 1 else 1
     with ThreadPoolExecutor(threads - 1) if threads > 1 else nullcontext() as pool:
         stopping = False
         while (tiles := run.waiting) and not stopping:
-            for results in _in_order(advance, tiles, pool, stop if run.lanes > 1 else lambda: False):
+            with np.errstate(all="ignore"):
+                pieces = _in_order(advance, tiles, pool) if run.lanes > 1 else [advance(tile) for tile in tiles]
+            for results in pieces:
                 for consumer, result in zip(everyone, results, strict=True):
                     consumer.take(result)
-            stopping = stop()
+            stopping = stop_asked()
             on_chunk(Chunk(run, everyone, stopping))
     run.finish()
     with np.errstate(all="ignore"):
@@ -111,9 +112,8 @@ def _in_order(
     advance: Callable[[int], list[Any]],
     tiles: Sequence[int],
     pool: ThreadPoolExecutor | None,
-    stop: Callable[[], bool],
 ) -> list[list[Any]]:
-    """Results of ``advance`` for the ``tiles``, of all of them or, after a ``stop()``, of the first ones.
+    """Results of ``advance`` for the ``tiles``, of all of them or, after a request to stop, of the first ones.
 
     No tile is begun after a stop, nor one without those before it, so that the order of rows depends on no stop.
     """
@@ -122,12 +122,12 @@ def _in_order(
     def work() -> None:
         while True:
             with taking:
-                tile = None if stop() else next(waiting, None)
+                tile = None if stop_asked() else next(waiting, None)
             if tile is None:
                 return
             results[tile] = advance(tile)
 
-    others = [pool.submit(work) for _ in tiles[1:]] if pool else []
+    others = [pool.submit(copy_context().run, work) for _ in tiles[1:]] if pool else []
     work()
     for other in others:
         other.result()

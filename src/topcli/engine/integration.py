@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array, Outcome, StopAsked
+from topcli.contracts import Array, Outcome, StopAsked, stop_asked
 from topcli.engine.endings import Endings
 from topcli.engine.rows import Plan, Rows
 from topcli.errors import SchemeCodeError
@@ -67,7 +67,7 @@ class Stretch(NamedTuple):
 
 
 class Integration:
-    """The trajectories of a plan on their way; that of a single one ends soon after ``stop()`` is true.
+    """The trajectories of a plan on their way; that of a single one ends soon after a request to stop.
 
     Attributes
     ----------
@@ -91,11 +91,10 @@ class Integration:
         self,
         plan: Plan,
         threads: int = 1,
-        stop: Callable[[], bool] = lambda: False,
         start: Mapping[str, NDArray[Any]] | None = None,
     ) -> None:
         assert plan.machine is not None
-        self.plan, self.machine, self.stop, count = plan, plan.machine, stop, len(plan.states)
+        self.plan, self.machine, count = plan, plan.machine, len(plan.states)
         self.lanes = self.machine.lanes_for(count)
         most = ROWS // (self.lanes * (plan.N // plan.every + 1)) if self.lanes > 1 else 1
         slabs = start["work"].shape[1] if start else max(1, min(most, -(-count // (self.lanes * threads))))
@@ -188,7 +187,7 @@ class Integration:
         """
         taken, now, (steps, every, until, *_) = 0, time.perf_counter(), stretch
         try:
-            while taken < steps and not (self.lanes == 1 and self.stop()):
+            while taken < steps and not (self.lanes == 1 and stop_asked()):
                 rows, size, before = recorded_rows(taken, until, every), min(steps - taken, self._call_steps), now
                 went = call(rows, size, until + rows * every - taken)
                 now = time.perf_counter()

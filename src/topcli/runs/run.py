@@ -46,8 +46,6 @@ class RunOptions:
         Seconds between checkpoints, all that a kill can lose; 0 for one after every chunk.
     threads : int, optional
         Threads of an ensemble, by default one for each CPU.
-    stop : callable
-        Asked all the time; once it returns True, the run ends as ``interrupted`` and its rows are stored.
     on_progress, on_message : callable
         Called with (steps done, all steps), and with a line for the user.
     """
@@ -55,7 +53,6 @@ class RunOptions:
     force: bool = False
     checkpoint_every: float = CHECKPOINT_SECONDS
     threads: int | None = None
-    stop: Callable[[], bool] = lambda: False
     on_progress: _Progress = lambda done, total: None
     on_message: Callable[[str], None] = lambda line: None
 
@@ -90,8 +87,9 @@ def run_experiment(experiment: Experiment, out: Path, options: RunOptions = RunO
     """Run an experiment or ensemble into ``out/NAME``, continue it if it was stopped, or find that it is up to date.
 
     With ``force`` it begins anew; what the name holds is renamed. A different experiment of that name is refused
-    without. Raises UsageError before anything is written, and RunError if a stored result is damaged or writing fails;
-    then the last checkpoint remains.
+    without. Once the work is asked to stop, the run ends as ``interrupted`` and its rows are stored. Raises UsageError
+    before anything is written, and RunError if a stored result is damaged or writing fails; then the last checkpoint
+    remains.
     """
     identity = identity_of(experiment)
     next(plans(experiment))  # an experiment that cannot be computed is refused before anything is written
@@ -129,9 +127,7 @@ def _computed(
                 save(number, chunk)
                 options.on_progress(chunk.run.plan.first * N + chunk.run.taken, count * N)
 
-            run = drive(
-                plan, recording.consumers, start=state, stop=options.stop, on_chunk=on_chunk, threads=options.threads
-            )
+            run = drive(plan, recording.consumers, start=state, on_chunk=on_chunk, threads=options.threads)
             recording.add_seconds(run)
             state = {}
             if Outcome.INTERRUPTED in run.endings.outcomes:

@@ -157,8 +157,8 @@ class Measuring:
         self.size = max(1, min(MAX_RUNS, BATCH_BYTES // per_run))
         """Number of runs whose records, references included, fit into memory."""
 
-    def finished(self, initial: Array, stop: Callable[[], bool] = lambda: False) -> Batch:
-        """Batch of the runs from ``initial`` (runs, d); those that ``stop()`` cuts short are interrupted."""
+    def finished(self, initial: Array) -> Batch:
+        """Batch of the runs from ``initial`` (runs, d); those that a request to stop cuts short are interrupted."""
         plan, needs = replace(self._plan, states=np.ascontiguousarray(initial, dtype=np.float64)), self._needs
         # only what the measures need is recorded
         columns, tally = Memory(self._columns), Tally(self._invariants, drifts=self._drifts)
@@ -169,7 +169,7 @@ class Measuring:
             errors: bool({ERROR, FINAL_ERROR} & needs),
         }
         consumers: list[Consumer] = [columns, *(consumer for consumer, needed in optional.items() if needed)]
-        run = drive(plan, consumers, stop=stop, threads=self._threads)
+        run = drive(plan, consumers, threads=self._threads)
 
         count, d = plan.states.shape
         none, states = np.full(count, np.nan), memory.states if optional[memory] else np.empty((count, 0, d))

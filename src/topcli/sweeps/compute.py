@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from contextvars import copy_context
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ import numpy as np
 
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Outcome, StopAsked, stopping_when
+from topcli.contracts import Array, Outcome, StopAsked, stop_asked
 from topcli.engine.machine import Machine
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.schemes.plugins import (
@@ -35,7 +36,6 @@ POLL_SECONDS = 0.5
 """Seconds between two questions whether to stop."""
 IN_FLIGHT = 2
 """Batches in flight for each worker."""
-Stop = Callable[[], bool]
 Machines = dict[Any, Machine]
 
 
@@ -51,7 +51,6 @@ def compute(
     experiment: Experiment | dict[str, Any],
     states: Array,
     names: Sequence[str],
-    stop: Stop = lambda: False,
     machines: Machines | None = None,
 ) -> list[StoredRow]:
     """Run an experiment, or a resolved config, from several initial states.
@@ -64,8 +63,6 @@ def compute(
         Initial states.
     names : sequence of str
         Names of the measures.
-    stop : callable, optional
-        Asked all the time; once it returns True, the rows that are not finished have the outcome ``interrupted``.
     machines : dict, optional
         Machine code of earlier experiments, to be used again for the same top, scheme and options.
 
@@ -73,7 +70,8 @@ def compute(
     -------
     list of tuple
         Outcome, message and measures of each row. They do not depend on the other rows, but for the measure of the
-        time. No error of a row is raised: its outcome is ``failed``.
+        time. No error of a row is raised: its outcome is ``failed``. Once the work is asked to stop, the outcome of the
+        rows that are not finished is ``interrupted``.
     """
     try:
         if isinstance(experiment, dict):
@@ -86,21 +84,21 @@ def compute(
     except Exception as error:
         return _failed(error, len(states), names)
     pieces = [states[start : start + run.size] for start in range(0, len(states), run.size)]
-    return [row for piece in pieces for row in _results(run, piece, names, stop)]
+    return [row for piece in pieces for row in _results(run, piece, names)]
 
 
-def _results(run: Measuring, states: Array, names: Sequence[str], stop: Stop) -> list[StoredRow]:
+def _results(run: Measuring, states: Array, names: Sequence[str]) -> list[StoredRow]:
     """Results of rows that fit into memory together."""
     count = len(states)
     try:
-        with stopping_when(stop), np.errstate(all="ignore"):  # extreme values are outcomes
-            batch = run.finished(states, stop)
+        with np.errstate(all="ignore"):  # extreme values are outcomes
+            batch = run.finished(states)
             values, faults = evaluate(run.measures, batch)
     except StopAsked:
         return [(INTERRUPTED, "", b"")] * count
     except Exception as error:
         if count > 1:  # so that only the rows that fail are lost
-            return [row for i in range(count) for row in _results(run, states[i : i + 1], names, stop)]
+            return [row for i in range(count) for row in _results(run, states[i : i + 1], names)]
         return _failed(error, 1, names)
     numbers = np.column_stack([np.empty((count, 0)), *(values[name] for name in names)])
     messages = [ending.message for ending in batch.endings]
@@ -128,7 +126,6 @@ def code_of_process() -> str:
 def compute_batch(
     pieces: Sequence[tuple[Experiment | dict[str, Any], Array]],
     names: Sequence[str],
-    stop: Stop = lambda: False,
     plugins: Sequence[str] = (),
     code: str = "",
 ) -> list[StoredRow]:
@@ -142,12 +139,7 @@ def compute_batch(
     if code and code_of_process() != code:
         raise UsageError("a worker has another version of topcli or of a plugin; install the same on all")
     machines: Machines = {}
-    return [row for experiment, states in pieces for row in compute(experiment, states, names, stop, machines)]
-
-
-def _never() -> bool:
-    """Do not stop: what a worker of a cluster is told, which cannot ask."""
-    return False
+    return [row for experiment, states in pieces for row in compute(experiment, states, names, machines)]
 
 
 @contextmanager
@@ -177,9 +169,9 @@ def executor(threads: int, dask: str | None) -> Iterator[tuple[Executor, int]]:
 
 
 def results(
-    batches: Iterable[list[Piece]], names: Sequence[str], pool: Executor, workers: int, dask: str | None, stop: Stop
+    batches: Iterable[list[Piece]], names: Sequence[str], pool: Executor, workers: int, dask: str | None
 ) -> Iterator[tuple[list[Piece], list[StoredRow]]]:
-    """Yield batches and their results as they end, until all have ended or ``stop()``.
+    """Yield batches and their results as they end, until all have ended or the work is asked to stop.
 
     Dask runs a batch whose worker was lost again on other workers, and gives up after some of them. As it blames all
     batches on a lost worker, each one is tried once more with no other in flight; then its rows are failed. Raises
@@ -190,11 +182,13 @@ def results(
 
     def submit(batch: list[Piece]) -> None:
         pieces = [(experiment.resolved() if dask else experiment, states) for experiment, states, _ in batch]
-        flying[pool.submit(compute_batch, pieces, names, _never if dask else stop, plugins, code)] = batch
+        # a thread hears of a request to stop by its context; a worker of a cluster cannot
+        begin = (compute_batch,) if dask else (copy_context().run, compute_batch)
+        flying[pool.submit(*begin, pieces, names, plugins, code)] = batch
 
     while True:
         # new batches, or a suspect by itself once nothing else is in flight
-        stopping = stop()
+        stopping = stop_asked()
         for batch in islice(source, 0 if stopping else max(0, IN_FLIGHT * workers - len(flying))):
             submit(batch)
         alone = not flying and bool(suspects) and not stopping
@@ -204,7 +198,7 @@ def results(
             return
         # batches that have not begun are cancelled by a stop, which is asked for while none ends
         while not (ended := wait(flying, POLL_SECONDS, FIRST_COMPLETED).done):
-            for future in flying if stop() else ():
+            for future in flying if stop_asked() else ():
                 future.cancel()
         # rows of a worker that was lost are failed rows; a lost cluster ends the sweep
         for future in ended:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from topcli.config.models import canonical
 from topcli.config.states import unit_warnings
 from topcli.config.sweep import Group, Sweep
-from topcli.contracts import Top
+from topcli.contracts import Top, stop_asked
 from topcli.engine.drive import default_threads
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.runs.identity import code_digest
@@ -61,7 +61,6 @@ class SweepOptions:
     """Batches that are computed at the same time."""
     dask: str | None = None
     """Address of a Dask scheduler, or ``local:N`` for N workers on this machine."""
-    stop: Callable[[], bool] = lambda: False
     on_progress: Callable[[int, int, str], None] = lambda done, total, note: None
     """Called with the rows done, their number, and a note on those that failed."""
     on_failure: Callable[[int, str], None] = lambda row, message: None
@@ -191,7 +190,7 @@ def run_sweep(sweep: Sweep, out: Path, options: SweepOptions = SweepOptions()) -
             write_manifest(folder, sweep, True, **entries, outcome=outcome, started=started)
     except OSError as error:
         raise io_failure(error, folder, "finished rows are kept") from None
-    return SweepResult(folder, rows, ran, outcomes, options.stop() and finished < rows, seconds)
+    return SweepResult(folder, rows, ran, outcomes, stop_asked() and finished < rows, seconds)
 
 
 def _up_to_date(folder: Path, sweep: Sweep, code: str) -> StoredResult | None:
@@ -231,7 +230,7 @@ def _run_rows(sweep: Sweep, plan: SweepPlan, store: RowStore, pool: tuple[Execut
     total, to_run, ran = len(plan.digests), int(waiting.sum()), 0
     failed = sum(digest in finished and finished[digest][0] not in (COMPLETED, FAILED) for digest in plan.digests)
     batches = batches_of(plan.groups, waiting, pool[1])
-    for batch, computed in results(batches, sweep.measures, *pool, options.dask, options.stop):
+    for batch, computed in results(batches, sweep.measures, *pool, options.dask):
         numbers = [number for piece in batch for number in piece.rows]
         rows = {number: row for number, row in zip(numbers, computed, strict=True) if row[0] != INTERRUPTED}
         store.add([plan.digests[number] for number in rows], list(rows.values()))
