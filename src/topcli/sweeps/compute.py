@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import copy_context
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -183,8 +184,8 @@ def results(
     def submit(batch: list[Piece]) -> None:
         pieces = [(experiment.resolved() if dask else experiment, states) for experiment, states, _ in batch]
         # a thread hears of a request to stop by its context; a worker of a cluster cannot
-        begin = (compute_batch,) if dask else (copy_context().run, compute_batch)
-        flying[pool.submit(*begin, pieces, names, plugins, code)] = batch
+        begin = compute_batch if dask else partial(copy_context().run, compute_batch)
+        flying[pool.submit(begin, pieces, names, plugins, code)] = batch
 
     while True:
         # new batches, or a suspect by itself once nothing else is in flight
