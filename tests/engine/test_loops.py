@@ -26,7 +26,7 @@ def recorded(loop: Loop, y: np.ndarray, p: np.ndarray, h: float) -> tuple[bool, 
     try:
         with np.errstate(all="ignore"):
             loop.enter(y, work, p, h)
-            taken = loop.drive(work, out, p, h, N, EVERY, FIRST)
+            taken = loop.take_steps(work, out, p, h, N, EVERY, FIRST)
     except (ArithmeticError, ValueError):
         return False, b"", b""
     return taken == N, work.tobytes() if taken == N else str(taken).encode(), out.tobytes()

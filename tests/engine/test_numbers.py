@@ -126,7 +126,7 @@ def ready(scheme: Scheme, precision: int | str, max_digits: int = 10_000, **opti
 
 def orbit_of(made: PreciseRun, steps: int) -> Orbit:
     return orbit(
-        made.top, Machine(made.top, Stepper(made.loop.drive, made.loop.width), made.loop), made.y0, made.h, steps
+        made.top, Machine(made.top, Stepper(made.loop.take_steps, made.loop.width), made.loop), made.y0, made.h, steps
     )
 
 

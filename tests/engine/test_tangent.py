@@ -15,12 +15,12 @@ import pytest
 from steppers import built
 from topcli.arithmetic.fused import fma
 from topcli.contracts import Method, Stepper, Top
-from topcli.engine.compile import native
 from topcli.engine.drive import drive as driven
 from topcli.engine.drive import orbit
 from topcli.engine.duals import RULES, dual, primal_of, slope_of
 from topcli.engine.loops import interpreted, part_steps_of
 from topcli.engine.machine import Machine
+from topcli.engine.native import native
 from topcli.engine.rows import Plan
 from topcli.engine.tangent import TangentRun, tangent_code
 from topcli.errors import SchemeCodeError, UsageError
@@ -63,7 +63,7 @@ def moved(method: Method, p: np.ndarray, y: np.ndarray, h: float, steps: int) ->
     loop = interpreted(method, len(y), len(p))
     work, end = np.zeros(loop.width), np.empty_like(y)
     loop.enter(y, work, p, h)
-    assert loop.drive(work, end, p, h, steps, steps, steps) == steps
+    assert loop.take_steps(work, end, p, h, steps, steps, steps) == steps
     return end
 
 
@@ -173,9 +173,9 @@ def test_rules_of_dual_numbers(functions: tuple[Callable[..., Any], ...]) -> Non
         for k, text in enumerate(arguments)
     )
     scope: dict[str, Any] = {"function": function, "dual": dual, "value_of": primal_of, "slope_of": slope_of}
-    exec(f"def drive(x, dx, out):\n{calls}    return 1", scope)
+    exec(f"def take_steps(x, dx, out):\n{calls}    return 1", scope)
     out = np.zeros(2 * len(combinations))
-    native(scope["drive"], "ppp", duals=True)(np.array(x), np.array(dx), out)
+    native(scope["take_steps"], "ppp", duals=True)(np.array(x), np.array(dx), out)
     exact = EXACT.get(function) or getattr(mpmath, function.__name__)
     for one, (value, slope) in zip(combinations, out.reshape(-1, 2), strict=True):
         moved = [d if moves else 0.0 for d, moves in zip(dx, one, strict=True)]
@@ -205,7 +205,7 @@ def test_every_function_of_a_formula_is_differentiated() -> None:
 
 
 def test_dual_numbers_in_branches_loops_and_powers() -> None:
-    def drive(work, out):
+    def take_steps(work, out):
         x = dual(work[0], 1.0)
         total = 0.0
         for k in range(3):
@@ -221,7 +221,7 @@ def test_dual_numbers_in_branches_loops_and_powers() -> None:
         return 0
 
     out = np.zeros(3)
-    native(drive, "pp", duals=True)(np.array([1.3]), out)
+    native(take_steps, "pp", duals=True)(np.array([1.3]), out)
     value = sum((2 * 1.3 + k) * 1.3**3 / 2.3 for k in range(3)) - 3
     exact = mpmath.diff(lambda x: -sum((2 * x + k) * x**3 / (1 + x) for k in range(3)), 1.3)
     assert out == pytest.approx([-value, float(exact), 0.0], rel=1e-13)

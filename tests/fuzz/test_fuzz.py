@@ -109,7 +109,7 @@ def assert_steps_of_plain_python(experiment: Experiment) -> None:
     work, plain = np.zeros(method.width), np.empty(STEPS * d)
     with np.errstate(all="ignore"):
         loop.enter(np.array(short.y0), work, p, short.h)
-        assert loop.drive(work.tolist(), plain, p.tolist(), short.h, STEPS, 1, 1) == STEPS
+        assert loop.take_steps(work.tolist(), plain, p.tolist(), short.h, STEPS, 1, 1) == STEPS
     assert run.states[1:].tobytes() == plain.tobytes()
 
 

@@ -30,7 +30,7 @@ def state_after(top: Top, scheme: Scheme, options: Any, y0: Any, h: float) -> di
     loop = interpreted(method, len(y0), len(p))
     work, out = np.zeros(method.width), np.zeros(STEPS * len(y0))
     loop.enter(y0, work, p, h)
-    taken = loop.drive(work, out, p, h, STEPS, 1, 1)
+    taken = loop.take_steps(work, out, p, h, STEPS, 1, 1)
     counts = dict(zip(method.counters, work[len(work) - len(method.counters) :].tolist(), strict=True))
     return {"taken": int(taken), "state": out.reshape(STEPS, -1)[max(taken, 1) - 1].tolist(), "counts": counts}
 

@@ -53,7 +53,7 @@ def in_python(one: Experiment, tmp: Path) -> Rows:
     loop = interpreted(method, d, len(p))
     work, out = np.zeros(method.width), np.empty(N * d)
     loop.enter(np.array(one.y0), work, p, one.h)
-    loop.drive(work, out, p, one.h, N, 1, 1)
+    loop.take_steps(work, out, p, one.h, N, 1, 1)
     return rows_of(range(1, N + 1), out.reshape(N, d))
 
 

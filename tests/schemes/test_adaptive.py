@@ -117,13 +117,13 @@ def test_a_long_step_is_left_and_taken_up(monkeypatch: pytest.MonkeyPatch) -> No
     top, h = Kowalevski(), 50.0
     loop, work, p = prepared(top, np.array(GEN), h)
     whole = np.zeros(12)
-    assert loop.drive(work, whole, p, h, 2, 1, 1) == 2
+    assert loop.take_steps(work, whole, p, h, 2, 1, 1) == 2
     monkeypatch.setattr(loop_text, "MAX_EXPANSIONS", 9)
     loop, work, p = prepared(top, np.array(GEN), h)
     part = np.zeros(6)
     returned = []
     while sum(returned) < 1:
-        returned.append(loop.drive(work, part, p, h, 1, 1, 1))
+        returned.append(loop.take_steps(work, part, p, h, 1, 1, 1))
     assert len(returned) > 5
     assert (part == whole[:6]).all()
     assert np.array_equal(after(top, GEN, h, 2).ravel(), whole)

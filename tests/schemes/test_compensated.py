@@ -30,7 +30,7 @@ def end(top: Top, name: str, y0: Any, h: float, n: int, **options: bool) -> np.n
     loop = loop_of(method, len(y0), len(p))
     work = np.zeros(loop.width)
     loop.enter(np.array(y0), work, p, h)
-    assert loop.drive(work, work[:0], p, h, n, n + 1, n + 1) == n
+    assert loop.take_steps(work, work[:0], p, h, n, n + 1, n + 1) == n
     return np.array((method.leave or (lambda s, h, p: s))(tuple(work), h, tuple(p)))
 
 

@@ -102,7 +102,7 @@ def test_a_step_that_does_not_converge_ends_the_run_as_such() -> None:
     loop = interpreted(method, 6, len(p))
     work, out = np.zeros(method.width), np.zeros(6000)
     loop.enter(np.array(y0), work, p, h)
-    assert loop.drive(work, out, p, h, 1000, 1, 1) == -3
+    assert loop.take_steps(work, out, p, h, 1000, 1, 1) == -3
     assert math.isnan(work[method.width - 2])
 
 

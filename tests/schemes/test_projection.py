@@ -121,7 +121,7 @@ def test_many_digits() -> None:
     run = prepared(scheme, top, scheme.options(project=1), 40, (Fraction("0.05"), parameters, state))
     work, end = np.zeros(run.loop.width, dtype=object), np.zeros(6, dtype=object)
     run.loop.enter(run.y0, work, (), run.h)
-    assert run.loop.drive(work, end, (), run.h, 3, 3, 3) == 3
+    assert run.loop.take_steps(work, end, (), run.h, 3, 3, 3) == 3
     values = [[invariant.value(np.array([y]))[0] for invariant in run.top.invariants()] for y in (run.y0, end)]
     assert max(abs(float(run.arithmetic.fraction(a - b))) for a, b in zip(*values, strict=True)) < 1e-35
 

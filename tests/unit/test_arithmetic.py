@@ -39,7 +39,7 @@ from topcli.arithmetic.vectors import (
     solve3,
 )
 from topcli.engine.columns import attitude_columns, quaternions_of
-from topcli.engine.compile import native
+from topcli.engine.native import native
 from topcli.engine.numbers import Rational
 
 EPS = 2.0**-52

@@ -18,7 +18,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from topcli.arithmetic.sized import Sized
-from topcli.engine.compile import native
+from topcli.engine.native import native
 from topcli.engine.numbers import StrayDoubleError, digits, rationals
 from topcli.field.expression import FUNCTIONS, HIGHEST, ExpressionError, function_of, parse, value_of
 from topcli.field.polynomial import NotPolynomialError, Polynomial, polynomial_field
@@ -178,13 +178,13 @@ def test_compiled_powers_have_the_bits_of_python_and_never_raise() -> None:
     plain = [function_of("power", [formula], Y, ()) for formula in formulas]
     all_powers = function_of("powers", formulas, Y, ())
 
-    def drive(work, out):
+    def take_steps(work, out):
         values = all_powers((work[0], 0.0), ())
         for i in range(len(POWERS)):
             out[i] = values[i]
         return 1
 
-    compiled, out = native(drive, "pp"), np.zeros(len(POWERS))
+    compiled, out = native(take_steps, "pp"), np.zeros(len(POWERS))
     for x in (*SPECIAL, *np.random.default_rng(2).normal(size=100).tolist()):
         with warnings.catch_warnings():
             warnings.simplefilter("error")

@@ -58,9 +58,9 @@ def working_states(
     plain, compiled = (make(method, len(start), len(p)) for make in (interpreted, loop_of))
     work, other, out = np.zeros(method.width), np.zeros(method.width), np.empty(N * len(start))
     plain.enter(start, work, p, h)
-    taken = plain.drive(work, out, p, h, N, 1, 1)
+    taken = plain.take_steps(work, out, p, h, N, 1, 1)
     compiled.enter(start, other, p, h)
-    compiled.drive(other, other[:0], p, h, N, N + 1, N + 1)
+    compiled.take_steps(other, other[:0], p, h, N, N + 1, N + 1)
     return work.tolist(), other.tolist(), out[: max(taken, 0) * len(start)].reshape(-1, len(start))
 
 

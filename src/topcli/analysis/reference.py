@@ -36,7 +36,7 @@ from topcli.field.polynomial import Field, Monomial, required_field
 from topcli.field.units import NaturalUnits
 
 if TYPE_CHECKING:
-    from topcli.engine.compile import Native
+    from topcli.engine.native import Native
 
 GRID = 67108864.0
 """Steps are multiples of 1/GRID = 2^-26: times below 2^27 and offsets from them are then exact in double."""
@@ -226,7 +226,7 @@ MAX_TAYLOR_STEPS = 20_000_000
 
 @cache
 def _compiled() -> Native:
-    from topcli.engine.compile import native
+    from topcli.engine.native import native
 
     return native(advance, "pppppqdq")
 

@@ -45,7 +45,7 @@ from topcli.field.expression import in_arithmetic
 from topcli.tops.bodies import checked_rotation
 
 if TYPE_CHECKING:
-    from topcli.engine.compile import Native
+    from topcli.engine.native import Native
 
 
 LARGEST_CORRECTION = 0.05
@@ -102,7 +102,7 @@ def carry(
 
 @cache
 def _compiled() -> Native:
-    from topcli.engine.compile import native
+    from topcli.engine.native import native
 
     return native(carry, CARRY)
 
@@ -188,13 +188,13 @@ def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loo
         work[:NUMBERS], work[NUMBERS:head] = turning.begin(y[d:].tolist()), y[:d]
         return loop.enter(y[:d], work[head:], p, h)
 
-    def drive(work: Array, out: Array, p: Array, h: float, steps: int, every: int, until: int) -> int:
+    def take_steps(work: Array, out: Array, p: Array, h: float, steps: int, every: int, until: int) -> int:
         taken = written = 0
         begun = work.copy()
         try:
             while taken < steps:
                 size = min(BLOCK_STEPS, steps - taken)
-                went = loop.drive(work[head:], rows, p, h, size, 1, 1)
+                went = loop.take_steps(work[head:], rows, p, h, size, 1, 1)
                 good = went if went >= 0 else -went - 1
                 block[0] = work[NUMBERS:head]
                 left, rest = until + written * every - taken, out[written * (d + NUMBERS) :]
@@ -213,7 +213,7 @@ def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loo
     return replace(
         loop,
         enter=enter,
-        drive=drive,
+        take_steps=take_steps,
         width=loop.width + head,
         seconds=loop.seconds + turning.code.seconds,
         cached=loop.cached and turning.code.cached,

@@ -208,7 +208,7 @@ class Integration:
         out = stretch.out[j, stretch.begun :].reshape(-1)
 
         def call(rows: int, size: int, until: int) -> int:
-            return loop.drive(work, out[rows * d :], p, h, size, stretch.every, until)
+            return loop.take_steps(work, out[rows * d :], p, h, size, stretch.every, until)
 
         return self._in_calls(tile, call, stretch)
 

@@ -22,23 +22,16 @@ from numpy.typing import NDArray
 from topcli.arithmetic.fused import unlikely
 from topcli.arithmetic.vectors import VECTOR_VARIANTS
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, Top, check_stop, same_state
-from topcli.engine.compile import (
-    NO_VARIANTS,
-    CompileError,
-    Native,
-    Variants,
-    native,
-    native_text,
-    place_of,
-    reaches,
-)
+from topcli.engine.kernels import NO_VARIANTS, CompileError, Variants
+from topcli.engine.native import Native, native, native_text
+from topcli.engine.reach import place_of, reached
 from topcli.errors import SchemeCodeError
 
 SINGLE, LANES, PARTS = "pppdqqq", "pppdqqqq", "ppppdq"
 """Signatures of the machine code of the three loops."""
 
 _SINGLE = """
-def drive(work, out, params, h, steps, every, until_record):
+def take_steps(work, out, params, h, steps, every, until_record):
     # returns the number of steps done, or minus the number of the first step whose result is not finite;
     # that result is left in work
     p = ({constants})
@@ -64,7 +57,7 @@ _STAGES = """for stage in range(int(params[{count}])):
             if unlikely(not ({all_finite} == 0.0)):
                 break"""
 _LANES = """
-def drive(work, out, params, h, steps, every, until_record, stride):
+def take_steps(work, out, params, h, steps, every, until_record, stride):
     p = ({constants})
     k, left = 0, until_record
     for i in range(steps):
@@ -141,7 +134,7 @@ def _function(template: str, stepper: Stepper, d: int, constants: int, lanes: in
         "__name__": __name__,
     }
     exec(_compiled_text(text), scope)
-    return scope["part_steps" if template == _PARTS else "drive"]
+    return scope["part_steps" if template == _PARTS else "take_steps"]
 
 
 def more_parameters(stepper: Stepper) -> tuple[float, ...]:
@@ -186,7 +179,8 @@ def lanes_code(stepper: Stepper, d: int, constants: int, width: int) -> Native:
     # the nan of a rare branch may be in any number but the counters
     lane = replace(stepper, checked=stepper.width - len(stepper.counters))
     # it is noticed in the working state only, so what is recorded must not come from a variant
-    variants = {} if stepper.leave and reaches(stepper.leave, VECTOR_VARIANTS) else VECTOR_VARIANTS
+    recorded = reached(stepper.leave) if stepper.leave else ()
+    variants = NO_VARIANTS if VECTOR_VARIANTS.keys() & recorded else VECTOR_VARIANTS
     try:
         return loop_code(lane, d, constants, width, variants=variants)
     except CompileError as error:
@@ -195,7 +189,7 @@ def lanes_code(stepper: Stepper, d: int, constants: int, width: int) -> Native:
 
 @dataclass(frozen=True)
 class Loop:
-    """A method ready to run: ``enter(y, work, p, h)``, then ``drive(work, out, p, h, steps, every, until_record)``.
+    """A method ready to run: ``enter(y, work, p, h)``, then ``take_steps(work, out, p, h, steps, every, until)``.
 
     ``work`` has ``width`` slots, the last ones counting the events named in ``counters``; with ``iterative`` the one
     before them is nan after a step that did not converge. ``seconds`` is the time to compile or load; ``cached`` is
@@ -203,7 +197,7 @@ class Loop:
     """
 
     enter: Callable[..., int]
-    drive: Callable[..., int]
+    take_steps: Callable[..., int]
     width: int
     counters: tuple[str, ...] = ()
     seconds: float = 0.0
@@ -229,10 +223,10 @@ def _loop_over(code: Callable[..., int], method: Stepper, **about: Any) -> Loop:
         work[:] = inner(tuple(y), h, tuple(params))
         return 0
 
-    def drive(work: Array, out: Array, params: Any, *rest: Any) -> int:
+    def take_steps(work: Array, out: Array, params: Any, *rest: Any) -> int:
         return code(work, out, np.concatenate([params, more]), *rest)
 
-    return Loop(enter, drive if more else code, **_traits(method), **about)
+    return Loop(enter, take_steps if more else code, **_traits(method), **about)
 
 
 def _traits(method: Stepper | Block) -> dict[str, Any]:
@@ -247,7 +241,7 @@ def _sampled_loop(sampler: Sampler, d: int) -> Loop:
         work[d] = 0.0
         return 0
 
-    def drive(work: Array, out: Array, params: Array, h: float, steps: int, every: int, until_record: int) -> int:
+    def take_steps(work: Array, out: Array, params: Array, h: float, steps: int, every: int, until_record: int) -> int:
         done = int(work[d])
         n = np.arange(done + until_record, done + steps + 1, every, dtype=np.int64)
         states = sampler.states(work[:d], h, n, tuple(params))
@@ -259,7 +253,7 @@ def _sampled_loop(sampler: Sampler, d: int) -> Loop:
         work[d] = done + steps
         return steps
 
-    return Loop(enter, drive, d + 1, returns_early=True)
+    return Loop(enter, take_steps, d + 1, returns_early=True)
 
 
 def loop_of(method: Method, d: int, constants: int) -> Loop:
@@ -309,7 +303,7 @@ def state_after(loop: Loop, y: Array, p: Array | None, h: Any, steps: int = 1) -
             loop.enter(y, work, p, h)
             while left > 0:
                 check_stop()
-                taken = loop.drive(work, end, p, h, left, left, left)  # a block may return before all are done
+                taken = loop.take_steps(work, end, p, h, left, left, left)  # a block may return before all are done
                 if taken < 0:
                     return None
                 left -= taken

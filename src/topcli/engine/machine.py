@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from topcli.contracts import Array, Method, Sampler, Scheme, Stepper, Top
-from topcli.engine.compile import Native
 from topcli.engine.loops import Loop, lanes_code, loop_of, more_parameters
+from topcli.engine.native import Native
 
 SIDE_BY_SIDE = 4
 """Smallest batch whose trajectories advance side by side; fewer are faster one by one."""

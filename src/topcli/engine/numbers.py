@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from topcli.arithmetic.fused import double_of, fma, is_cap, power_of
 from topcli.arithmetic.vectors import sinc_cosc_polynomials
 from topcli.contracts import Scheme, StepFunction, Stepper, Top, check_stop
-from topcli.engine.compile import place_of, plain_function, references
 from topcli.engine.loops import Loop, interpreted
+from topcli.engine.reach import place_of, plain_function, references
 from topcli.errors import UsageError
 from topcli.field.polynomial import polynomial_field
 
@@ -406,11 +406,11 @@ def precise_loop(method: Stepper, d: int, constants: tuple[Any, ...], numbers: N
         work += zero
         return 0
 
-    def drive(work: Any, out: Any, p: Any, *steps: Any) -> int:
+    def take_steps(work: Any, out: Any, p: Any, *steps: Any) -> int:
         limit.clear()
-        return loop.drive(work, out, constants, *steps)
+        return loop.take_steps(work, out, constants, *steps)
 
-    return replace(loop, enter=enter, drive=drive, limit=limit)
+    return replace(loop, enter=enter, take_steps=take_steps, limit=limit)
 
 
 @dataclass(frozen=True)

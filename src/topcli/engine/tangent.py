@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.contracts import Array, Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
-from topcli.engine.compile import CompileError, place_of
 from topcli.engine.duals import dual, primal_of, slope_of
+from topcli.engine.kernels import CompileError
 from topcli.engine.loops import Loop, loop_code, loop_of, more_parameters, state_after
+from topcli.engine.reach import place_of
 from topcli.errors import UsageError
 
 NEAR, FAR = 2.0**128, 2.0**512
@@ -72,12 +73,12 @@ def _with_tangent(method: Stepper, d: int) -> Stepper:
 class TangentCode:
     """Step of a method with its tangent map, ready for ``lanes`` orbits at once.
 
-    ``drive`` and ``enter`` are loops over steps and lanes. ``drive`` leaves state and vector in ``out`` (lanes, 2 d);
-    of the working state, in rows of lanes, the rows ``vector`` belong to the vector. ``enter`` makes the ``width``
-    rows of the working state in the same way; None if they are those of state and vector.
+    ``take_steps`` and ``enter`` are loops over steps and lanes. ``take_steps`` leaves state and vector in ``out``
+    (lanes, 2 d); of the working state, in rows of lanes, the rows ``vector`` belong to the vector. ``enter`` makes the
+    ``width`` rows of the working state in the same way; None if they are those of state and vector.
     """
 
-    drive: Callable[..., int]
+    take_steps: Callable[..., int]
     enter: Callable[..., int] | None
     params: Array
     width: int
@@ -130,20 +131,20 @@ def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> Tangen
         return loop_code(stepper, length, constants, lanes, duals=variational is None).checked
 
     try:
-        drive, enter = loop_over(step, 2 * d), None
+        take_steps, enter = loop_over(step, 2 * d), None
         if step.enter:  # what a step that moves nothing records of state and vector
             enter = loop_over(replace(step, step=same_state, width=2 * d, leave=step.enter, checked=d), step.width)
     except CompileError as error:
         where = place_of(method.step)
         raise UsageError(f"{where}: the step of {scheme.name!r} cannot be differentiated: {error}") from None
     params = np.array([*top.constants(), *more_parameters(step)])
-    return TangentCode(drive, enter, params, step.width, vector, lanes)
+    return TangentCode(take_steps, enter, params, step.width, vector, lanes)
 
 
 def _one_by_one(loop: Loop) -> Callable[..., int]:
     """Loop over orbits of a method with its own time loop, with the arguments of the loop over lanes."""
 
-    def drive(work: Array, out: Array, params: Array, h: float, steps: int, *_: int) -> int:
+    def take_steps(work: Array, out: Array, params: Array, h: float, steps: int, *_: int) -> int:
         for j in np.flatnonzero(np.isfinite(work[-1])):
             end = state_after(loop, work[:-1, j].copy(), params, h, steps)
             if end is None:
@@ -152,7 +153,7 @@ def _one_by_one(loop: Loop) -> Callable[..., int]:
                 work[:-1, j] = out[j] = end
         return steps
 
-    return drive
+    return take_steps
 
 
 def _exponents(x: Array) -> NDArray[np.int64]:
@@ -192,7 +193,7 @@ class TangentRun:
         rows = self.code.vector
         while steps > 0:
             before, size = self._work.copy(), min(steps, self._call_steps)
-            self._call(self.code.drive, self._out, size)
+            self._call(self.code.take_steps, self._out, size)
             sizes = np.abs(self._work[rows]).max(axis=0)
             living = np.isfinite(self._work[-1])
             if (living & ~((sizes < NEAR) & (sizes > 1.0 / NEAR))).any():

@@ -84,7 +84,7 @@ def scheme_calls(experiment: Experiment, times: Array, setups: list[float]) -> P
 
         def call() -> Array:
             np.copyto(work, start)  # as the peers' calls do
-            taken = machine.loop.drive(work, states[1:].reshape(-1), machine.p, interval / steps, *run)
+            taken = machine.loop.take_steps(work, states[1:].reshape(-1), machine.p, interval / steps, *run)
             if taken != steps * count:
                 raise NoResultError(f"{'fails at' if taken < 0 else 'returns after'} step {abs(taken)}")
             return states

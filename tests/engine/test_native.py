@@ -15,8 +15,10 @@ from cases import parts_of
 from conftest import ROOT
 from injected import python_process
 from scheme_files import run_scheme, write_scheme
-from topcli.engine import code_store, compile
-from topcli.engine.compile import digest, native
+from topcli.engine import code_store
+from topcli.engine import native as machine_code
+from topcli.engine.native import native
+from topcli.engine.reach import digest
 from topcli.errors import SchemeCodeError
 
 STEPS = parts_of(Path(__file__).with_name("edits.txt"))
@@ -188,7 +190,7 @@ def test_code_of_another_processor_is_not_known(monkeypatch: pytest.MonkeyPatch,
     """Two kinds of machines may share the folder, as in a cluster."""
     import llvmlite.binding as llvm
 
-    words = compile._llvm.__wrapped__()[1]
-    assert compile._llvm.__wrapped__()[1] == words
+    words = machine_code._llvm.__wrapped__()[1]
+    assert machine_code._llvm.__wrapped__()[1] == words
     monkeypatch.setattr(llvm, name, lambda: "another")
-    assert compile._llvm.__wrapped__()[1] != words
+    assert machine_code._llvm.__wrapped__()[1] != words

@@ -1,0 +1,175 @@
+"""What a function can reach: the names that it mentions, what they refer to, and a digest of all of that.
+
+The digest tells apart the functions whose machine code may differ: numba makes it from the bytecode with its constants,
+the values of globals, closed-over variables, defaults and attributes of modules, which it freezes, and from the types
+of the arguments.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import sysconfig
+import types
+from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from topcli.errors import SchemeCodeError
+
+VERSIONED = frozenset(("llvmlite", "numba", "numpy"))
+"""Packages whose functions are identified by name: their versions are part of the digest."""
+_STANDARD_LIBRARY = sysconfig.get_path("stdlib")
+_PLAIN = frozenset((int, float, complex, bool, str, bytes, type(None), type(...)))
+
+
+def plain_function(value: object) -> types.FunctionType | None:
+    """``value`` as a plain Python function: itself, or the one that a numba dispatcher wraps; else None."""
+    if not isinstance(value, types.FunctionType | types.ModuleType | type):
+        value = getattr(value, "py_func", None)
+    return value if isinstance(value, types.FunctionType) else None
+
+
+def place_of(function: Callable[..., Any]) -> str:
+    """File and line of a function, for messages; of another callable, its ``repr``."""
+    plain = plain_function(function)
+    return f"{plain.__code__.co_filename}:{plain.__code__.co_firstlineno}" if plain else repr(function)
+
+
+def _names(code: types.CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _names(constant)
+        elif isinstance(constant, str) and "getattr" in code.co_names:
+            yield constant
+
+
+def names_in(function: types.FunctionType) -> list[str]:
+    """Sorted names of all globals and attributes that the function mentions."""
+    return sorted(set(_names(function.__code__)))
+
+
+def references(function: types.FunctionType) -> dict[str, Any]:
+    """Globals and closed-over variables of a function by name; builtins are left out."""
+    scope = function.__globals__
+    values = {name: scope[name] for name in names_in(function) if name in scope}
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        values.pop(name, None)
+        with suppress(ValueError):  # a variable without a value
+            values[name] = cell.cell_contents
+    return values
+
+
+@cache
+def is_standard(module: str) -> bool:
+    """True for the standard library, but not for a user's file of such a name, and for ``VERSIONED`` packages."""
+    package = module.partition(".")[0]
+    if package in VERSIONED or package == "builtins":
+        return True
+    file = getattr(sys.modules.get(package), "__file__", None)
+    return package in sys.stdlib_module_names and (file is None or file.startswith(_STANDARD_LIBRARY))
+
+
+def home_of(function: types.FunctionType) -> str:
+    """Name of the module of a function; ``__module__`` may be that of a function which it wraps."""
+    return str(function.__globals__.get("__name__") or "")
+
+
+def _has_known_name(value: Any) -> bool:
+    """True for a function or class that its name and the version of its package identify."""
+    module = getattr(value, "__module__", None) or type(value).__module__
+    belongs_to = getattr(value, "__self__", None)  # of a builtin function its module, of a method an object
+    named = isinstance(getattr(value, "__name__", None), str)
+    return callable(value) and named and is_standard(module) and isinstance(belongs_to, types.ModuleType | None)
+
+
+class _Walk:
+    """A digest under construction; ``functions`` are the plain ones met so far, in the order of their numbers."""
+
+    def __init__(self) -> None:
+        self.sha = hashlib.sha256()
+        self.functions = dict[types.FunctionType, int]()
+
+    def text(self, *words: object) -> None:
+        """Add words; the length keeps neighbouring texts apart."""
+        data = " ".join(map(str, words)).encode(errors="surrogatepass")
+        self.sha.update(b"%d:" % len(data) + data)
+
+    def put(self, value: Any) -> None:
+        """Add a value by its content. Raises SchemeCodeError for one that has none."""
+        kind = type(value)
+        function = plain_function(value)
+        if kind in _PLAIN:
+            self.text(kind.__name__, repr(value))
+        elif isinstance(value, tuple):
+            self.text(kind.__qualname__, getattr(value, "_fields", ""), len(value))
+            for item in value:
+                self.put(item)
+        elif kind is frozenset:  # a constant of code
+            self.text("frozenset", sorted(map(repr, value)))
+        elif isinstance(value, np.ndarray | np.generic):
+            layout = "C" if value.flags.c_contiguous else "F" if value.flags.f_contiguous else "A"
+            self.text(kind.__name__, np.dtype(value.dtype).descr, value.shape, layout)
+            if value.dtype.hasobject:
+                raise SchemeCodeError("an array of objects")
+            self.text(hashlib.sha256(value.tobytes()).hexdigest())
+        elif isinstance(value, types.CodeType):
+            self.text(value.co_code.hex(), value.co_flags, value.co_argcount, value.co_kwonlyargcount)
+            self.text(value.co_names, value.co_varnames, value.co_freevars, value.co_exceptiontable.hex())
+            self.put(value.co_consts)
+        elif function is not None and not is_standard(home_of(function)):
+            self._function(function)
+        elif isinstance(value, types.ModuleType):
+            self.text("module", value.__name__)
+        elif _has_known_name(value):
+            self.text(kind.__name__, getattr(value, "__module__", ""), value.__name__)
+        else:
+            raise SchemeCodeError(f"a {kind.__name__}")
+
+    def _function(self, function: types.FunctionType) -> None:
+        again = function in self.functions
+        self.text("function", again, self.functions.setdefault(function, len(self.functions)))
+        if again:  # or on the way to itself
+            return
+        self.put(function.__code__)
+        named = {"default arguments": function.__defaults__, **(function.__kwdefaults__ or {}), **references(function)}
+        for name, value in named.items():
+            try:
+                self._named(name, value, function, ())
+            except SchemeCodeError as error:
+                if ": " in str(error):  # names its place already
+                    raise
+                raise SchemeCodeError(
+                    f"{place_of(function)}: {function.__name__} refers to {name!r}, which is or holds {error}; "
+                    "compiled code takes numbers, strings, tuples, arrays, functions and modules of them"
+                ) from None
+
+    def _named(self, name: str, value: Any, owner: types.FunctionType, inside: tuple[Any, ...]) -> None:
+        """Add a value that ``owner`` mentions; of a module of a user, the attributes that it may mention."""
+        self.text(name)
+        self.put(value)
+        if isinstance(value, types.ModuleType) and not is_standard(value.__name__) and value not in inside:
+            for attribute in names_in(owner):
+                if hasattr(value, attribute):
+                    self._named(attribute, getattr(value, attribute), owner, (*inside, value))
+
+
+def digest(*values: Any) -> str:
+    """Digest of values by their content: of functions, their code and all that it refers to.
+
+    Raises SchemeCodeError naming a value that compiled code cannot refer to.
+    """
+    walk = _Walk()
+    walk.put(values)
+    return walk.sha.hexdigest()
+
+
+def reached(function: Callable[..., Any]) -> Collection[types.FunctionType]:
+    """Plain functions that compiled code of ``function`` can call, itself included. Raises SchemeCodeError likewise."""
+    walk = _Walk()
+    walk.put(function)
+    return walk.functions.keys()
