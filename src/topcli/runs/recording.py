@@ -25,19 +25,15 @@ from topcli.store.table import GrowingTable
 _Columns = dict[str, NDArray[Any]]
 
 
-class Series(Consumer):
-    """The columns ``names`` of all rows go into a ``table``."""
+class _TableRows(Consumer):
+    """The columns ``names`` of some rows go into a ``table``."""
 
     def __init__(self, table: GrowingTable, names: Sequence[str]) -> None:
         self.table, self.names = table, names
 
-    def add(self, rows: Rows) -> _Columns:
+    def _columns(self, rows: Rows) -> _Columns:
         """Columns of the rows that were reached."""
         return {name: np.array(values) for name, values in rows.columns(self.names).items()}
-
-    def take(self, result: _Columns) -> None:
-        """Append the columns to the table."""
-        self.table.add(result)
 
     def state(self) -> State:
         """Parts of the table, after writing all rows."""
@@ -48,22 +44,27 @@ class Series(Consumer):
         self.table.restore(state)
 
 
-class LastRows(Series):
-    """The columns ``names`` of the last row of each trajectory go into a ``table``."""
+class Series(_TableRows):
+    """The columns ``names`` of all rows go into a ``table``."""
 
     def add(self, rows: Rows) -> _Columns:
-        """Leave out the rows on the way."""
-        return {}
+        """Columns of the rows that were reached."""
+        return self._columns(rows)
 
     def take(self, result: _Columns) -> None:
-        """Leave out the rows on the way."""
+        """Append the columns to the table."""
+        self.table.add(result)
+
+
+class LastRows(_TableRows):
+    """The columns ``names`` of the last row of each trajectory go into a ``table``."""
 
     def end(self, run: Integration) -> None:
         """Write the last rows of the trajectories that were begun."""
         begun = np.repeat(run.done >= 0, run.size)[: len(run.last)]
         which = run.plan.first + np.flatnonzero(begun)
         rows = Rows(run.plan, run.last_n[begun], run.last[None, begun], columns={"trajectory": which[None]})
-        self.table.add(super().add(rows))
+        self.table.add(self._columns(rows))
 
 
 class Members(Consumer):

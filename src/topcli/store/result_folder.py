@@ -18,6 +18,7 @@ import os
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +46,13 @@ LOOK_SECONDS = 0.1
 _UNCOMPARED = ("name", "output.format")
 
 
-COMPUTE, RENAME = "will run", "will run; the earlier result is renamed, not overwritten"
-CONTINUE, UP_TO_DATE = "will continue from its last checkpoint", "up to date"
-"""Actions at the place of a result."""
+class Action(StrEnum):
+    """What a run does at the place of its result, in words for a dry run."""
+
+    COMPUTE = "will run"
+    RENAME = "will run; the earlier result is renamed, not overwritten"
+    CONTINUE = "will continue from its last checkpoint"
+    UP_TO_DATE = "up to date"
 
 
 @dataclass(frozen=True)
@@ -94,7 +99,7 @@ class ResultFolder:
         computes there, or if the place is damaged or cannot be written.
         """
         stored, action = _outlook(path, identity, force)
-        if action == UP_TO_DATE and not (path / UNFINISHED).exists():
+        if action is Action.UP_TO_DATE and not (path / UNFINISHED).exists():
             return cls(stored)
         require_writable(path.parent)
         lock = locked(path)
@@ -107,12 +112,12 @@ class ResultFolder:
             for torn in path.glob(".manifest.*"):  # of a process that was killed while it wrote a manifest
                 torn.unlink()
             stored, action = _outlook(path, identity, force)
-            if action == UP_TO_DATE:
+            if action is Action.UP_TO_DATE:
                 _remove_rests(path)  # its process was killed before it could do so
                 release(path, lock)
                 return cls(stored)
-            aside = set_aside(stored) if action == RENAME else None
-            if action != CONTINUE:
+            aside = set_aside(stored) if action is Action.RENAME else None
+            if action is not Action.CONTINUE:
                 stored = _begun(path, identity)
             (path / UNFINISHED).mkdir(exist_ok=True)
         except BaseException as error:
@@ -220,7 +225,7 @@ def flattened(data: Any, path: str = "") -> dict[str, Any]:
     return {k: v for key, value in data.items() for k, v in flattened(value, f"{path}.{key}" if path else key).items()}
 
 
-def _outlook(path: Path, identity: Identity, force: bool) -> tuple[Any, str]:
+def _outlook(path: Path, identity: Identity, force: bool) -> tuple[Any, Action]:
     """Result at ``path``, None if there is none, and the action that follows.
 
     Raises UsageError if something else is there that may not be renamed, and RunError for a damaged manifest.
@@ -230,11 +235,11 @@ def _outlook(path: Path, identity: Identity, force: bool) -> tuple[Any, str]:
         foreign = os.path.islink(path) or os.path.isfile(path) or _files(path)
         if foreign and read_result(path) is None:  # another process may have begun meanwhile
             raise UsageError(f"{path}: exists and is no result of topcli; choose another name with --set name=NAME")
-        return None, COMPUTE
+        return None, Action.COMPUTE
     if stored.manifest.get("kind") == SWEEP:
         raise UsageError(f"{path}: holds a sweep; choose another name with --set name=NAME")
     if not _valuable(stored):
-        return stored, COMPUTE
+        return stored, Action.COMPUTE
 
     # an equal config with another digest is the same experiment with other code of the user
     digest, code, config = (stored.manifest[key] for key in ("digest", "code", "config"))
@@ -245,8 +250,8 @@ def _outlook(path: Path, identity: Identity, force: bool) -> tuple[Any, str]:
         )
     form, new_form = (each.get("output", {}).get("format") for each in (config, identity.config))
     if force or (digest, code, form) != (identity.digest, identity.code, new_form):
-        return stored, RENAME
-    return stored, UP_TO_DATE if stored.complete else CONTINUE
+        return stored, Action.RENAME
+    return stored, Action.UP_TO_DATE if stored.complete else Action.CONTINUE
 
 
 def _files(folder: Path) -> list[str]:
