@@ -14,7 +14,7 @@ import pytest
 from conftest import ROOT, Said
 from documentation import read_page
 from injected import topcli_process
-from topcli.engine import compile
+from topcli.engine import native
 
 Cli = Callable[..., Said]
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
@@ -243,13 +243,13 @@ def test_settings_of_the_environment_are_not_blamed_on_the_scheme(
 def test_a_compiler_that_cannot_be_loaded_is_not_a_folder_that_cannot_be_written(
     cli: Callable[..., Said], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compile._llvm.cache_clear()
-    compile._linked.cache_clear()
+    native._llvm.cache_clear()
+    native._linked.cache_clear()
     monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
     try:
         said = cli("run", "kowalevski_hk", "--set", "N=20", "--quiet")
     finally:
-        compile._llvm.cache_clear()
+        native._llvm.cache_clear()
     assert said.code == 1
     assert "a package cannot be loaded: import of llvmlite" in said.err
     assert "written" not in said.err
