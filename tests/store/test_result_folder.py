@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from counting import NAME, compute, counted, tree
+from counting import CHUNK, NAME, compute, counted, tree
 from faults import Disk
 from injected import fork, in_fork
 from topcli.errors import RunError, UsageError
@@ -57,19 +57,23 @@ def stopped_after(chunks: int) -> object:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("how", "every", "earlier"), KILLS)
-def test_a_kill_at_any_operation_loses_nothing(tmp_path: Path, how: str, every: int, earlier: bool) -> None:
+def test_a_kill_at_any_operation_loses_nothing(
+    tmp_path: Path, how: str, every: int, earlier: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also while an earlier, different result makes way; a second kill hits the life that continues.
 
     A torn operation is one half of which is done; where power fails, what was not flushed is gone.
     """
+    monkeypatch.setattr("counting.N", 3 * CHUNK)
     compute(tmp_path / "whole", every=every)
-    expected, before = data(tmp_path / "whole" / NAME), {}
+    expected = data(tmp_path / "whole" / NAME)
+    first = tmp_path / "first"
+    first.mkdir()
+    if earlier:
+        compute(first, OTHER)
+    before = data(first / NAME)
     for at in itertools.count(1):
-        out = tmp_path / str(at)
-        out.mkdir()
-        if earlier:
-            compute(out, OTHER)
-            before = data(out / NAME)
+        out = shutil.copytree(first, tmp_path / str(at))
         disk, again = Disk(out, at, how), Disk(out, 2 * at % 17 + 1, how)
         code = in_fork(lambda disk=disk, out=out: (disk.install(), compute(out, every=every, force=earlier), 0)[2])
         done = disk.operations()

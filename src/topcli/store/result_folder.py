@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import os
 import time
 from collections.abc import Iterable, Mapping
@@ -294,7 +295,7 @@ def _remove_rests(path: Path) -> None:
 def set_aside(stored: StoredResult) -> Path:
     """New path of a folder, which is renamed by the key of what it holds; the caller has its lock."""
     base = f"{stored.folder.name}-{stored.manifest['key']}"
-    names = (base, *(f"{base}-{number}" for number in range(2, 10**6)))
+    names = itertools.chain([base], (f"{base}-{number}" for number in itertools.count(2)))
     aside = next(path for path in map(stored.folder.with_name, names) if not os.path.lexists(path))
     return stored.folder.rename(aside)
 
