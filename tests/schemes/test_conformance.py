@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -26,10 +27,12 @@ from topcli.schemes.registry import find_scheme
 from topcli.testing import check_scheme
 from topcli.tops import TOPS
 
+SEVERAL = Counter(scheme.name for scheme in SCHEMES)
+"""Number of tops of each scheme; one of several tops is tried on one of each form."""
 SUBJECTS = [
     subject
     for scheme in (SPLIT, *SCHEMES)
-    for subject in subjects(scheme, TRIALS[scheme.top][:2], compositions_of(scheme))
+    for subject in subjects(scheme, TRIALS[scheme.top][: 1 if SEVERAL[scheme.name] > 3 else 2], compositions_of(scheme))
 ]
 
 

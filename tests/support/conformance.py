@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -58,12 +57,10 @@ def choices(scheme: Scheme, top: Top) -> Iterator[Any]:
 
 
 def compositions_of(scheme: Scheme) -> list[str]:
-    """Compositions to try a scheme with: one, chosen by its name; all for two schemes."""
-    if composition_obstacle(scheme):
+    """Compositions to try a scheme with: all for two schemes, and one for others of the Kowalevski top."""
+    if composition_obstacle(scheme) or scheme.top != "kowalevski":
         return []
-    if (scheme.name, scheme.top) in (("hk", "kowalevski"), ("kick-turn", "kowalevski")):
-        return [*COMPOSITIONS]
-    return [[*COMPOSITIONS][zlib.crc32(f"{scheme.name}/{scheme.top}".encode()) % len(COMPOSITIONS)]]
+    return [*COMPOSITIONS] if scheme.name in ("hk", "kick-turn") else ["suzuki4"]
 
 
 def subjects(scheme: Scheme, tops: Sequence[Top], compositions: Sequence[str] = ()) -> list[Subject]:
