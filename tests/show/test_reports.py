@@ -133,7 +133,7 @@ def test_a_sweep_has_the_rows_of_its_file_and_draws_them(tmp_path: Path) -> None
     with pytest.raises(UsageError, match="unknown measure 'x'"):
         swept.plot(y="x")
     edited = topcli.sweep({**STUDY, "grid": {"h": [0.05, 0.02], "scheme": ["rk4"]}}, tmp_path, progress=False)
-    assert (edited.result.ran, edited.outcomes) == (1, {"completed": 2})
+    assert edited.outcomes == {"completed": 2}
     assert edited.table["h"].to_dict() == {0: 0.05, 1: 0.02}
 
 
