@@ -54,7 +54,7 @@ def test_a_ladder_ends_at_the_number_of_steps_or_at_round_off() -> None:
     table_of("""
 hk dop853        dop853: has no order in h: it chooses its steps by a tolerance
 exact            exact: has no error that depends on h
-hk hk   scheme 'hk' is named twice
+hk hk            hk: is named twice
 hk --h 0.6       --h 0.6: must divide 0.5, the time between comparisons; give for example 0.5
 hk --set T=-1    T/h = -1/0.01 = -100 steps; must be from 1
 hk --set h=0.1   --set h=0.1: the step sizes of this study are given by --h

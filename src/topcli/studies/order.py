@@ -18,7 +18,7 @@ from topcli.contracts import Array
 from topcli.errors import ExitCode, UsageError
 from topcli.schemes.registry import names_for
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import SCHEME, code_failures, entry_named, refuse_keys, scene_of
+from topcli.studies.entries import SCHEME, code_failures, entries_of, refuse_keys, scene_of
 from topcli.studies.ladder import ErrorCurve, ladder, measured, scheme_calls
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
@@ -96,8 +96,8 @@ def order(
     if interval <= 0.0:
         raise UsageError(f"the duration {base.duration:g} must be positive; give another with --set T=...")
     chosen_sizes = sorted({_dividing(size, interval) for size in sizes}, reverse=True)
-    names = schemes or (DEFAULT if config is None else names_for(base.top.form))
-    chosen = _with_orders(base, names, bool(schemes))
+    names = schemes or (DEFAULT if config is None else ())
+    chosen = entries_of(base, names, names_for(base.top.form), _without_order)
     watch.begin("order", base, unit="schemes")
     times = np.arange(INTERVALS + 1) * interval
     reference = reference_states(base.top, base.y0, times)
@@ -179,24 +179,11 @@ def _consistent(experiment: Experiment) -> bool:
     return is_consistent(experiment.top, experiment.method(), np.array(experiment.y0))
 
 
-def _with_orders(base: Experiment, names: Sequence[str], named: bool) -> dict[str, Experiment]:
-    """Experiments of the schemes whose order can be observed. Raises UsageError for others if they are ``named``."""
-    chosen: dict[str, Experiment] = {}
-    for name in map(str.lower, names):
-        if name in chosen:
-            raise UsageError(f"scheme {name!r} is named twice")
-        try:
-            experiment = entry_named(base, name)
-            if experiment.scheme.adaptive:
-                raise UsageError(f"{name}: has no order in h: it chooses its steps by a tolerance")
-            if not experiment.scheme.order_for(experiment.options):
-                raise UsageError(f"{name}: has no error that depends on h")
-        except UsageError:
-            if named:
-                raise
-        else:
-            chosen[name] = experiment
-    return chosen
+def _without_order(experiment: Experiment) -> str:
+    """Reason why the order of a scheme cannot be observed; empty if it can."""
+    if experiment.scheme.adaptive:
+        return "has no order in h: it chooses its steps by a tolerance"
+    return "" if experiment.scheme.order_for(experiment.options) else "has no error that depends on h"
 
 
 def _answer(rows: Sequence[Mapping[str, Any]]) -> str:
