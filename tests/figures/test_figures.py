@@ -21,7 +21,7 @@ from topcli.figures.catalogue import FIGURES
 from topcli.figures.figure import Figure, NothingMeasuredError, canvas_of, read_columns
 from topcli.figures.style import looks
 
-QUICK = ("fig1", "fig2", "fig3", "fig4", "modified", "traces", "bifurcation", "body")
+QUICK = ("fig1", "fig2", "fig3", "fig4", "modified", "traces", "bifurcation")
 
 
 def wave(calls: list[str], takes: str = "") -> Figure:
