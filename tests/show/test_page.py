@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -163,28 +162,19 @@ def flip(path: Path) -> None:
     path.write_bytes(content)
 
 
-DAMAGES: dict[str, tuple[str, Callable[[Path], object], str]] = {
-    "series": ("one/series.parquet", flip, "series.parquet: damaged: its SHA-256 differs"),
-    "no series": ("one/series.parquet", Path.unlink, "series.parquet: damaged: missing"),
-    "no manifest": ("one/manifest.json", Path.unlink, "no run is stored here (manifest.json is missing)"),
-    "manifest": (
-        "one/manifest.json",
-        lambda path: path.write_bytes(path.read_bytes()[:-9]),
-        "manifest.json: damaged (",
-    ),
-    "rows": ("sweep/rows.parquet", flip, "rows.parquet: damaged: its SHA-256 differs"),
-    "no manifest of rows": ("sweep/manifest.json", Path.unlink, "the sweep is not finished; topcli sweep continues it"),
-    "study": ("compared.json", flip, "compared.json: "),
-}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", DAMAGES)
-def test_a_damaged_result_is_refused(name: str, copied: Path) -> None:
-    place, spoil, message = DAMAGES[name]
-    spoil(copied / place)
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("one/series.parquet", "series.parquet: damaged: its SHA-256 differs"),
+        ("sweep/rows.parquet", "rows.parquet: damaged: its SHA-256 differs"),
+        ("compared.json", "compared.json: "),
+    ],
+)
+def test_a_damaged_result_is_refused(place: str, message: str, copied: Path) -> None:
+    flip(copied / place)
     with pytest.raises(TopcliError, match=re.escape(message)):
-        page_on(copied, "sweep" if place.startswith("sweep") else place.partition("/")[0])
+        page_on(copied, place.partition("/")[0])
 
 
 @pytest.mark.slow
