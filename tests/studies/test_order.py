@@ -131,11 +131,10 @@ SHORT = ("--set", "T=2", "--max-steps", "200")
 def test_order_reports_false_declarations(with_file: Callable[..., Said]) -> None:
     said = with_file("order", "honest", "modest", "false3", "inconsistent", *SHORT)
     assert said.code == 4
-    assert said.err.splitlines()[-2:] == [
-        "error: false3: the observed order 1.99 is below the declared order 3",
-        "error: inconsistent: the observed order 0.00 is below the declared order 2: "
-        "its step is not consistent with the equations of motion",
-    ]
+    false, inconsistent = said.err.splitlines()[-2:]
+    assert false == "error: false3: the observed order 1.99 is below the declared order 3"
+    assert inconsistent.startswith("error: inconsistent: the observed order 0.")
+    assert inconsistent.endswith("its step is not consistent with the equations of motion")
     verdicts = [row["verdict"] for row in said.json()["tables"][0]["rows"]]
     assert verdicts == ["as declared", "as declared", "too low", "inconsistent"]
     assert with_file("order", "honest", "modest", *SHORT).code == 0

@@ -11,23 +11,9 @@ from typing import Any
 from topcli.contracts import Block, Scheme, Top
 from topcli.errors import UsageError
 from topcli.field.polynomial import NotPolynomialError, field_of
-from topcli.schemes.own_tops import forms
-from topcli.schemes.registry import all_schemes, find_scheme, names_for
+from topcli.schemes.registry import names_for
 from topcli.table import DASH
 from topcli.tops import TOPS
-
-
-def scheme_forms(name: str, top: str | None = None) -> list[Scheme]:
-    """Schemes called ``name``, one for each form of a top, or of ``top`` that it fits; empty if there is none.
-
-    Raises UnknownNameError for an unknown top, SchemeMisfitError for a scheme that fits no form of it.
-    """
-    base = name.lower().partition("+")[0]
-    fits = [scheme.top for scheme in all_schemes() if scheme.name == base]
-    if top is None or not fits:
-        return [find_scheme(name, form) for form in fits]
-    asked = [form.form for form in forms(top)]
-    return [find_scheme(name, form) for form in asked if form in fits] or [find_scheme(name, asked[0])]
 
 
 def generated_source(schemes: Sequence[Scheme]) -> str:

@@ -13,11 +13,13 @@ from typing import Any
 
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
+from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UsageError, counted, printable, quoted, shortened
 from topcli.schemes.own_tops import forms
 from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.testing import GENERIC
+from topcli.tops import TOPS
 
 _SCENES = {
     "kowalevski": "kowalevski_generic_hk",
@@ -149,6 +151,15 @@ def experiment_on(
     state = [GENERIC[i % len(GENERIC)] for i in range(len(body.components))]
     initial = {**body.initial_section(state), **({"normalize": True} if body.unit_vectors else {})}
     return load_experiment({"top": body.section(), "initial": initial, "scheme": scheme, "h": h, "N": N}, overrides)
+
+
+def schemes_called(name: str, fits: Sequence[str] = ()) -> list[Scheme]:
+    """Schemes called ``name``, one for each form of a top that it steps, among the forms ``fits``; by default all.
+
+    Raises UnknownNameError for an unknown name, and SchemeMisfitError for a scheme of other tops.
+    """
+    fits, base = fits or list(TOPS), name.lower().partition("+")[0]
+    return [find_scheme(name, form) for form in [form for form in fits if base in names_for(form)] or fits[:1]]
 
 
 @contextmanager
