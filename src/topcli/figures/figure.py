@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +93,7 @@ class Figure:
                 write_whole(table, lambda path: write_columns(path, columns or {}, self.key))
                 further = [out / f"{self.name}.{suffix}" for suffix in IMAGE_FORMATS if suffix not in formats]
                 pictures += [path for path in further if stored is not None and path.exists()]
-            canvas = canvas_of(partial(self.draw, columns=columns), self.size)
+            canvas = canvas_of(lambda canvas: self.draw(canvas, columns), self.size)
             for picture in pictures:
                 write_whole(picture, lambda path, form=picture.suffix[1:]: save(canvas, path, form))
         except OSError as error:

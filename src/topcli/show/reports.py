@@ -115,7 +115,7 @@ class RunReport(Report):
     def picture(self, form: str) -> bytes:
         """Picture of all columns in a format, "png", "pdf" or "svg". Raises UsageError for an ensemble."""
         figure = run_figure(self.result.stored)
-        return picture_of(partial(figure.draw, columns=figure.data()), figure.size, form)
+        return picture_of(lambda canvas: figure.draw(canvas, figure.data()), figure.size, form)
 
 
 def run_report(result: RunResult) -> RunReport:
