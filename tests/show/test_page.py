@@ -23,7 +23,6 @@ from topcli.runs.report import report_tables
 from topcli.runs.run import RunOptions, run_experiment
 from topcli.show.reports import rows_table, stored_record
 from topcli.store.files import SEAL, sealed_text
-from topcli.studies.health import check_all
 from topcli.studies.page import page_of
 from topcli.studies.report import Report, Table
 from topcli.table import Cells
@@ -188,20 +187,14 @@ def test_a_failure_is_not_good(copied: Path) -> None:
         page = page_on(copied, place)
         assert len(page.with_class("bad")) >= 1, place
         assert page.all("p")[2].attributes["class"] == "bad", place
-    for key in ("tables", "answer"):
-        path.write_text(json.dumps({name: value for name, value in data.items() if name not in (key, SEAL)}))
-        with pytest.raises(UsageError, match=r"compared.json: not (a result|of the form)"):
-            page_on(copied, "compared.json")
+    path.write_text(json.dumps({name: value for name, value in data.items() if name not in ("answer", SEAL)}))
+    with pytest.raises(UsageError, match=r"compared.json: not a result that this version of topcli writes \(answer is"):
+        page_on(copied, "compared.json")
 
 
-def test_a_changed_study_is_damaged_on_its_page_and_for_verify(tmp_path: Path) -> None:
+def test_a_changed_study_is_damaged(tmp_path: Path) -> None:
     path = tmp_path / "comparison.json"
-    path.write_text(sealed_text(Report("compare", "0.375").record() | {"environment": {}}), encoding="utf-8")
-    assert not check_all(str(path), tmp_path).damage
-    whole = path.read_bytes()
-    for place in range(0, len(whole), 7):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
-        assert list(check_all(str(path), tmp_path).damage) == [path.name], place
-    path.write_bytes(whole.replace(b"0.375", b"0.625"))
+    path.write_text(sealed_text(Report("compare", "0.375").record()), encoding="utf-8")
+    path.write_text(path.read_text(encoding="utf-8").replace("0.375", "0.625"), encoding="utf-8")
     with pytest.raises(RunError, match=r"comparison.json: damaged: its SHA-256 differs from the one stored in it"):
         stored_record(path)
