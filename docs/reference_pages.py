@@ -45,7 +45,7 @@ MEMBERS = {
     "studies.report.Report": "table, plot, save, as_dict",
     "table.Table": "frame, text",
     "show.reports.RunReport": "folder, outcome, status, series, table, as_dict",
-    "show.reports.SweepReport": "folder, outcomes, table, plot, as_dict",
+    "show.reports.SweepReport": "folder, outcomes, table, as_dict",
     "contracts.Scheme": "",
 }
 """Members of classes that the page shows."""

@@ -113,9 +113,6 @@ def test_a_sweep_has_the_rows_of_its_file_and_draws_them(tmp_path: Path) -> None
     for scheme, line in zip(("hk", "rk4"), lines, strict=True):
         mine = swept.table[swept.table["scheme"] == scheme].sort_values("h")
         np.testing.assert_array_equal(line.get_xydata(), mine[["h", "max_deviation.energy"]])
-    assert swept.plot(Figure().add_subplot(), "max_error").get_ylabel() == "max error"
-    with pytest.raises(UsageError, match="unknown measure 'x'"):
-        swept.plot(y="x")
     edited = topcli.sweep({**STUDY, "grid": {"h": [0.05, 0.02], "scheme": ["rk4"]}}, tmp_path, progress=False)
     assert edited.outcomes == {"completed": 2}
     assert edited.table["h"].to_dict() == {0: 0.05, 1: 0.02}

@@ -15,16 +15,16 @@ import numpy as np
 from topcli.config.load import load
 from topcli.contracts import Outcome
 from topcli.errors import ExitCode, UsageError, counted, nearest, quoted
-from topcli.figures.figure import on_axes, picture_of
+from topcli.figures.figure import picture_of
 from topcli.figures.run import recorded_vectors, run_figure, run_pictures, series_of
 from topcli.figures.sweep import draw_points, points_of, usual_choices
 from topcli.runs.report import ensemble_statements, precision_note, report_tables, warning_of
 from topcli.runs.run import RunResult
 from topcli.store.results import MANIFEST, REPORT, StoredResult, intact_result
 from topcli.store.series import read_series, series_names
-from topcli.studies.report import SIZE, Report, read_record
+from topcli.studies.report import Report, read_record
 from topcli.sweeps.store import COMPLETED, ROWS_FILE, SWEEP_FILE, intact_sweep, is_sweep, stored_sweep_file
-from topcli.sweeps.table import Frame, key_labels, read_rows, require_names
+from topcli.sweeps.table import Frame, key_labels, read_rows
 from topcli.table import DASH, Table, number, plain
 
 if TYPE_CHECKING:
@@ -153,6 +153,9 @@ def _draw_last_vector(stored: StoredResult, axes: Axes) -> None:
 class SweepReport(Report):
     """Report on a finished sweep, as returned by ``topcli.sweep``.
 
+    The report draws the first measure against the numeric key with the most values, with a curve for each scheme or
+    top. ``table`` gives the rows for other plots.
+
     Attributes
     ----------
     folder : Path
@@ -204,35 +207,11 @@ class SweepReport(Report):
 
         return picture_of(draw, (5.6, sum(heights)), form)
 
-    def plot(self, ax: Axes | None = None, y: str | None = None) -> Axes:
-        """Draw a measure against the numeric key with the most values, with a curve for each scheme or top.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. By default, new axes are made.
-        y : str, optional
-            Measure; by default the first one. ``table`` gives the rows for other plots.
-
-        Raises
-        ------
-        UsageError
-            If the measure is unknown, or if there is nothing to draw.
-        """
-        rows = read_rows(self.folder)
-        if y is not None:
-            require_names(rows, "measure", [y], "plot: y")
-        choice = next((each for each in usual_choices(rows) if y in (None, each.y)), None)
-        if choice is None:
-            raise UsageError("plot: no key of the sweep varies, or the measure has no value")
-        points = points_of(rows, choice)
-        return on_axes(lambda axes: draw_points(axes, points), ax, SIZE)
-
 
 def sweep_report(folder: Path) -> SweepReport:
     """Report on the finished sweep in ``folder``."""
     rows = read_rows(folder)
-    outcomes = Counter(rows["outcome"])
+    outcomes, choice = Counter(rows["outcome"]), next(usual_choices(rows), None)
     return SweepReport(
         "sweep",
         rows.attrs["name"],
@@ -240,6 +219,7 @@ def sweep_report(folder: Path) -> SweepReport:
         [rows_table(rows)],
         code=ExitCode.SUCCESS if set(outcomes) <= {COMPLETED} else ExitCode.PARTLY_FAILED,
         config=stored_sweep_file(folder).resolved(),
+        draw=None if choice is None else lambda axes, looks: draw_points(axes, points_of(rows, choice)),
         folder=folder,
     )
 
