@@ -106,7 +106,8 @@ def compare(
 
     # the speed of all is timed in turns, after the runs
     probes = expected[first.h][probe_rows(len(expected[first.h]))]
-    rows, invariants, columns = [], {}, _columns(first, strides[next(iter(asked))], expected[first.h])
+    t, swing = np.arange(0, first.N + 1, strides[next(iter(asked))]) * first.h, top.components.index(top.swing)
+    rows, invariants, columns = [], {}, {"t": t, "swing:reference": expected[first.h][:, swing]}
     for (label, (experiment, method, run)), nanoseconds in zip(
         runs.items(), _step_times(list(runs.values())), strict=True
     ):
@@ -114,7 +115,7 @@ def compare(
         rows.append(_row(label, experiment, method, run, error, probes, nanoseconds))
         invariants[label] = [row.as_dict() for row in run.invariant_rows()]
         for name, values in (("error", error), ("swing", run[top.swing])):
-            columns[f"{name}:{label}"] = np.append(values, np.full(len(columns["t"]) - len(values), np.nan))
+            columns[f"{name}:{label}"] = np.append(values, np.full(len(t) - len(values), np.nan))
     ended = [
         f"{label}: {run.ending.message}" for label, (*_, run) in runs.items() if run.outcome is not Outcome.COMPLETED
     ]
@@ -129,19 +130,12 @@ def compare(
     speeds = ", ".join(f"{row['scheme']} {row['ns_per_step']:.1f}" for row in rows if row["ns_per_step"] is not None)
     notes = [*open_lines([(label, row) for label, each in of_top.items() for row in each])]
     notes += [f"ns per step: {speeds}"] if speeds else []
-    spacing = first_swing_spacing(columns["t"], columns["swing:reference"])
+    spacing = first_swing_spacing(t, columns["swing:reference"])
     swings = "" if spacing is None else f" The first swing spacing of {top.swing} in the reference is {spacing:.4f}."
     notes.append(f"Errors are norms of the difference of states from the reference, a {METHODS[reference]}.{swings}")
     code = ExitCode.PARTLY_FAILED if broken else ExitCode.FAILED if ended else ExitCode.SUCCESS
     draw = partial(_draw, list(runs), columns, base.name)
     return Report("compare", title, "", tables, notes, [*ended, *broken], code, base.resolved(), columns, draw)
-
-
-def _columns(experiment: Experiment, stride: int, states: Array) -> dict[str, Array]:
-    """Times of the compared rows, and the swinging component of the reference."""
-    place = experiment.top.components.index(experiment.top.swing)
-    t = np.arange(0, experiment.N + 1, stride) * experiment.h
-    return {"t": t, "swing:reference": states[:, place]}
 
 
 def _row(
