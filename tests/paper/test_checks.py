@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from fractions import Fraction
 from functools import wraps
 from typing import Any
 
@@ -198,13 +197,6 @@ def test_printed_formulas_are_those_of_numpy(formula: str, arguments: Any, expec
     numbers = (exact(*map(MP.mpf, x)) if isinstance(x, np.ndarray) else MP.mpf(x) for x in arguments)
     values = np.array(getattr(formulas, formula)(*numbers), dtype=float)
     np.testing.assert_allclose(values, np.array(expected, dtype=float), rtol=1e-13, atol=1e-14)
-
-
-def test_misprint_is_one_half_of_a_term() -> None:
-    """Both states equal, the printed last line gives (gamma_1 omega_2 - gamma_2 omega_1)/2 instead of twice that."""
-    state, unit = exact(1, 2, 3, 5, 7, 11) * Fraction(1), exact(1, 1, 1) * Fraction(1)
-    for as_printed, factor in ((True, Fraction(1, 2)), (False, Fraction(1))):
-        assert -formulas.hk_heavy(unit, 0 * unit, Fraction(1), state, state, as_printed)[5] == factor * (5 * 2 - 7 * 1)
 
 
 def test_hat_has_the_sign_of_the_paper() -> None:
