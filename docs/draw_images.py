@@ -22,7 +22,7 @@ SUMMARY = IMAGES / "data.json"
 
 SWINGS = "kowalevski_swings --set name=swings --set grid.h=[0.01] --set grid.scheme=[hk,bohlin-a,hybrid,taylor]"
 OF_CATALOGUE = (
-    *("fig1", "polhodes", "traces", "bifurcation", "body", "period", "long-energy", "torus-points", "chaos"),
+    *("fig1", "polhodes", "traces", "bifurcation", "period", "long-energy", "torus-points", "chaos"),
     "work-precision",
 )
 PICTURES: dict[str, tuple[str, ...]] = {

@@ -9,14 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.animation import PillowWriter
 from PIL import Image
 
 from attitude_runs import TURNED, stored
 from cases import table_of
 from conftest import Said
 from topcli.arithmetic.quaternions import matrices
-from topcli.errors import RunError
 from topcli.figures.animation import BodyMotion, Stage, animate, frame_times, stored_body_motion
 from topcli.figures.style import styled
 
@@ -69,22 +67,6 @@ def test_the_command_writes_all_frames(folder: Path, cli: Callable[..., Said]) -
         first = np.asarray(picture.convert("RGB"))
         picture.seek(4)
         assert (np.asarray(picture.convert("RGB")) != first).any()
-
-
-@pytest.mark.slow
-def test_a_failed_animation_keeps_the_earlier_file(
-    tmp_path: Path, motion: BodyMotion, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(writer: PillowWriter) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(PillowWriter, "grab_frame", full)
-    path = tmp_path / "a.gif"
-    path.write_bytes(b"earlier")
-    with pytest.raises(RunError, match="no space left on the device; no animation was written"):
-        animate(motion, frame_times(motion, 3), path, 240)
-    assert path.read_bytes() == b"earlier"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def test_chaos_appears_with_the_step_size_in_one_map_only(monkeypatch: pytest.Mo
     assert low < 0.05 < 0.2 < high
     assert not columns["share:HK, Lagrange"].any()
     assert not columns["share:Bäcklund, Kowalevski"].any()
-    canvas_of(maps.draw_chaos, columns, (7.0, 2.9))
+    canvas_of(partial(maps.draw_chaos, columns=columns), (7.0, 2.9))
 
 
 @pytest.mark.slow
@@ -47,7 +48,9 @@ def test_points_of_the_map_lie_on_the_torus_and_those_of_hk_do_not(monkeypatch: 
 
     assert distances("backlund").max() < 0.03  # the thickness of the section, and the gaps of the flow's points
     assert np.median(distances("hk")) > 0.2
-    canvas = canvas_of(maps.draw_torus_points, {**columns, "hk:points": np.array([21_499])}, (7.0, 3.8))
+    canvas = canvas_of(
+        partial(maps.draw_torus_points, columns={**columns, "hk:points": np.array([21_499])}), (7.0, 3.8)
+    )
     assert canvas.axes[1].get_title(loc="left") == "(b) HK: 21,499 points, then lost"
 
 
@@ -65,7 +68,7 @@ def test_energies_are_the_largest_deviations_of_the_runs_so_far(monkeypatch: pyt
     np.testing.assert_allclose(columns["kowalevski_generic_hk:splitting"], largest, rtol=1e-9)
     assert np.nanmax(columns["euler_hk:dmv"]) < 1e-13
     assert columns["euler_hk:rk4"][-1] > 2.0 * columns["euler_hk:rk4"][-13]
-    canvas_of(maps.draw_long_energy, columns, (7.0, 3.2))
+    canvas_of(partial(maps.draw_long_energy, columns=columns), (7.0, 3.2))
 
 
 @pytest.mark.slow
@@ -83,4 +86,4 @@ def test_spacings_follow_the_law_and_scale_as_order_one(monkeypatch: pytest.Monk
     coarse, fine = columns["spacing:bohlin-a"]
     assert fine == pytest.approx(15.2967, abs=1e-3)
     assert fine - coarse == pytest.approx(math.sqrt(2.0) * math.log(10.0), rel=0.01)
-    canvas_of(paper.draw_period, columns, (7.0, 4.4))
+    canvas_of(partial(paper.draw_period, columns=columns), (7.0, 4.4))

@@ -21,7 +21,7 @@ from topcli.tops.lagrange import Lagrange, LagrangeInertial
 def test_trace_is_strong_in_front_and_pale_behind() -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 50)
     tilted = np.column_stack([np.cos(angle), 0.6 * np.sin(angle), 0.8 * np.sin(angle)])
-    canvas = canvas_of(lambda canvas, _: draw_trace(canvas.add_subplot(projection=SPATIAL), tilted, 20.0), {}, (4, 4))
+    canvas = canvas_of(lambda canvas: draw_trace(canvas.add_subplot(projection=SPATIAL), tilted, 20.0), (4, 4))
     axes: Any = canvas.axes[0]
     e = math.radians(20.0)
     near = tilted @ [math.cos(e), 0.0, math.sin(e)] >= 0.0

@@ -18,7 +18,7 @@ from cases import table_of
 from sweep_rows import write_rows
 from topcli.errors import UsageError
 from topcli.figures.figure import canvas_of
-from topcli.figures.sweep import Choice, draw_sweep, is_geometric, scale_of
+from topcli.figures.sweep import Choice, draw_points, is_geometric, points_of, scale_of
 from topcli.sweeps.table import read_rows
 
 SCHEMES = {"hk": 2.0, "rk4": 4.0, "bohlin-a": 1.0}
@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def figure_of(rows: pd.DataFrame, choice: Choice) -> Figure:
-    return canvas_of(lambda canvas, _: draw_sweep(canvas.subplots(), rows, choice, "mine"), {}, (6.4, 3.8))
+    return canvas_of(lambda canvas: draw_points(canvas.subplots(), points_of(rows, choice), "mine"), (6.4, 3.8))
 
 
 def test_curves_are_medians_with_quartiles_and_slopes(folder: Path) -> None:
@@ -123,18 +123,18 @@ x=h y=max_error aggregate=avg            --aggregate 'avg': unknown
 )
 def test_wrong_choices_are_named(folder: Path, choice: str, message: str) -> None:
     with pytest.raises(UsageError, match=re.escape(message)):
-        Choice(**dict(word.split("=") for word in choice.split())).cells(read_rows(folder))
+        points_of(read_rows(folder), Choice(**dict(word.split("=") for word in choice.split())))
 
 
-def test_the_command_stores_the_rows_that_it_draws(cli: Callable[..., Any], folder: Path) -> None:
+def test_the_command_stores_the_points_that_it_draws(cli: Callable[..., Any], folder: Path) -> None:
     command = ("plot", "sweep", str(folder), "--x", "h", "--y", "max_error", "--by", "scheme", "--where", "seed=2")
     name = "mine_max_error_over_h_by_scheme"
     output = cli(*command, "--format", "png")
     assert output.out == f"{name}: drawn: results/figures/{name}.png, results/figures/{name}.parquet\n"
     columns = pd.read_parquet(f"results/figures/{name}.parquet")
-    assert columns["max_error"].tolist() == [error_of(scheme, h, 2) for scheme in SCHEMES for h in SIZES]
+    assert columns["value"].tolist() == [error_of(scheme, h, 2) for scheme in SCHEMES for h in SIZES]
     assert cli(*command[:-1], "seed=1", "--format", "png").code == 0
-    assert pd.read_parquet(f"results/figures/{name}.parquet")["max_error"][0] == error_of("hk", 0.1, 1)
+    assert pd.read_parquet(f"results/figures/{name}.parquet")["value"][0] == error_of("hk", 0.1, 1)
     for words, message in (
         ("sweep", "name one folder"),
         (f"sweep {folder} --x h", "keys: scheme, h, seed; measures: max_error, drift.energy"),

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import functools
-import inspect
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +22,6 @@ from topcli.errors import RunError, UnknownNameError, UsageError
 from topcli.show.results import RunReport
 from topcli.store.series import read_series
 from topcli.studies.report import PICTURES, Report
-from topcli.table import Table
 
 CONFIG = {**BASE, "name": "one", "scheme": "hk"}
 EIGHT = {"random": {"count": 8, "gamma": "sphere"}}
@@ -54,15 +50,6 @@ def run(reported: Callable[[str], Any]) -> RunReport:
     return reported("run")
 
 
-def values_of(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows of a table with its index, as plain data; missing numbers are None."""
-    rows = json.loads(table.reset_index().to_json(orient="records", double_precision=15))
-    numbers = table.reset_index().to_dict("records")
-    return [
-        {key: None if value is None else numbers[i][key] for key, value in row.items()} for i, row in enumerate(rows)
-    ]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REPORTS)
 def test_every_report_has_table_plain_data_plot_and_html(
@@ -85,13 +72,10 @@ def test_every_report_has_table_plain_data_plot_and_html(
         assert report.save(tmp_path / "new" / f"saved{suffix}").stat().st_size > 100
     saved = json.loads((tmp_path / "new" / "saved.json").read_text())
     assert report.as_dict().items() <= saved.items()
-    read = pd.read_csv(tmp_path / "new" / "saved.csv", keep_default_na=False, index_col=0)
-    for row, other in zip(values_of(read), values_of(report.table), strict=True):
-        for key, value in other.items():
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                assert float(row[key]) == value, key
-            else:
-                assert str(row[key]) == ("" if value is None else str(value)), key
+    read = pd.read_csv(tmp_path / "new" / "saved.csv", index_col=0)
+    numbers = report.table.select_dtypes("float")
+    assert len(numbers.columns) > 1
+    np.testing.assert_array_equal(read[numbers.columns], numbers)
 
 
 def test_a_run_is_in_its_folder_and_its_table_is_that_of_the_report(run: RunReport) -> None:
@@ -129,36 +113,9 @@ def test_a_sweep_has_the_rows_of_its_file_and_draws_them(tmp_path: Path) -> None
     for scheme, line in zip(("hk", "rk4"), lines, strict=True):
         mine = swept.table[swept.table["scheme"] == scheme].sort_values("h")
         np.testing.assert_array_equal(line.get_xydata(), mine[["h", "max_deviation.energy"]])
-    assert swept.plot(Figure().add_subplot(), "max_error").get_ylabel() == "max error"
-    with pytest.raises(UsageError, match="unknown measure 'x'"):
-        swept.plot(y="x")
     edited = topcli.sweep({**STUDY, "grid": {"h": [0.05, 0.02], "scheme": ["rk4"]}}, tmp_path, progress=False)
-    assert (edited.result.ran, edited.outcomes) == (1, {"completed": 2})
+    assert edited.outcomes == {"completed": 2}
     assert edited.table["h"].to_dict() == {0: 0.05, 1: 0.02}
-
-
-def test_a_file_of_another_type_is_refused_and_an_earlier_one_is_kept(run: RunReport, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"'run\.xlsx': unknown type of file; use \.json"):
-        run.save(tmp_path / "run.xlsx")
-    path = tmp_path / "run.csv"
-    path.write_text("mine")
-
-    def full(file: Path, content: bytes) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with pytest.MonkeyPatch.context() as broken:
-        broken.setattr(Path, "write_bytes", full)
-        with pytest.raises(RunError, match=r"run\.csv: no space left on the device; nothing was written"):
-            run.save(path)
-    assert path.read_text() == "mine"
-    assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
-
-
-def test_html_of_a_report_is_escaped(run: RunReport) -> None:
-    evil = "<script>alert(1)</script>"
-    page = read_html(replace(run, title=evil, tables=[Table("", [{"invariant": evil}])])._repr_html_())
-    assert page.text.count(evil) == 2
-    assert not page.all("script")
 
 
 def test_an_error_of_the_user_has_no_traceback_in_a_notebook() -> None:
@@ -167,33 +124,6 @@ def test_an_error_of_the_user_has_no_traceback_in_a_notebook() -> None:
         topcli.compare("hkk")
     assert caught.value._render_traceback_() == ["UnknownNameError: unknown scheme 'hkk'; did you mean 'hk'?"]
     assert not hasattr(RunError("x"), "_render_traceback_"), "a failure of a run keeps its place"
-
-
-# overrides follow the config in every function
-
-
-POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-STORING = ("run", "sweep")
-"""Functions that take a folder after the config; their overrides have to be named."""
-
-
-def test_overrides_follow_the_config() -> None:
-    """By position where the config has one, otherwise by name; nothing else follows them by position."""
-    public = {name: getattr(topcli, name) for name in topcli.__all__}  # pyright: ignore[reportAttributeAccessIssue]
-    functions = {
-        name: list(inspect.signature(each).parameters.values())
-        for name, each in public.items()
-        if inspect.isfunction(each) and "overrides" in inspect.signature(each).parameters
-    }
-    assert set(functions) > {"lyapunov", "compare", "order", "simulate", "step", "motion", *STORING}
-    for name, parameters in functions.items():
-        place = [each.name for each in parameters].index("overrides")
-        if name in STORING:
-            assert parameters[place].kind is inspect.Parameter.KEYWORD_ONLY, name
-            continue
-        assert parameters[place - 1].name == "config", name
-        assert parameters[place].kind is parameters[place - 1].kind, name
-        assert not [each for each in parameters[place + 1 :] if each.kind in POSITIONAL], name
 
 
 def test_overrides_by_position() -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-import sys
-from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from matplotlib.figure import Figure as Canvas
 
 import topcli
 from cases import table_of
+from peers import start
 from topcli.analysis.reference import distances, reference_states
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
@@ -22,7 +22,7 @@ from topcli.errors import SchemeCodeError
 from topcli.figures.bench import draw_work_precision, work_precision
 from topcli.figures.figure import NothingMeasuredError
 from topcli.studies.bench import DECADES, PEERS, Peer, answer_of, decade_rows, point_rows, take_turns
-from topcli.studies.ladder import ErrorCurve, NoResultError, ladder, measured
+from topcli.studies.ladder import ErrorCurve, NoResultError, ladder
 from topcli.studies.report import Report
 
 TIMES = np.arange(21) * 0.5
@@ -73,12 +73,6 @@ def test_errors_are_those_of_the_run(scheme: str) -> None:
     assert row["error"] == pytest.approx(error, rel=1e-9)
     assert row["seconds"] > 0.0
     assert row["set_up"] > 0.0
-
-
-@pytest.mark.parametrize("states", [np.zeros((20, 6)), np.full((21, 6), math.inf)])
-def test_states_are_complete_and_finite(states: np.ndarray) -> None:
-    with pytest.raises(NoResultError, match="not complete and finite"):
-        measured(lambda setting: lambda: states, TIMES)(0.1, 1)
 
 
 # measurements
@@ -138,49 +132,17 @@ def test_decades_name_the_fastest_of_each_kind() -> None:
 
 # peers
 
-PEER = """
-import os
-import numpy as np
-
-def start(experiment, times):
-    print("noise")
-    {start}
-    def prepare(tol):
-        {prepare}
-        return lambda: np.tile(experiment.y0, (len(times), 1)) + tol
-    return prepare
-"""
-
-
-@pytest.fixture
-def peer_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Function that writes a peer, which is then the only one."""
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def write(start: str = "pass", prepare: str = "pass") -> None:
-        (tmp_path / "peer_of_mine.py").write_text(PEER.format(start=start, prepare=prepare))
-        import peer_of_mine  # pyright: ignore[reportMissingImports]
-
-        monkeypatch.setitem(PEERS, "mine", Peer("numpy", peer_of_mine.start, [0.5, 0.25, 0.125]))
-
-    yield write
-    sys.modules.pop("peer_of_mine", None)
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("text", "error", "settings"),
-    [
-        ({"prepare": "if tol < 0.2: raise ValueError('too small')"}, "", 2),
-        ({"prepare": "if tol < 0.4: os._exit(7)"}, "mine: its process died", 1),
-        ({"start": "raise ImportError('wants gold\\nand more')"}, "mine gave no result: tol=0.5 ImportError: wants", 0),
-    ],
+    ("fault", "error", "settings"),
+    [("raise", "", 2), ("die", "mine: its process died", 1), ("import", "mine gave no result: tol=0.5 ImportError", 0)],
 )
 def test_peers_run_in_a_process_of_their_own(
-    peer_file: Callable[..., None], text: dict[str, str], error: str, settings: int
+    monkeypatch: pytest.MonkeyPatch, fault: str, error: str, settings: int
 ) -> None:
     """What they print, raise or break stays there and is reported."""
-    peer_file(**text)
+    monkeypatch.setitem(PEERS, "mine", Peer("numpy", partial(start, fault=fault), [0.5, 0.25, 0.125]))
     report = bench("rk4", against=["mine"])
     assert len(rows_of(report, "mine")) == settings
     assert len(rows_of(report, "rk4")) > 3

@@ -104,6 +104,7 @@ hk:h=0                 hk:h=0: --set h=0
 hybrid:brunch=sign     hybrid:brunch=sign: --set scheme.brunch=sign: scheme.brunch: unknown key
 hybrid:branch=sing     "hybrid:branch=sing: --set scheme.branch=sing: scheme.branch: must be 'nearest' or 'sign'"
 hk hk:h=1e-2           hk:h=1e-2: computes the same as hk; keep one of them
+hk:h=0.01 hk:h=0.0125 hk:h=0.016   the step sizes share only 50 times after the start
 """),
 )
 def test_errors_name_the_entry(entries: str, message: str) -> None:
@@ -132,8 +133,3 @@ def test_errors_are_against_the_reference_that_is_asked_for(kind: Any) -> None:
     assert 50.0 < report.table["ns_per_step"]["exact"] < 1e5  # no state costs 4 ns
     method = {"taylor": "Taylor series in double-double arithmetic", "exact": "closed form (scheme exact)"}[kind]
     assert report.notes[-1].startswith(f"Errors are norms of the difference of states from the reference, a {method}.")
-
-
-def test_steps_that_share_few_times_are_refused() -> None:
-    with pytest.raises(UsageError, match="the step sizes share only 50 times after the start"):
-        topcli.compare("hk:h=0.03", "hk:h=0.02", "hk:h=0.07", config=SCENE, overrides=["h=0.01", "T=21"])

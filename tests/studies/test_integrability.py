@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -103,13 +102,10 @@ def test_a_fit_or_a_single_further_term_needs_the_heights(sequence: list[int]) -
 # HK bases and densities
 
 
-def test_hk_bases_of_known_maps() -> None:
+def test_hk_bases_and_densities_of_known_maps() -> None:
     """Lyness' integral has a numerator of degree 3; Henon's map has none."""
     assert [(basis.null, basis.integrals) for basis in hk_bases(LYNESS, (2, 3))] == [(0, 0), (1, 1)]
     assert [basis.integrals for basis in hk_bases(HENON, (2, 3, 4))] == [0, 0, 0]
-
-
-def test_densities_of_known_maps() -> None:
     measure = density(LYNESS, 4)
     assert measure is not None
     assert [polynomial.text("xy") for polynomial in measure.polynomials(2) or ()] == ["x*y"]
@@ -173,22 +169,19 @@ REFUSED = {
 }
 
 
-def write_scheme(folder: Path, step: str) -> None:
-    (folder / "mine.py").write_text(
-        "import math\n\n"
-        "import topcli\n"
-        "from topcli.contracts import Stepper\n\n\n"
-        "@topcli.scheme('mine', top='euler', title='Mine', order=1, explicit=True, self_adjoint=False,\n"
-        "               citation='', equations='')\n"
-        "def mine(top, options):\n"
-        '    """A step."""\n'
-        f"    return Stepper(lambda s, h, p: {step}, 3)\n"
-    )
+SCHEME = '''import math
+import topcli
+from topcli.contracts import Stepper
+@topcli.scheme("mine", top="euler", title="Mine", order=1, explicit=True, self_adjoint=False, citation="", equations="")
+def mine(top, options):
+    """A step."""
+    return Stepper(lambda s, h, p: STEP, 3)
+'''
 
 
-def test_a_special_step_size_is_found_out(cli: Any, in_tmp: Path) -> None:
+def test_a_special_step_size_is_found_out(cli: Any, in_tmp: Any) -> None:
     """The degree falls at h = 0.3, the default, but not at the step size of the repetition."""
-    write_scheme(in_tmp, "(s[0] + (h - 0.3) * s[1] ** 2, s[1] + h * s[0], s[2])")
+    (in_tmp / "mine.py").write_text(SCHEME.replace("STEP", "(s[0] + (h - 0.3) * s[1] ** 2, s[1] + h * s[0], s[2])"))
     document = cli("integrability", "euler", "mine", "--plugin", "mine.py", "--json").json()
     iterates = document["tables"][1]["rows"]
     assert {row["degree"] for row in iterates} - {None} == {1}
@@ -197,9 +190,9 @@ def test_a_special_step_size_is_found_out(cli: Any, in_tmp: Path) -> None:
 
 
 @pytest.mark.parametrize("step", REFUSED)
-def test_a_step_that_is_not_rational_is_refused(cli: Any, in_tmp: Path, step: str) -> None:
+def test_a_step_that_is_not_rational_is_refused(cli: Any, in_tmp: Any, step: str) -> None:
     """By name; decisions that only count events are not, such as those of hk of the Kowalevski top."""
-    write_scheme(in_tmp, step)
+    (in_tmp / "mine.py").write_text(SCHEME.replace("STEP", step))
     said = cli("integrability", "euler", "mine", "--plugin", "mine.py")
     assert said.code == 2
     assert said.err == f"error: integrability: scheme 'mine' cannot compute with rational functions: {REFUSED[step]}\n"

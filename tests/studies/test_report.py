@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import topcli
@@ -161,19 +160,10 @@ def test_files_tables_and_pages_show_the_stored_record(cli: Cli, listed: None, m
         assert all(f">{escape(cell)}<" in page for cell in line)
 
 
-def test_save_writes_by_the_ending(in_tmp: Path) -> None:
+def test_tables_are_saved_by_the_ending(in_tmp: Path) -> None:
     report = made_up()
-    assert report.save("x.csv") == Path("x.csv")
-    again = pd.read_csv("x.csv", index_col=0)
-    assert again["max_error"].tolist()[:2] == [row["max_error"] for row in ROWS[:2]]
-    report.save("x.md")
-    assert "| hk | 0.333 | 7 steps | yes | 0.25 |" in Path("x.md").read_text()
-    report.save("x.tex")
-    assert r"$6.67 \times 10^{-10}$" in Path("x.tex").read_text()
-    report.save("x.html")
-    assert "The answer." in Path("x.html").read_text()
-    report.save("x.png")
-    assert Path("x.png").read_bytes().startswith(b"\x89PNG")
+    assert "| hk | 0.333 | 7 steps | yes | 0.25 |" in report.save("x.md").read_text()
+    assert r"$6.67 \times 10^{-10}$" in report.save("x.tex").read_text()
     with pytest.raises(UsageError, match="unknown type of file"):
         report.save("x.doc")
     with pytest.raises(UsageError, match="no picture"):
@@ -189,9 +179,3 @@ def test_the_python_function_is_that_of_the_module(name: str) -> None:
     assert function.__module__ == STUDIES[name][0]
     assert (function.__doc__ or "").splitlines()[0] == STUDIES[name][1]
     assert len(STUDIES[name][1]) <= 60
-
-
-def test_damaged_records_are_refused(cli: Cli, listed: None) -> None:
-    cli("order", "--save", "r.json")
-    Path("r.json").write_text(Path("r.json").read_text().replace('"steps": 7', '"steps": 8'))
-    assert "SHA-256" in cli("table", "r.json").err

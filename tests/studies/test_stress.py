@@ -267,8 +267,3 @@ def test_trials_are_counted_and_options_are_set(cli: Any) -> None:
     signed = cli("stress", "bohlin-a:branch=sign", "--case", "real-axis")
     assert signed.code == 4
     assert "error: bohlin-a:branch=sign (kowalevski), case real-axis: breaks without a declared limit" in signed.err
-
-
-def test_a_top_of_the_catalogue_has_the_general_cases() -> None:
-    assert stress("rk4", top="clebsch", case=["one-step"]).answer.startswith("1 trial: 1 held")
-    assert list(cases_of("clebsch")) == ["backwards", "one-step", "there-and-back"]

@@ -198,3 +198,8 @@ def test_states_whose_integrals_overflow_are_refused() -> None:
         with pytest.raises(UsageError, match="too large"):
             of(top, *y)
     assert math.isfinite(of(Kowalevski(), 1e69, 2e69, 1e69, 0.6, 0.0, 0.8)["k_sq"])
+
+
+def test_an_axis_that_does_not_go_round_the_vertical_has_no_precession() -> None:
+    """Without gravity it circles about m, here beside the vertical; its mean rate is zero, not a rounding error."""
+    assert motion("lagrange_hk", ["top.mu=0"])["frequency.precession"] == 0.0

@@ -229,6 +229,7 @@ def show(
     from topcli.schemes.own_tops import forms, top_names
     from topcli.schemes.registry import all_schemes
     from topcli.studies import describe
+    from topcli.studies.entries import schemes_called
 
     folder = Path(subject)
     if motion:
@@ -237,7 +238,9 @@ def show(
         return show_sweep(stored_place(subject, results), row, overrides, screen)
     # one word may be a scene, a scheme or a top; files, folders and changed configs are none of the latter two
     is_name = not overrides and not folder.suffix and not folder.is_dir()
-    of_name = describe.scheme_forms(subject, top) if is_name else []
+    names = {scheme.name for scheme in all_schemes()} if is_name else set()
+    is_scheme = subject.lower().partition("+")[0] in names
+    of_name = schemes_called(subject, [form.form for form in forms(top)] if top else ()) if is_scheme else []
     if (top or source) and not of_name:
         raise UsageError(f"--{'top' if top else 'source'}: needs the name of a scheme, not {quoted(subject)}")
     width = min(WIDTH, width_of(sys.stdout))
@@ -253,7 +256,7 @@ def show(
         screen.show(describe.schemes_text(of_name, width))
         return CommandResult({"schemes": [describe.scheme_data(scheme) for scheme in of_name]})
     if is_name and not is_config(subject):
-        names = {*scene_files(), *top_names(), *(scheme.name for scheme in all_schemes())}
+        names |= {*scene_files(), *top_names()}
         raise UnknownNameError(
             f"no packaged scene, scheme or top is called {quoted(subject)} (configs end in .yaml, .yml or .toml); "
             + nearest(subject, names, "topcli list scenes")

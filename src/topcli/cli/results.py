@@ -171,16 +171,16 @@ def report(
     runs : sequence of str
         Folders or names of runs and sweeps, or JSON files.
     """
-    from topcli.pages.page import page_of
-    from topcli.pages.stored import stored_chapter
+    from topcli.show.reports import stored_record
     from topcli.store.files import write_by_ending
+    from topcli.studies.page import page_of
 
     require_new_file(out, force)
-    chapters = [stored_chapter(place) for place in dict.fromkeys(stored_place(run, results) for run in runs)]
-    write_by_ending(out, {".html": lambda: page_of(chapters)})
+    records = [stored_record(place) for place in dict.fromkeys(stored_place(run, results) for run in runs)]
+    write_by_ending(out, {".html": lambda: page_of(records)})
     screen.say(f"wrote {out}")
     return CommandResult(
-        {"file": str(out), "results": [{"name": each.title, "answer": each.answer} for each in chapters]}
+        {"file": str(out), "results": [{"name": each["title"], "answer": each["answer"]} for each in records]}
     )
 
 

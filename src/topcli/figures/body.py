@@ -1,4 +1,4 @@
-"""Pictures of a spinning body, made from its moments of inertia, with its axis and the fixed direction."""
+"""The spinning body of an animation, made from its moments of inertia, with its axis and the fixed direction."""
 
 from __future__ import annotations
 
@@ -9,14 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from topcli.arithmetic.quaternions import matrices
-from topcli.config.load import load_experiment
 from topcli.contracts import Array, Top
-from topcli.engine.columns import ATTITUDES, QUATERNION
-from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import halo, legend_below
-from topcli.figures.space import SPATIAL, TRACE, axis, curve, draw_globe, set_view, sphere, surface
-from topcli.runs.simulate import simulate
+from topcli.figures.labels import halo
+from topcli.figures.space import TRACE, axis, curve, draw_globe, set_view, sphere, surface
 from topcli.tops.bodies import checked_equations
 
 LONGITUDES, LATITUDES = 56, 28
@@ -118,36 +113,3 @@ def draw_body(axes: Any, camera: Array, body: Body, rotation: Array, path: Array
     axes.plot(*tip[:, None], "o", **dot)
     beside = 0.14 * np.array([right, up]) / max(math.hypot(right, up), 0.15)
     halo(axes.text(*(tip + beside @ camera[:2]), body.label, ha="center", va="center", zorder=30), 2.2)
-
-
-BODIES = {
-    "euler_attitude": ("(a) Euler", 0.45),
-    "lagrange_attitude": ("(b) Lagrange", 0.93),
-    "kowalevski_attitude": ("(c) Kowalevski", 0.5),
-}
-"""Title, and part of the rows, for each scene of the figure ``body``."""
-
-
-def draw_bodies(canvas: Any, columns: Columns) -> None:
-    """Draw the body of each scene after a part of its rows."""
-    for i, (scene, (title, _)) in enumerate(BODIES.items(), 1):
-        experiment = load_experiment(scene)
-        axes, body = canvas.add_subplot(1, 3, i, projection=SPATIAL), body_of(experiment.top, experiment.y0)
-        rotations = matrices(np.column_stack([columns[f"{scene}:{name}"] for name in ATTITUDES[QUATERNION]]))
-        path = rotations @ body.axis
-        camera = draw_space(axes, body, path[0])
-        draw_body(axes, camera, body, rotations[-1], path, 0.8)
-        axes.set_title(title)
-    canvas.suptitle(r"fixed directions: momentum $\boldsymbol{m}$, vertical $\boldsymbol{p}$", fontsize="medium")
-    legend_below(canvas, 3)
-
-
-@figure("body", "Euler, Lagrange and Kowalevski tops: bodies with traces of their axes", draw_bodies, (7.0, 3.1))
-def bodies() -> Columns:
-    """Attitudes of each scene up to the one that is drawn."""
-    columns: dict[str, Array] = {}
-    for scene, (_, until) in BODIES.items():
-        run = simulate(scene)
-        last = round(until * (len(run.t) - 1))
-        columns |= {f"{scene}:{name}": run[name][: last + 1] for name in ATTITUDES[QUATERNION]}
-    return columns

@@ -6,6 +6,7 @@ import inspect
 import io
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,12 +21,13 @@ from topcli.store.series import read_metadata
 from topcli.store.sources import digest_of_texts, package_digest
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
 Columns = Mapping[str, np.ndarray]
 """One-dimensional arrays by name; they may differ in length."""
 Drawing = Callable[[Any], Any]
-"""Function that draws into matplotlib axes."""
+"""Function that draws into a matplotlib figure or axes."""
 KEY = "topcli.figure"
 IMAGE_FORMATS = ("png", "pdf", "svg")
 DEFAULT_FORMATS = ("png", "pdf")
@@ -60,7 +62,7 @@ class Figure:
     name: str
     title: str
     data: Callable[[], Columns]
-    draw: Callable[[Any, Columns], None]
+    draw: Callable[..., None]
     size: tuple[float, float] = (7.0, 2.9)
     takes: Callable[[], str] = str
     origin: str = "topcli"
@@ -74,8 +76,9 @@ class Figure:
     def make(self, out: Path, formats: Sequence[str] = DEFAULT_FORMATS, force: bool = False) -> tuple[Path, ...]:
         """Write the pictures and the plotted columns, as Parquet, into ``out``; return their paths.
 
-        Columns that are stored there under the same key are drawn again, without computing them. Raises UsageError for
-        files that topcli did not draw, unless ``force``, and RunError if a file cannot be written.
+        Columns that are stored there under the same key are drawn again, without computing them. With other columns,
+        earlier pictures in further formats are drawn again too. Raises UsageError for files that topcli did not draw,
+        unless ``force``, and RunError if a file cannot be written.
         """
         require_writable(out)
         table = out / f"{self.name}.parquet"
@@ -87,10 +90,10 @@ class Figure:
         try:
             if columns is None:
                 columns = self.data()
-                for suffix in IMAGE_FORMATS:  # they show the earlier columns
-                    (out / f"{self.name}.{suffix}").unlink(missing_ok=True)
                 write_whole(table, lambda path: write_columns(path, columns or {}, self.key))
-            canvas = canvas_of(self.draw, columns, self.size)
+                further = [out / f"{self.name}.{suffix}" for suffix in IMAGE_FORMATS if suffix not in formats]
+                pictures += [path for path in further if stored is not None and path.exists()]
+            canvas = canvas_of(lambda canvas: self.draw(canvas, columns), self.size)
             for picture in pictures:
                 write_whole(picture, lambda path, form=picture.suffix[1:]: save(canvas, path, form))
         except OSError as error:
@@ -123,15 +126,15 @@ def read_columns(path: Path) -> dict[str, np.ndarray] | None:
         return None
 
 
-def canvas_of(draw: Callable[[Any, Columns], object], columns: Columns, size: tuple[float, float]) -> Canvas:
-    """Return a matplotlib figure of ``size`` inches with the columns drawn in the print style."""
+def canvas_of(draw: Drawing, size: tuple[float, float]) -> Canvas:
+    """Return a matplotlib figure of ``size`` inches with what ``draw(canvas)`` draws, in the print style."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Canvas
 
     with styled():
         canvas = Canvas(figsize=size)
         FigureCanvasAgg(canvas)
-        draw(canvas, columns)
+        draw(canvas)
     return canvas
 
 
@@ -143,11 +146,22 @@ def save(canvas: Canvas, target: Path | io.BytesIO, form: str) -> None:
         canvas.savefig(target, format=form, metadata=dict.fromkeys(dates))
 
 
-def picture_of(draw: Callable[[Any, Columns], object], columns: Columns, size: tuple[float, float], form: str) -> bytes:
-    """Picture of the columns in a format, "png", "pdf" or "svg"."""
+def picture_of(draw: Drawing, size: tuple[float, float], form: str) -> bytes:
+    """Picture of what ``draw(canvas)`` draws in a format, "png", "pdf" or "svg"."""
     sink = io.BytesIO()
-    save(canvas_of(draw, columns, size), sink, form)
+    save(canvas_of(draw, size), sink, form)
     return sink.getvalue()
+
+
+def on_axes(draw: Drawing, ax: Axes | None, size: tuple[float, float]) -> Axes:
+    """Draw into ``ax`` in the style of its owner, or into new axes in the print style."""
+    with styled() if ax is None else nullcontext():
+        if ax is None:
+            from matplotlib import pyplot
+
+            ax = pyplot.figure(figsize=size).add_subplot()
+        draw(ax)
+    return ax
 
 
 FIGURES: dict[str, Figure] = {}

@@ -56,27 +56,14 @@ def legend_above(axes: Any, ncols: int = 4) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=ncols, borderaxespad=0.2)
 
 
-def _entries(*panels: Any) -> dict[str, Any]:
-    """First handle of each label in the axes."""
-    entries: dict[str, Any] = {}
-    for axes in panels:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    return entries
-
-
 def legend_below(canvas: Any, ncols: int, **options: Any) -> None:
     """Put one legend below all axes of a figure, with each label once."""
-    entries = _entries(*canvas.axes)
+    entries: dict[str, Any] = {}
+    for axes in canvas.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
     look = {"fontsize": "small", "loc": "outside lower center", **options}
     canvas.legend(entries.values(), entries, ncols=ncols, **look)
-
-
-def legend_under(axes: Any, ncols: int) -> None:
-    """Put a legend under a picture in space, with each label once."""
-    entries = _entries(axes)
-    place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.02)}
-    axes.legend(entries.values(), entries, ncols=ncols, fontsize=9, **place)
 
 
 def halo(text: Any, width: float = 2.5) -> None:

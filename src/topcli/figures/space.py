@@ -14,7 +14,7 @@ import numpy as np
 
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import halo, legend_below, legend_under
+from topcli.figures.labels import halo, legend_below
 from topcli.runs.simulate import simulate
 
 SPATIAL = "3d"
@@ -237,7 +237,6 @@ def draw_polhodes(axes: Any, moments: Array, omega: Array) -> None:
         fill, kind = ("white", "unstable rotation") if i == middle else ("0.1", "stable rotation")
         axes.plot(*tip[:, None], "o", ms=5.0, mew=1.0, mec="0.1", mfc=fill, zorder=5, label=kind)
         axis(axes, tip, camera, 0.2 / shortest, rf"\omega_{i + 1}")
-    legend_under(axes, 3)
 
 
 def _ellipsoid(axes: Any, moments: Array, camera: Array) -> None:
@@ -261,6 +260,7 @@ MOMENTS = np.array([3.0, 2.0, 1.0])
 def draw_tennis_racket(canvas: Any, columns: Columns) -> None:
     """Draw the polhodes and the tennis-racket flip among them."""
     draw_polhodes(canvas.add_subplot(projection=SPATIAL), MOMENTS, vectors(columns, "omega"))
+    legend_below(canvas, 3)
 
 
 @figure("polhodes", "Euler top: polhodes, and one from near the middle axis", draw_tennis_racket, (5.0, 5.9))

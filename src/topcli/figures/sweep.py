@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from topcli.analysis.order import convergence
 from topcli.errors import UsageError
-from topcli.figures.figure import Columns, Figure
+from topcli.figures.figure import Figure
 from topcli.figures.labels import escaped, labelled
 from topcli.figures.style import looks
 from topcli.schemes.display import display_name
@@ -24,6 +24,10 @@ LARGEST_VALUE = 1e10
 """Larger values, of runs that explode, are not drawn but counted in the title."""
 DEEPEST = 1e-10
 """A scale with two signs is linear up to the smallest magnitude, or up to this part of the largest."""
+KINDS = ("scheme", "top")
+"""Keys over whose values no median is taken."""
+MOST_CURVES = 12
+"""Largest number of curves of a picture that nobody chose."""
 Scale = Mapping[str, Any]
 """Arguments of ``Axes.set_yscale``."""
 
@@ -62,21 +66,61 @@ class Choice:
         """Measure that is drawn."""
         return self.colour or self.y
 
+
+def usual_choices(rows: Frame) -> Iterator[Choice]:
+    """Yield a choice for each measure: over the numeric key with most values, with a curve for each scheme or top.
+
+    Without them the curves are those of the next key if it has few values. Values of rows that differ in other keys are
+    combined by their median. There is no choice if no key varies.
+    """
+    counts = {key: count for key in rows.attrs["keys"] if (count := rows[key].nunique(dropna=False)) > 1}
+    varied = sorted(counts, key=lambda key: -counts[key])
+    if not varied:
+        return
+    x = next((key for key in varied if rows[key].dtype.kind in "fi"), varied[0])
+    others = [key for key in (*KINDS, *varied) if key in counts and key != x]
+    by = next((key for key in others if key in KINDS or counts[key] <= MOST_CURVES), None)
+    aggregate = "median" if rows.duplicated([key for key in (x, by) if key]).any() else None
+    for measure in rows.attrs["measures"]:
+        if np.isfinite(rows[measure]).any():
+            yield Choice(x, measure, by, aggregate=aggregate)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of a figure: ``table`` has their ``value`` and the ends ``low`` and ``high`` of its spread, by the keys.
+
+    They are of ``rows`` rows, of which ``missing`` have no value.
+    """
+
+    choice: Choice
+    table: Frame
+    rows: int
+    missing: int
+
     @property
-    def keys(self) -> list[str]:
-        """Keys of the axes and curves."""
-        return [name for name in (self.x, self.y if self.colour else self.by) if name]
+    def height(self) -> float:
+        """Height of a figure in inches, with room for a legend of all curves."""
+        by = self.choice.by
+        return min(9.4, max(3.8, 0.21 * self.table.index.get_level_values(by).nunique())) if by else 3.8
 
-    def cells(self, rows: Frame) -> Frame:
-        """Value of the measure with its spread for each combination of the keys, as ``topcli table`` combines rows.
 
-        Raises UnknownNameError for other names than those of the rows, and UsageError for several rows at one point.
-        """
-        if self.by and self.colour:
-            raise UsageError("--colour and --by cannot be combined: a heat map has no curves")
-        require_names(rows, "key", self.keys, "--x and --y" if self.colour else "--x and --by")
-        require_names(rows, "measure", [self.measure], "--colour" if self.colour else "--y")
-        return sweep_table(rows, self.keys, None, [self.measure], self.aggregate).values[self.measure]
+def points_of(rows: Frame, choice: Choice) -> Points:
+    """Points of a choice, as ``topcli table`` combines the rows.
+
+    Raises UnknownNameError for other names than those of the rows, and UsageError for several rows at one point.
+    """
+    import pandas as pd
+
+    if choice.by and choice.colour:
+        raise UsageError("--colour and --by cannot be combined: a heat map has no curves")
+    keys = [name for name in (choice.x, choice.y if choice.colour else choice.by) if name]
+    require_names(rows, "key", keys, "--x and --y" if choice.colour else "--x and --by")
+    require_names(rows, "measure", [choice.measure], "--colour" if choice.colour else "--y")
+    cells = sweep_table(rows, keys, None, [choice.measure], choice.aggregate).values[choice.measure]
+    ends = [(*cell, *[np.nan] * 3)[:3] for cell in cells]
+    table = pd.DataFrame(ends, cells.index, ["value", "low", "high"], dtype=float)
+    return Points(choice, table, len(rows), int(rows[choice.measure].isna().sum()))
 
 
 def sweep_figure(rows: Frame, choice: Choice, title: str, takes: str) -> Figure:
@@ -84,47 +128,29 @@ def sweep_figure(rows: Frame, choice: Choice, title: str, takes: str) -> Figure:
 
     ``takes`` is the digest of the rows and conditions. Raises UsageError for a choice that the rows do not have.
     """
-    choice.cells(rows)
-    sweep = rows.attrs["name"]
-    over = ["by", choice.by] if choice.by else choice.keys[1:]
+    points, sweep = points_of(rows, choice), rows.attrs["name"]
+    over = ["by", choice.by] if choice.by else [choice.y] * bool(choice.colour)
     name = "_".join([sweep, choice.measure, "over", choice.x, *over]).replace("/", "-")
-
-    def draw(canvas: Any, columns: Columns) -> None:
-        import pandas as pd
-
-        stored = pd.DataFrame(dict(columns))
-        stored.attrs = rows.attrs
-        draw_sweep(canvas.subplots(), stored, choice, title)
-
-    def data() -> Columns:
-        return {key: rows[key].to_numpy() for key in dict.fromkeys([*rows.attrs["keys"], choice.measure, "outcome"])}
-
-    takes = f"{takes} {choice}"
-    return Figure(name, f"{choice.measure} of {sweep}", data, draw, (6.4, height_of(rows, choice)), lambda: takes)
+    columns = {str(key): values.to_numpy() for key, values in points.table.reset_index().items()}
+    return Figure(
+        name,
+        f"{choice.measure} of {sweep}",
+        lambda: columns,
+        lambda canvas, columns: draw_points(canvas.subplots(), points, title),
+        (6.4, points.height),
+        lambda: f"{takes} {choice}",
+    )
 
 
-def height_of(rows: Frame, choice: Choice) -> float:
-    """Height of a figure in inches, with room for a legend of all curves."""
-    return min(9.4, max(3.8, 0.21 * rows[choice.by].nunique(dropna=False))) if choice.by else 3.8
-
-
-def draw_sweep(axes: Any, rows: Frame, choice: Choice, title: str = "") -> None:
-    """Draw the rows of a sweep; the title has the number of values that are missing or have no place on the scale."""
-    import pandas as pd
-
-    # value and ends of its spread for each combination of the keys, of all rows that have a value
-    cells = choice.cells(rows)
-    ends = [np.array([(*cell, *[np.nan] * 3)[i] for cell in cells], dtype=float) for i in range(3)]
-    table = pd.DataFrame(dict(zip(("value", "low", "high"), ends, strict=True)), index=cells.index)
-
-    # points without a place on the scale are left out afterwards, so that those that are drawn are of all their rows
-    values = ends[0]
+def draw_points(axes: Any, points: Points, title: str = "") -> None:
+    """Draw points; the title has the number of values that are missing or have no place on the scale."""
+    choice, table = points.choice, points.table
+    values = table["value"].to_numpy()
     drawn = np.abs(values) <= LARGEST_VALUE
     scale = scale_of(values[drawn])
     drawn &= (values > 0.0) | (scale["value"] != "log")
-    table.loc[~drawn, :] = np.nan
-    missing = {"values": int(rows[choice.measure].isna().sum()), "points": int((~drawn & ~np.isnan(values)).sum())}
-    totals = {"values": len(rows), "points": len(values)}
+    missing = {"values": points.missing, "points": int((~drawn & ~np.isnan(values)).sum())}
+    totals = {"values": points.rows, "points": len(values)}
     if not choice.aggregate:  # each value is a point
         missing = {"values": sum(missing.values())}
     lost = [f"{count} of {totals[what]} {what} not shown" for what, count in missing.items() if count]
@@ -133,9 +159,9 @@ def draw_sweep(axes: Any, rows: Frame, choice: Choice, title: str = "") -> None:
     around = "" if choice.colour else SPREADS.get(choice.aggregate or "")
     label = escaped(in_words(choice.measure)) + (f" ({choice.aggregate}{around})" if choice.aggregate else "")
     if choice.colour:
-        _heat(axes, table["value"].unstack(choice.x), scale, label)
+        _heat(axes, table["value"].where(drawn).unstack(choice.x), scale, label)
     else:
-        _curves(axes, table.dropna(subset="value"), scale, choice)
+        _curves(axes, table[drawn], scale, choice)
     x, y = (KEYS_IN_WORDS.get(key, escaped(key)) for key in (choice.x, choice.y))
     labelled(axes, x, y if choice.colour else label, escaped(title))
 

@@ -3,113 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from topcli.analysis.motion import Motion
 from topcli.config.load import load, load_experiment
 from topcli.config.sweep import load_sweep
-from topcli.contracts import Outcome
-from topcli.errors import UsageError, nearest, quoted
-from topcli.figures.study import on_axes
-from topcli.figures.sweep import draw_sweep
-from topcli.pages.stored import MOST_ROWS, rows_table, run_chapter, sweep_chapter, sweep_choices
-from topcli.runs.report import report_tables
-from topcli.runs.run import RunOptions, RunResult, run_experiment
+from topcli.runs.run import RunOptions, run_experiment
 from topcli.show.progress import Progress
-from topcli.store.results import StoredResult
-from topcli.store.series import read_series, series_names
-from topcli.studies.report import Report
-from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
-from topcli.sweeps.store import intact_sweep
-from topcli.sweeps.table import read_rows, require_names
-from topcli.table import Table
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-
-    from topcli.pages.page import Chapter
-
-
-@dataclass(frozen=True, repr=False)
-class RunReport(Report):
-    """Report on a stored run or ensemble, as returned by ``topcli.run``.
-
-    ``report[name]`` is the column called ``name`` of the series, which contains the recorded rows of the run. The
-    report draws the last vector of the state over time, for example gamma; an ensemble has no picture.
-
-    Attributes
-    ----------
-    result : RunResult
-        The folder of the run with its manifest (the description of the run), the content of ``report.json``, and
-        ``status``.
-    """
-
-    result: RunResult = field(kw_only=True)
-
-    def __repr__(self) -> str:
-        return f"<RunReport of {self.title}: {self.answer}>"
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the run."""
-        return self.result.stored.folder
-
-    @property
-    def outcome(self) -> Outcome:
-        """Outcome of the run.
-
-        For an ensemble, it is ``interrupted`` if a trajectory was interrupted. Otherwise it is the outcome of the first
-        trajectory that failed, or ``completed`` if none failed.
-        """
-        return self.result.outcome
-
-    @property
-    def status(self) -> str:
-        """``"ran"``, ``"continued"`` or ``"up to date"``, depending on what the call of ``topcli.run`` did."""
-        return self.result.status
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """Deviations, drift and verdict of each invariant, or quantiles over the trajectories, indexed by its name."""
-        import pandas as pd
-
-        return pd.json_normalize(self.result.report["invariants"], sep=", ").set_index("name")
-
-    @property
-    def series(self) -> pd.DataFrame:
-        """DataFrame of all stored rows. Raises RunError if the file is damaged."""
-        import pandas as pd
-
-        return pd.DataFrame(read_series(self.result.stored.series))
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        """Column of the series by name, shape (m,). Raises UsageError for an unknown name."""
-        names = series_names(self.result.stored.series)
-        if name not in names:
-            raise UsageError(f"unknown column {quoted(name)}; {nearest(name, names)}")
-        return read_series(self.result.stored.series, [name])[name]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the content of ``report.json``, with the ``folder`` and the ``status``."""
-        return {"folder": str(self.folder), "status": self.status, **self.result.report}
-
-    def _chapter(self) -> Chapter:
-        return run_chapter(self.result.stored)
-
-
-def _draw_run(stored: StoredResult, axes: Axes) -> None:
-    """Draw the last vector of the state over time."""
-    from topcli.figures.run import recorded_vectors, run_pictures, series_of
-
-    experiment = load(stored.manifest["config"])
-    data = series_of(stored.series, experiment.h)
-    vectors = recorded_vectors(list(data), experiment)  # their pictures come first
-    run_pictures(data, experiment)[len(vectors) - 1](axes)
+from topcli.show.reports import RunReport, SweepReport, run_report, sweep_report
+from topcli.sweeps.run import SweepOptions, run_sweep
 
 
 def run(
@@ -176,91 +79,7 @@ def run(
     with Progress(progress) as bar:
         bar.begin(experiment.name)
         options = RunOptions(force, threads=threads, on_progress=bar)
-        result = run_experiment(experiment, Path(out), options)
-    report, stored = result.report, result.stored
-    return RunReport(
-        "run",
-        report["name"],
-        report["message"],
-        report_tables(report),
-        config=stored.manifest["config"],
-        draw=None if experiment.ensemble else lambda axes, _: _draw_run(stored, axes),
-        result=result,
-    )
-
-
-@dataclass(frozen=True, repr=False)
-class SweepReport(Report):
-    """Report on a stored sweep, as returned by ``topcli.sweep``.
-
-    Attributes
-    ----------
-    result : SweepResult
-        Folder of the sweep and number of rows for each outcome.
-    """
-
-    result: SweepResult = field(kw_only=True)
-
-    def __repr__(self) -> str:
-        return f"<SweepReport of {self.title}: {self.answer}>"
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the sweep."""
-        return self.result.folder
-
-    @property
-    def outcomes(self) -> Mapping[str, int]:
-        """Number of rows for each outcome."""
-        return self.result.outcomes
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """DataFrame of the rows of the sweep, indexed by number."""
-        return read_rows(self.folder).set_index("row")
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON: names of keys and measures, outcomes, and the rows."""
-        table = read_rows(self.folder)
-        return {
-            "folder": str(self.folder),
-            "keys": table.attrs["keys"],
-            "measures": table.attrs["measures"],
-            "outcomes": dict(self.outcomes),
-            "rows": table.astype(object).where(table.notna(), None).to_dict("records"),
-        }
-
-    def _chapter(self) -> Chapter:
-        return sweep_chapter(intact_sweep(self.folder))
-
-    def plot(self, ax: Axes | None = None, y: str | None = None) -> Axes:
-        """Draw a measure against the numeric key with the most values, with a curve for each scheme or top.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Axes to draw into. By default, new axes are made.
-        y : str, optional
-            Measure; by default the first one. ``table`` gives the rows for other plots.
-
-        Raises
-        ------
-        UsageError
-            If the measure is unknown, or if there is nothing to draw.
-        """
-        return on_axes(lambda axes: _draw_sweep(self.folder, axes, y), ax)
-
-
-def _draw_sweep(folder: Path, axes: Axes, y: str | None = None) -> None:
-    """Draw the measure ``y``, by default the first one."""
-    rows = read_rows(folder)
-    if y is not None:
-        require_names(rows, "measure", [y], "plot: y")
-    choices = {choice.y: choice for choice in sweep_choices(rows)}
-    choice = choices.get(y or next(iter(choices), ""))
-    if choice is None:
-        raise UsageError("plot: no key of the sweep varies, or the measure has no value")
-    draw_sweep(axes, rows, choice)
+        return run_report(run_experiment(experiment, Path(out), options))
 
 
 def sweep(
@@ -328,17 +147,7 @@ def sweep(
     with Progress(progress) as bar:
         bar.begin(loaded.name, unit="rows")
         options = SweepOptions(force=force, threads=threads, dask=dask, on_progress=bar)
-        result = run_sweep(loaded, Path(out), options)
-    rows = read_rows(result.folder)
-    return SweepReport(
-        "sweep",
-        loaded.name,
-        ", ".join(f"{count} {outcome}" for outcome, count in result.outcomes.items()),
-        [Table("Rows", rows.head(MOST_ROWS).to_dict("records"), stored=rows_table(rows))],
-        config=loaded.resolved(),
-        draw=lambda axes, _: _draw_sweep(result.folder, axes),
-        result=result,
-    )
+        return sweep_report(run_sweep(loaded, Path(out), options).folder)
 
 
 IRRELEVANT = {"scheme": "taylor", "h": 0.01}

@@ -10,7 +10,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice, zip_longest
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +32,6 @@ from topcli.table import ten_digits
 if TYPE_CHECKING:
     import pandas as pd
 
-UNIT = 1e-3
-"""Deviation of the length of a unit vector from 1 that the first row may have; beyond it the units are wrong."""
 START_AGREEMENT = 1e-6
 """Difference from the config's initial state, relative to its largest component, that writing few digits explains."""
 _EVEN = 1e-6
@@ -81,8 +79,8 @@ def analyse(
     -------
     Report
         ``table`` has the numbers of rows and steps, the errors against the reference solution, and the spacing of the
-        first swings (falls of the top); the second table has the deviations and drifts of the invariants, and the third
-        the times of all swings. ``columns`` contains the error and the deviations over the time.
+        first swings (falls of the top); the second table has the deviations and drifts of the invariants. ``columns``
+        contains the error and the deviations over the time.
 
     Raises
     ------
@@ -124,9 +122,9 @@ def analyse(
             columns[f"deviation of {invariant.symbol}"] = np.abs(values - values[0])
 
     place = top.components.index(top.swing)
-    swings = minima_times(t, states[:, place]).tolist()
-    due = [] if reference is None else minima_times(t, reference[:, place]).tolist()
-    spacing = _spacing(swings) + ("" if reference is None else f" (reference {_spacing(due)})")
+    spacing = _spacing(t, states[:, place])
+    if reference is not None:
+        spacing += f" (reference {_spacing(t, reference[:, place])})"
     summary = {
         "rows": len(t),
         "times": f"{ten_digits(float(t[0]))} to {ten_digits(float(t[-1]))}, {kind}",
@@ -138,10 +136,6 @@ def analyse(
         "final error": None if error is None else float(error[-1]),
         f"first spacing of minima of {top.swing}": spacing,
     }
-    minima = [
-        {"minimum": i + 1, "t": time, "reference": expected}
-        for i, (time, expected) in enumerate(zip_longest(swings, due))
-    ]
 
     def draw(axes: Any, looks: Callable[..., Any]) -> None:
         for name, values in columns.items():
@@ -153,15 +147,15 @@ def analyse(
     tables = [
         Table("Series", [{"figure": name, "value": value} for name, value in summary.items()]),
         replace(laws, across=False, detail=[key for key in laws.columns()[1:] if key not in BRIEF]),
-        Table(f"Minima of {top.swing}", minima, {"t": ".10g", "reference": ".10g"}, detail=True),
     ]
     title = f"{path}: {top.title}"
     return Report("analyse", title, "", tables, notes, config=experiment.resolved(), columns=columns, draw=draw)
 
 
-def _spacing(times: Sequence[float]) -> str:
-    """Time from the first minimum to the second, which the drift of a method changes least."""
-    return ten_digits(abs(times[1] - times[0]) if len(times) > 1 else None)
+def _spacing(t: Array, values: Array) -> str:
+    """Time from the first deep minimum to the second, which the drift of a method changes least."""
+    times = minima_times(t, values)
+    return ten_digits(abs(float(times[1] - times[0])) if len(times) > 1 else None)
 
 
 def read_frame(path: Path) -> pd.DataFrame:
@@ -244,7 +238,7 @@ def _series(path: Path, top: Top, rename: Sequence[str]) -> tuple[Array, Array, 
     t, *components = (_column(path, frame, sources.get(name, name)) for name in names[1:])
     states = np.column_stack(components)
 
-    # times that lead one way, and unit vectors
+    # times that lead one way
     if len(t) < 2:
         raise UsageError(f"{path}: {counted(len(t), 'row')}; a series needs at least 2")
     order = "increase" if t[-1] >= t[0] else "decrease"
@@ -252,12 +246,6 @@ def _series(path: Path, top: Top, rename: Sequence[str]) -> tuple[Array, Array, 
     if wrong.any():
         row = int(np.argmax(wrong)) + 2
         raise UsageError(f"{path}: row {row}: t = {t[row - 1]} after {t[row - 2]}; times must {order} from row to row")
-    for name in top.unit_vectors:
-        length = float(np.linalg.norm(states[0, slice(*top.vectors[name])]))
-        if not abs(length - 1.0) <= UNIT:
-            raise UsageError(
-                f"{path}: row 1: {name} has length {length:.6g}, and {top.kind} takes a unit vector (within {UNIT:g})"
-            )
 
     # a column n may be another quantity
     if "n" not in sources and "n" not in frame:

@@ -34,7 +34,7 @@ from topcli.schemes.display import display_name
 from topcli.schemes.plugins import FILES, load_plugin_file, reason_of
 from topcli.schemes.registry import composable_names, names_for
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import code_failures, entry_named
+from topcli.studies.entries import code_failures, entries_of
 from topcli.studies.ladder import (
     USELESS,
     ErrorCurve,
@@ -226,26 +226,14 @@ def default_names(form: str) -> list[str]:
     return [*names, *(["backlund:nodes=exact"] if "backlund" in names else []), *composed]
 
 
-def choose(experiment: Experiment, names: Sequence[str]) -> dict[str, Experiment]:
-    """Schemes ``NAME[:option=value,...]``; without names all that fit the top, can be stepped and are compiled.
-
-    Raises UsageError for a name that is unknown, wrong or a closed form, and SchemeCodeError.
-    """
-    schemes: dict[str, Experiment] = {}
-    for name in names or default_names(experiment.top.form):
-        try:
-            scheme = entry_named(experiment, name.lower())
-            method = scheme.method()
-            tolerance_option(scheme.scheme)
-            if isinstance(method, Sampler):
-                raise UsageError(f"scheme {quoted(name)} is evaluated, not stepped; topcli compare shows its error")
-        except UsageError as error:
-            if names or isinstance(error, SchemeCodeError):
-                raise
-            continue
-        if names or not (isinstance(method, Stepper) and method.plain):
-            schemes[name.lower()] = scheme
-    return schemes
+def obstacle_of(experiment: Experiment, named: bool) -> str:
+    """Reason why the speed of a scheme is not measured; empty if it is. Interpreted ones are, if they are named."""
+    method = experiment.method()
+    if isinstance(method, Sampler):
+        return "is evaluated, not stepped; topcli compare shows its error"
+    if experiment.scheme.adaptive and not tolerance_option(experiment.scheme):
+        return "is adaptive and has no option tol or rtol to measure it over"
+    return "is interpreted" if isinstance(method, Stepper) and method.plain and not named else ""
 
 
 def point_rows(curves: Sequence[ErrorCurve], duration: float) -> list[Row]:
@@ -359,7 +347,7 @@ def bench(
     top, duration = experiment.top, experiment.duration
     if duration < 0.0:
         raise UsageError(f"{experiment.name}: h = {experiment.h:g} runs backwards; speed is measured forwards")
-    line_up = choose(experiment, schemes)
+    line_up = entries_of(experiment, schemes, default_names(top.form), partial(obstacle_of, named=bool(schemes)))
     watch.begin(experiment.name, experiment, unit="measurements")
     times = np.arange(samples + 1) * (duration / samples)
     reference = reference_states(top, experiment.y0, times)

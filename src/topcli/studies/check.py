@@ -13,9 +13,9 @@ from topcli.config.models import Experiment
 from topcli.errors import ExitCode, UsageError, counted, quoted
 from topcli.schemes.own_tops import forms, top_origin
 from topcli.schemes.plugins import load_plugin_file
-from topcli.schemes.registry import all_schemes, find_scheme
+from topcli.schemes.registry import all_schemes
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import code_failures
+from topcli.studies.entries import code_failures, schemes_called
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
 from topcli.testing import Trait, check_scheme, check_top
@@ -121,11 +121,7 @@ def _subjects(
     if top or experiment:
         schemes = [(form, name) for form, name in schemes if form in tops]
     if names:
-        bases = {name: name.lower().partition("+")[0] for name in names}
-        fits = {name: [each.top for each in all_schemes() if each.name == base] for name, base in bases.items()}
-        schemes = [
-            (form, find_scheme(name, form).name) for name in names for form in tops or fits[name] or ["kowalevski"]
-        ]
+        schemes = [(each.top, each.name) for name in names for each in schemes_called(name, tops)]
         tops = tops if top or experiment or file else []
     if not (tops or schemes):
         what = f"plugin {file}: registers no top and no scheme" if file else "nothing to check"

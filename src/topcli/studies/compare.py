@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +25,7 @@ from topcli.runs.report import deviation_text, drift_text, open_lines
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import SCHEME, code_failures, common_strides, entries_of, refuse_keys
 from topcli.studies.report import Report, Table
+from topcli.table import Row
 
 _FIGURES = ("max_deviation", "max_deviation_relative", "drift", "drift_error", "drift_bound", "model", "verdict")
 """Figures of each invariant in the detailed table, as in the report of a run."""
@@ -86,79 +88,99 @@ def compare(
     base = load_experiment(config, overrides, any_precision=True)
     asked = entries_of(base, entries)
     top, exact = base.top, reference_of(base.top, reference)
-    strides = common_strides(base, list(asked.values()))
+    strides = dict(zip(asked, common_strides(base, list(asked.values())), strict=True))
     first = next(iter(asked.values()))
     watch.begin(base.name, base, unit="schemes")
     expected: dict[float, Array] = {}
     runs: dict[str, tuple[Experiment, Method, Trajectory]] = {}
     broken: list[str] = []
-    for i, ((label, experiment), every) in enumerate(zip(asked.items(), strides, strict=True)):
+    for i, (label, experiment) in enumerate(asked.items()):
         if experiment.h not in expected:
-            rows_of_reference = np.arange(0, experiment.N + 1, every)
-            expected[experiment.h] = exact.states(np.array(base.y0), experiment.h, rows_of_reference)
+            n = np.arange(0, experiment.N + 1, strides[label])
+            expected[experiment.h] = exact.states(np.array(base.y0), experiment.h, n)
         with code_failures(broken, label):
-            runs[label] = experiment, experiment.method(), _recorded(experiment, every)
+            runs[label] = experiment, experiment.method(), _recorded(experiment, strides[label])
         watch(i + 1, len(asked))
     if not runs:
         raise SchemeCodeError(broken[0].partition(": ")[2])
-    swing, exact_states = top.components.index(top.swing), expected[first.h]
-    t = np.arange(0, first.N + 1, strides[0]) * first.h
-    columns = {"t": t, "swing:reference": exact_states[:, swing]}
-    rows, deviations, drifts, figures, invariants, ended = [], [], [], [], [], []
+
+    # the speed of all is timed in turns, after the runs
+    probes = expected[first.h][probe_rows(len(expected[first.h]))]
+    t, swing = np.arange(0, first.N + 1, strides[next(iter(asked))]) * first.h, top.components.index(top.swing)
+    rows, invariants, columns = [], {}, {"t": t, "swing:reference": expected[first.h][:, swing]}
     for (label, (experiment, method, run)), nanoseconds in zip(
         runs.items(), _step_times(list(runs.values())), strict=True
     ):
         error = distances(run.states, expected[experiment.h][: len(run.states)])
-        precise = precise_of(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
-        back = reversal(top, method, exact_states[probe_rows(len(exact_states))], experiment.h, precise)
-        complete = run.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION)
-        if run.outcome is not Outcome.COMPLETED:
-            ended.append(f"{label}: {run.ending.message}")
-        rows.append({
-            "scheme": label, "h": experiment.h, "N": experiment.N, "outcome": run.outcome.value,
-            "max_error": float(error.max()), "final_error": float(error[-1]) if complete else None,
-            "reversal_defect": back.defect, "its_order": back.order,
-            "first_swing_spacing": first_swing_spacing(run.t, run[top.swing]),
-            "ns_per_step": nanoseconds if complete else None,
-        })  # fmt: skip
-        measured = [row.as_dict() for row in run.invariant_rows()]
-        of_top = measured[: len(top.invariants())]
-        invariants += [(label, row) for row in of_top]
-        deviations.append({"scheme": label, **{row["symbol"]: deviation_text(row) for row in of_top}})
-        drifts.append({"scheme": label, **{row["symbol"]: _drift(row) for row in of_top}})
-        figures += [
-            {"scheme": label, "invariant": row["symbol"]} | {key: row[key] for key in _FIGURES} for row in measured
-        ]
-        for name, values in (("error", error), ("swing", run.states[:, swing])):
+        rows.append(_row(label, experiment, method, run, error, probes, nanoseconds))
+        invariants[label] = [row.as_dict() for row in run.invariant_rows()]
+        for name, values in (("error", error), ("swing", run[top.swing])):
             columns[f"{name}:{label}"] = np.append(values, np.full(len(t) - len(values), np.nan))
-
-    def draw(axes: Any, looks: Callable[..., Any]) -> None:
-        for label, style in looks(runs).items():
-            error = columns[f"error:{label}"]
-            axes.plot(columns["t"], np.where(error > 0.0, error, np.nan), label=label, **style)
-        axes.set(xlabel="time $t$", ylabel="error of the state", yscale="log", title=base.name.replace("$", r"\$"))
-        later = np.concatenate([columns[f"error:{label}"][1 + len(t) // 100 :] for label in runs])
-        if (later > 0.0).any():  # not the first errors, which grow from nothing
-            axes.set_ylim(bottom=0.5 * np.nanmin(later[later > 0.0]))
+    ended = [
+        f"{label}: {run.ending.message}" for label, (*_, run) in runs.items() if run.outcome is not Outcome.COMPLETED
+    ]
 
     same_step = all(experiment.h == first.h for experiment in asked.values())
     steps = f"h = {first.h:g}, N = {first.N}" if same_step else f"t from 0 to {base.duration:g}"
     title = f"{base.name}: {top.title}, {steps}" + (f", precision {base.precision}" if base.written else "")
     hidden = ["ns_per_step", *(("h", "N") if same_step else ()), *(() if ended else ("outcome",))]
     formats = {"h": "g", "its_order": ".2f", "first_swing_spacing": ".4f", "ns_per_step": ".1f"}
-    tables = [
-        Table("Errors, reversal and speed", rows, formats, hidden),
+    of_top = {label: each[: len(top.invariants())] for label, each in invariants.items()}
+    tables = [Table("Errors, reversal and speed", rows, formats, hidden), *_invariant_tables(of_top, invariants)]
+    speeds = ", ".join(f"{row['scheme']} {row['ns_per_step']:.1f}" for row in rows if row["ns_per_step"] is not None)
+    notes = [*open_lines([(label, row) for label, each in of_top.items() for row in each])]
+    notes += [f"ns per step: {speeds}"] if speeds else []
+    spacing = first_swing_spacing(t, columns["swing:reference"])
+    swings = "" if spacing is None else f" The first swing spacing of {top.swing} in the reference is {spacing:.4f}."
+    notes.append(f"Errors are norms of the difference of states from the reference, a {METHODS[reference]}.{swings}")
+    code = ExitCode.PARTLY_FAILED if broken else ExitCode.FAILED if ended else ExitCode.SUCCESS
+    draw = partial(_draw, list(runs), columns, base.name)
+    return Report("compare", title, "", tables, notes, [*ended, *broken], code, base.resolved(), columns, draw)
+
+
+def _row(
+    label: str, experiment: Experiment, method: Method, run: Trajectory, error: Array, probes: Array, nanoseconds: float
+) -> Row:
+    """Row of an entry; its reversal is tried at the states ``probes`` of the reference."""
+    precise = precise_of(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
+    back = reversal(experiment.top, method, probes, experiment.h, precise)
+    complete = run.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION)
+    return {
+        "scheme": label, "h": experiment.h, "N": experiment.N, "outcome": run.outcome.value,
+        "max_error": float(error.max()), "final_error": float(error[-1]) if complete else None,
+        "reversal_defect": back.defect, "its_order": back.order,
+        "first_swing_spacing": first_swing_spacing(run.t, run[experiment.top.swing]),
+        "ns_per_step": nanoseconds if complete else None,
+    }  # fmt: skip
+
+
+def _invariant_tables(of_top: Mapping[str, Sequence[Row]], every: Mapping[str, Sequence[Row]]) -> list[Table]:
+    """Tables of the invariants of the top by entry: deviations, drifts, and all figures, also of modified integrals."""
+    deviations, drifts = (
+        [{"scheme": label, **{row["symbol"]: text(row) for row in rows}} for label, rows in of_top.items()]
+        for text in (deviation_text, _drift)
+    )
+    figures = [
+        {"scheme": label, "invariant": row["symbol"]} | {key: row[key] for key in _FIGURES}
+        for label, rows in every.items()
+        for row in rows
+    ]
+    return [
         Table("Largest deviation, relative to the first value", deviations),
         Table("Drift per unit time, with 95 % bounds, or the verdict", drifts),
         Table("Invariants and modified integrals", figures, detail=True),
     ]
-    speeds = ", ".join(f"{row['scheme']} {row['ns_per_step']:.1f}" for row in rows if row["ns_per_step"] is not None)
-    notes = [*open_lines(invariants), *([f"ns per step: {speeds}"] if speeds else [])]
-    spacing = first_swing_spacing(t, exact_states[:, swing])
-    swings = "" if spacing is None else f" The first swing spacing of {top.swing} in the reference is {spacing:.4f}."
-    notes.append(f"Errors are norms of the difference of states from the reference, a {METHODS[reference]}.{swings}")
-    code = ExitCode.PARTLY_FAILED if broken else ExitCode.FAILED if ended else ExitCode.SUCCESS
-    return Report("compare", title, "", tables, notes, [*ended, *broken], code, base.resolved(), columns, draw)
+
+
+def _draw(labels: Sequence[str], columns: Mapping[str, Array], title: str, axes: Any, looks: Any) -> None:
+    """Draw the errors over time, from above their growth at the beginning."""
+    for label, style in looks(labels).items():
+        error = columns[f"error:{label}"]
+        axes.plot(columns["t"], np.where(error > 0.0, error, np.nan), label=label, **style)
+    axes.set(xlabel="time $t$", ylabel="error of the state", yscale="log", title=title.replace("$", r"\$"))
+    later = np.concatenate([columns[f"error:{label}"][1 + len(columns["t"]) // 100 :] for label in labels])
+    if (later > 0.0).any():
+        axes.set_ylim(bottom=0.5 * np.nanmin(later[later > 0.0]))
 
 
 def _recorded(experiment: Experiment, stride: int) -> Trajectory:

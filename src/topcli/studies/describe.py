@@ -11,23 +11,9 @@ from typing import Any
 from topcli.contracts import Block, Scheme, Top
 from topcli.errors import UsageError
 from topcli.field.polynomial import NotPolynomialError, field_of
-from topcli.schemes.own_tops import forms
-from topcli.schemes.registry import all_schemes, find_scheme, names_for
+from topcli.schemes.registry import names_for
 from topcli.table import DASH
 from topcli.tops import TOPS
-
-
-def scheme_forms(name: str, top: str | None = None) -> list[Scheme]:
-    """Schemes called ``name``, one for each form of a top, or of ``top`` that it fits; empty if there is none.
-
-    Raises UnknownNameError for an unknown top, SchemeMisfitError for a scheme that fits no form of it.
-    """
-    base = name.lower().partition("+")[0]
-    fits = [scheme.top for scheme in all_schemes() if scheme.name == base]
-    if top is None or not fits:
-        return [find_scheme(name, form) for form in fits]
-    asked = [form.form for form in forms(top)]
-    return [find_scheme(name, form) for form in asked if form in fits] or [find_scheme(name, asked[0])]
 
 
 def generated_source(schemes: Sequence[Scheme]) -> str:
@@ -78,7 +64,6 @@ def _scheme_text(schemes: Sequence[Scheme], width: int) -> str:
     """Description of schemes that differ in what they conserve and in their limits at most."""
     first, tops = schemes[0], ", ".join(scheme.top for scheme in schemes)
     kind = "adaptive" if first.adaptive else "explicit" if first.explicit else "implicit"
-    lines = [_filled(f"{first.name} ({tops}): {first.title}", width), "", *_paragraphs(first.doc, width)]
     items = [
         f"order: {first.order or ('by tolerance' if first.adaptive else 'exact')}",
         f"kind: {kind}, {'self-adjoint' if first.self_adjoint else 'not self-adjoint'}",
@@ -93,7 +78,7 @@ def _scheme_text(schemes: Sequence[Scheme], width: int) -> str:
         items.append(f"constants p of a step: {', '.join(constants)}")
     limits = [(f"limit {key}: {text}", scheme.top) for scheme in schemes for key, text in scheme.limits.items()]
     items += _by_tops(limits) or ["limits: none known"]
-    return "\n".join([*lines, *(_filled(item, width) for item in items)])
+    return _described(f"{first.name} ({tops}): {first.title}", first.doc, items, width)
 
 
 def _conserved(scheme: Scheme) -> str:
@@ -110,12 +95,11 @@ def _by_tops(texts: Iterable[tuple[str, str]]) -> list[str]:
     return [f"{text} ({', '.join(names)})" for text, names in tops.items()]
 
 
-def _filled(text: str, width: int, indent: str = "  ") -> str:
-    return fill(text, width, subsequent_indent=indent, break_on_hyphens=False)
-
-
-def _paragraphs(text: str, width: int) -> list[str]:
-    return [_filled(part, width, "") + "\n" for part in text.split("\n\n") if part.strip()]
+def _described(title: str, doc: str, items: Sequence[str], width: int) -> str:
+    """Title, paragraphs of the docstring, and items, in lines of at most ``width`` characters."""
+    paragraphs = [fill(part, width, break_on_hyphens=False) + "\n" for part in doc.split("\n\n") if part.strip()]
+    lines = [fill(line, width, subsequent_indent="  ", break_on_hyphens=False) for line in (title, *items)]
+    return "\n".join([lines[0], "", *paragraphs, *lines[1:]])
 
 
 def top_data(top: Top) -> dict[str, Any]:
@@ -151,7 +135,6 @@ def top_text(top: Top, width: int = 100) -> str:
     """Description of a top for a terminal, in lines of at most ``width`` characters."""
     data = top_data(top)
     name = data["form"] if top.kind in data["form"] else top.kind
-    lines = [fill(f"{name}: {top.title}", width), "", *_paragraphs(data["doc"].partition("\n\n")[2], width)]
     items: list[str] = []
     for key, parameter in data["parameters"].items():
         value = parameter["value"]
@@ -168,4 +151,4 @@ def top_text(top: Top, width: int = 100) -> str:
         level = " and ".join(f"{key} = {value:g}" for key, value in each["on"].items())
         items.append(f"integral {each['symbol']}: {each['meaning']}" + (f"; conserved where {level}" if level else ""))
     items.append(f"schemes: {', '.join(data['schemes'])}")
-    return "\n".join([*lines, *(_filled(item, width) for item in items)])
+    return _described(f"{name}: {top.title}", data["doc"].partition("\n\n")[2], items, width)

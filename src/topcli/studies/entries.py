@@ -6,18 +6,20 @@ All entries cover the same time. Entries with different steps are compared at ti
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
+from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UsageError, counted, printable, quoted, shortened
 from topcli.schemes.own_tops import forms
 from topcli.schemes.plugins import users_error
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.testing import GENERIC
+from topcli.tops import TOPS
 
 _SCENES = {
     "kowalevski": "kowalevski_generic_hk",
@@ -59,20 +61,36 @@ def common_strides(base: Experiment, experiments: Sequence[Experiment]) -> list[
     return [experiment.N // count for experiment in experiments]
 
 
-def entries_of(base: Experiment, texts: Sequence[str]) -> dict[str, Experiment]:
-    """Experiments of all entries by label. Raises UsageError for two that compute the same."""
-    if not texts:
+def entries_of(
+    base: Experiment,
+    texts: Sequence[str],
+    default: Sequence[str] = (),
+    obstacle: Callable[[Experiment], str] = lambda experiment: "",
+) -> dict[str, Experiment]:
+    """Experiments of all entries by label; without ``texts`` those of the ``default`` that fit the top.
+
+    ``obstacle`` is the reason why a study cannot use an entry, empty if it can. Raises UsageError for such an entry,
+    for a wrong text, and for two entries that compute the same.
+    """
+    if not (texts or default):
         raise UsageError("name at least one scheme, as in: hk hybrid:branch=sign")
     labels: dict[str, str] = {}
     experiments: dict[str, Experiment] = {}
-    for text in texts:
+    for text in texts or default:
         label = printable(text.replace(" ", "").lower())
-        experiment = entry_named(base, text)
-        same = f"{experiment.scheme.name} {experiment.options.model_dump_json()} {experiment.h}"
-        if (earlier := labels.setdefault(same, label)) in experiments:
-            what = "is named twice" if earlier == label else f"computes the same as {earlier}; keep one of them"
-            raise UsageError(f"{label}: {what}")
-        experiments[label] = experiment
+        try:
+            experiment = entry_named(base, text)
+            same = f"{experiment.scheme.name} {experiment.options.model_dump_json()} {experiment.h}"
+            if (earlier := labels.get(same)) is not None:
+                what = "is named twice" if earlier == label else f"computes the same as {earlier}; keep one of them"
+                raise UsageError(f"{label}: {what}")
+            if reason := obstacle(experiment):
+                raise UsageError(f"{label}: {reason}")
+        except UsageError as error:
+            if texts or isinstance(error, SchemeCodeError):
+                raise
+            continue
+        labels[same], experiments[label] = label, experiment
     return experiments
 
 
@@ -133,6 +151,15 @@ def experiment_on(
     state = [GENERIC[i % len(GENERIC)] for i in range(len(body.components))]
     initial = {**body.initial_section(state), **({"normalize": True} if body.unit_vectors else {})}
     return load_experiment({"top": body.section(), "initial": initial, "scheme": scheme, "h": h, "N": N}, overrides)
+
+
+def schemes_called(name: str, fits: Sequence[str] = ()) -> list[Scheme]:
+    """Schemes called ``name``, one for each form of a top that it steps, among the forms ``fits``; by default all.
+
+    Raises UnknownNameError for an unknown name, and SchemeMisfitError for a scheme of other tops.
+    """
+    fits, base = fits or list(TOPS), name.lower().partition("+")[0]
+    return [find_scheme(name, form) for form in [form for form in fits if base in names_for(form)] or fits[:1]]
 
 
 @contextmanager

@@ -31,31 +31,26 @@ def check_all(name: str, out: Path) -> Checked:
 
     Raises UsageError if there is nothing that topcli stored.
     """
+    place = out / name
     try:
-        place = Path(name) if Path(name).exists() else out / name
-        checked = _study(place) if place.is_file() else _folder(place)
+        place = Path(name) if Path(name).exists() else place
+        if place.is_file():
+            return Checked(place.parent, True, (place.name,), _damage_of_study(place))
+        stored = read_result(place)
     except OSError as error:
         raise UsageError(f"{name[:400]}: cannot be read ({error.strerror})") from None
-    if checked is None:
-        raise missing_result(name, out)
-    return checked
-
-
-def _folder(folder: Path) -> Checked | None:
-    """Check every file of a run, an ensemble or a sweep; None if there is none."""
-    try:
-        stored = read_result(folder)
     except RunError as error:
-        return Checked(folder, True, (MANIFEST,), {MANIFEST: str(error).partition(": ")[2].removeprefix("damaged ")})
+        fault = str(error).partition(": ")[2].removeprefix("damaged ")
+        return Checked(place, True, (MANIFEST,), {MANIFEST: fault})
     if stored is None:
-        return None
-    return Checked(folder, stored.complete, (MANIFEST, *stored.manifest["files"]), stored.damage())
+        raise missing_result(name, out)
+    return Checked(place, stored.complete, (MANIFEST, *stored.manifest["files"]), stored.damage())
 
 
-def _study(path: Path) -> Checked:
-    """Check a file of a study, which holds its own checksum."""
+def _damage_of_study(path: Path) -> dict[str, str]:
+    """Fault of the file of a study, which holds its own checksum."""
     try:
         check_seal(read_json(path))
     except DamagedError as error:
-        return Checked(path.parent, True, (path.name,), {path.name: str(error)})
-    return Checked(path.parent, True, (path.name,), {})
+        return {path.name: str(error)}
+    return {}

@@ -20,9 +20,9 @@ from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Outcome
 from topcli.engine.drive import orbit
 from topcli.errors import ExitCode
-from topcli.schemes.registry import find_scheme, names_for
+from topcli.schemes.registry import names_for
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import entry_named, experiment_on
+from topcli.studies.entries import entries_of, experiment_on
 from topcli.studies.report import Report, Table
 from topcli.tops.bodies import checked_equations
 
@@ -83,8 +83,10 @@ def lax(
     body, h, N = experiment.top, experiment.h, experiment.N
     equations = checked_equations(body, "the study of Lax forms")
     pairs, every = lax_forms(equations), max(1, N // _ROWS)
-    defaults = [name for name in names_for(body.form) if not find_scheme(name, body.form).adaptive]
-    compared = {name: entry_named(experiment, name) for name in schemes or defaults}
+    adaptive = "" if schemes else "adaptive"
+    compared = entries_of(
+        experiment, schemes, names_for(body.form), lambda entry: adaptive if entry.scheme.adaptive else ""
+    )
     watch.begin("lax", experiment, unit="schemes")
 
     def drifts(states: Array) -> dict[str, float]:

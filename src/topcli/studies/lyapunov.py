@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -83,52 +84,56 @@ def lyapunov(
         {"number": i, "per unit of time": x if x is None else plus_minus(x, error), "exponent": x, "error": error}
         for i, (x, error) in enumerate(zip(exponents, errors, strict=True), start=1)
     ]
-    # what the run says about the orbit: the verdict, and from which exponent on it would have been seen
-    T, rate, verdict = growth.T, growth.rate[0], growth.verdicts[0]
-    reached = growth.n[np.isfinite(growth.logs).all(axis=1)][-1:].sum()
-    orbit = {
-        "verdict": str(verdict),
-        "T": T,
-        "discarded": (skip or 0) * abs(h),
-        "transient": T * float(growth.skipped[0]) / TRANSIENT,
-        "growth": float(growth.logs[-1, 0]),
-        "largest_fall": float(growth.largest_fall[0]),
-        "regular_exponent": float(np.log1p(rate * T) / T),
-        "detectable": float(growth.detectable[0]),
-        "completed_steps": (skip or 0) + int(reached),
-    }
+    orbit = _orbit(growth, (skip or 0), h)
     notes, faults = [], []
     if orbit["transient"]:
         notes.append(
-            f"the exponents leave out the first {orbit['transient']:g} of T = {T:g}, in which the vector grew unlike "
-            "later; --discard 0 includes them"
+            f"the exponents leave out the first {orbit['transient']:g} of T = {growth.T:g}, in which the vector grew "
+            "unlike later; --discard 0 includes them"
         )
-    if verdict is Verdict.BROKE_OFF:
+    if growth.verdicts[0] is Verdict.BROKE_OFF:
         step = orbit["completed_steps"]
         faults.append(f"the orbit broke off at or soon after step {step}: it blew up, or a step did not converge")
-    later = growth.t > 0.0
-    t = growth.t[later]
-    curves = {f"exponent_{i + 1}": logs[later] / t for i, logs in enumerate(growth.logs.T)}
-    columns = {"t": t, **curves, "regular": np.log1p(rate * t) / t}
-
-    def draw(axes: Any, looks: Callable[..., Any]) -> None:
-        for i, (name, values) in enumerate(curves.items()):
-            axes.semilogx(columns["t"], values, label=rf"$\lambda_{i + 1}$" if spectrum else name.partition("_")[0])
-        axes.semilogx(columns["t"], columns["regular"], color="0.5", label=r"regular orbit: $\ln(t)/t$")
-        if not spectrum and (curves["exponent_1"] > 0.0).all():
-            axes.set_yscale("log")
-        title = f"{scheme.name}, $h = {h:g}$: {verdict}"
-        axes.set(xlabel="time $t$", ylabel="exponent per unit of time", title=title)
-
-    title = f"{scheme.name} on {experiment.name}: {top.title}, h = {h:g}, N = {N}"
     tables = [
         Table("Lyapunov exponents", rows, detail=("exponent", "error")),
         Table("Orbit", [orbit], detail=True),
     ]
+    t = growth.t[growth.t > 0.0]
+    columns = {"t": t, **{f"exponent_{i}": logs[growth.t > 0.0] / t for i, logs in enumerate(growth.logs.T, start=1)}}
+    columns["regular"] = np.log1p(growth.rate[0] * t) / t
+    draw = None if faults else partial(_draw, columns, f"{scheme.name}, $h = {h:g}$: {orbit['verdict']}")
+    title = f"{scheme.name} on {experiment.name}: {top.title}, h = {h:g}, N = {N}"
     answer = "" if faults else _answer(growth, orbit, rows[0])
     code = ExitCode.FAILED if faults else ExitCode.SUCCESS
-    drawn = None if faults else draw
-    return Report("lyapunov", title, answer, tables, notes, faults, code, experiment.resolved(), columns, drawn)
+    return Report("lyapunov", title, answer, tables, notes, faults, code, experiment.resolved(), columns, draw)
+
+
+def _orbit(growth: Growth, discarded: int, h: float) -> dict[str, Any]:
+    """What the run says about the orbit: the verdict, and from which exponent on it would have detected chaos."""
+    T = growth.T
+    reached = growth.n[np.isfinite(growth.logs).all(axis=1)][-1:].sum()
+    return {
+        "verdict": str(growth.verdicts[0]),
+        "T": T,
+        "discarded": discarded * abs(h),
+        "transient": T * float(growth.skipped[0]) / TRANSIENT,
+        "growth": float(growth.logs[-1, 0]),
+        "largest_fall": float(growth.largest_fall[0]),
+        "regular_exponent": float(np.log1p(growth.rate[0] * T) / T),
+        "detectable": float(growth.detectable[0]),
+        "completed_steps": discarded + int(reached),
+    }
+
+
+def _draw(columns: Mapping[str, Any], title: str, axes: Any, looks: Callable[..., Any]) -> None:
+    """Draw the finite-time exponents; a single one that stays positive, on a logarithmic axis."""
+    t, *exponents, regular = columns.values()
+    for i, values in enumerate(exponents, start=1):
+        axes.semilogx(t, values, label=rf"$\lambda_{i}$" if len(exponents) > 1 else "exponent")
+    axes.semilogx(t, regular, color="0.5", label=r"regular orbit: $\ln(t)/t$")
+    if len(exponents) == 1 and (exponents[0] > 0.0).all():
+        axes.set_yscale("log")
+    axes.set(xlabel="time $t$", ylabel="exponent per unit of time", title=title)
 
 
 def _answer(growth: Growth, orbit: Mapping[str, Any], first: Mapping[str, Any]) -> str:

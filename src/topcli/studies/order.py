@@ -18,10 +18,10 @@ from topcli.contracts import Array
 from topcli.errors import ExitCode, UsageError
 from topcli.schemes.registry import names_for
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import SCHEME, code_failures, entry_named, refuse_keys, scene_of
+from topcli.studies.entries import SCHEME, code_failures, entries_of, refuse_keys, scene_of
 from topcli.studies.ladder import ErrorCurve, ladder, measured, scheme_calls
 from topcli.studies.report import Report, Table
-from topcli.table import two_digits
+from topcli.table import Row, two_digits
 
 DEFAULT = ("bohlin-a", "hk", "hybrid", "rk4", "hk+kahan-li6", "hk+kahan-li8")
 """Schemes of the default study, on the generic motion of Kowalevski's top."""
@@ -96,73 +96,83 @@ def order(
     if interval <= 0.0:
         raise UsageError(f"the duration {base.duration:g} must be positive; give another with --set T=...")
     chosen_sizes = sorted({_dividing(size, interval) for size in sizes}, reverse=True)
-    names = schemes or (DEFAULT if config is None else names_for(base.top.form))
-    chosen = _with_orders(base, names, bool(schemes))
+    names = schemes or (DEFAULT if config is None else ())
+    chosen = entries_of(base, names, names_for(base.top.form), _without_order)
     watch.begin("order", base, unit="schemes")
     times = np.arange(INTERVALS + 1) * interval
     reference = reference_states(base.top, base.y0, times)
     extent = float(np.linalg.norm(reference - reference[0], axis=1).max())
-    rows: list[dict[str, Any]] = []
-    by_size: dict[float, dict[str, Any]] = {}
-    columns: dict[str, Array] = {}
+    rows: list[Row] = []
+    points: dict[str, dict[float, float]] = {}
     notes, broken, false = [], [], []
     for i, (name, experiment) in enumerate(chosen.items()):
         steps = [h for h in ladder(experiment, interval) if base.duration <= max_steps * h * (1.0 + 1e-9)]
-        curve = ErrorCurve(
-            name, "scheme", "h", chosen_sizes or steps, SECONDS, measured(scheme_calls(experiment, times, []), times)
-        )
+        calls = measured(scheme_calls(experiment, times, []), times)
+        curve = ErrorCurve(name, "scheme", "h", chosen_sizes or steps, SECONDS, calls)
+        failed = len(broken)
         with code_failures(broken, name):
             curve.climb(reference)
         watch(i + 1, len(chosen))
-        if broken and broken[-1].startswith(f"{name}: "):
+        if len(broken) > failed:
             rows.append({"scheme": name, "verdict": "failed"})
             continue
         if curve.failure:
             notes.append(f"{name}: no result with {curve.failure}")
-        points = [(point.setting, point.error) for point in curve.points]
-        h, errors = [point[0] for point in points], [point[1] for point in points]
-        observed = convergence(h, errors)
-        declared = experiment.scheme.order_for(experiment.options) or 0
-        verdict, why = judge_order(declared, observed, extent, partial(_consistent, experiment))
-        if verdict in FALSE:
+        points[name] = {point.setting: point.error for point in curve.points}
+        row, why = _row(name, experiment, points[name], extent)
+        rows.append(row)
+        if row["verdict"] in map(str, FALSE):
             false.append(f"{name}: {why}")
-        elif why and points:
+        elif why and points[name]:
             notes.append(f"{name}: order undecided: {why}")
-        best = min(points, key=lambda point: point[1] if math.isfinite(point[1]) else math.inf, default=(None, None))
-        fitted = f"{two_digits(observed.fitted[0])} to {two_digits(observed.fitted[-1])}" if observed.fitted else None
-        rows.append({
-            "scheme": name, "declared_order": declared, "order": observed.order, "verdict": str(verdict),
-            "h of the fit": fitted, "round-off": observed.plateau, "from h": observed.onset,
-            "smallest_error": best[1], "at_h": best[0],
-        })  # fmt: skip
-        for size, error in points:
-            by_size.setdefault(size, {"h": size})[name] = error
-        columns |= {f"{name}:h": np.array(h), f"{name}:error": np.array(errors)}
     code = ExitCode.VIOLATED if false else ExitCode.SUCCESS
     if broken:
         code = ExitCode.PARTLY_FAILED if len(broken) < len(rows) else ExitCode.WRONG_USAGE
-    elif any(row["at_h"] is None for row in rows):
+    elif not all(points.values()):
         code = ExitCode.FAILED
-
-    def draw(axes: Any, looks: Callable[..., Any]) -> None:
-        styles = looks([row["scheme"] for row in rows], markers=True)
-        for row in rows:
-            if f"{row['scheme']}:h" in columns:
-                h, error = columns[f"{row['scheme']}:h"], columns[f"{row['scheme']}:error"]
-                label = row["scheme"] if row["order"] is None else f"{row['scheme']}: {row['order']:.2f}"
-                error = np.where((error > 0.0) & (error < CEILING), error, np.nan)
-                axes.loglog(h, error, label=label, markersize=4, **styles[row["scheme"]])
-        axes.set(xlabel="step size $h$", ylabel="largest error", title=base.name.replace("$", r"\$"))
 
     small = dict.fromkeys(("round-off", "from h", "smallest_error"), two_digits)
     formats = {"order": ".2f", **small, "at_h": lambda h: f"{h:.3g}" if float(f"{h:.3g}") == h else two_digits(h)}
-    errors_at = [by_size[size] for size in sorted(by_size, reverse=True)]
+    every_size = sorted({size for of_scheme in points.values() for size in of_scheme}, reverse=True)
+    errors_at = [{"h": size, **{name: of[size] for name, of in points.items() if size in of}} for size in every_size]
     tables = [
         Table("Observed orders", rows, formats, detail=("h of the fit", "round-off", "from h")),
         Table("Largest error at each h", errors_at, {"h": ".4g", **dict.fromkeys(chosen, two_digits)}, detail=True),
     ]
     title = f"{base.name}: {base.top.title}, t from 0 to {base.duration:g}"
+    columns: dict[str, Array] = {}
+    for name, of_scheme in points.items():
+        columns |= {f"{name}:h": np.array([*of_scheme]), f"{name}:error": np.array([*of_scheme.values()])}
+    draw = partial(_draw, rows, columns, base.name)
     return Report("order", title, _answer(rows), tables, notes, [*broken, *false], code, base.resolved(), columns, draw)
+
+
+def _row(name: str, experiment: Experiment, points: Mapping[float, float], extent: float) -> tuple[Row, str]:
+    """Row of a scheme with these errors by step size, in a motion of this extent, and the reason of its verdict."""
+    observed = convergence([*points], [*points.values()])
+    declared = experiment.scheme.order_for(experiment.options) or 0
+    verdict, why = judge_order(declared, observed, extent, partial(_consistent, experiment))
+    finite = {h: error if math.isfinite(error) else math.inf for h, error in points.items()}
+    best = min(finite, key=lambda h: finite[h], default=None)
+    fitted = f"{two_digits(observed.fitted[0])} to {two_digits(observed.fitted[-1])}" if observed.fitted else None
+    return {
+        "scheme": name, "declared_order": declared, "order": observed.order, "verdict": str(verdict),
+        "h of the fit": fitted, "round-off": observed.plateau, "from h": observed.onset,
+        "smallest_error": None if best is None else points[best], "at_h": best,
+    }, why  # fmt: skip
+
+
+def _draw(rows: Sequence[Row], columns: Mapping[str, Array], title: str, axes: Any, looks: Callable[..., Any]) -> None:
+    """Draw the errors of each scheme against h, with its observed order."""
+    styles = looks([row["scheme"] for row in rows], markers=True)
+    for row in rows:
+        name = row["scheme"]
+        if f"{name}:h" in columns:
+            h, error = columns[f"{name}:h"], columns[f"{name}:error"]
+            label = name if row["order"] is None else f"{name}: {row['order']:.2f}"
+            error = np.where((error > 0.0) & (error < CEILING), error, np.nan)
+            axes.loglog(h, error, label=label, markersize=4, **styles[name])
+    axes.set(xlabel="step size $h$", ylabel="largest error", title=title.replace("$", r"\$"))
 
 
 def _dividing(size: float, interval: float) -> float:
@@ -179,24 +189,11 @@ def _consistent(experiment: Experiment) -> bool:
     return is_consistent(experiment.top, experiment.method(), np.array(experiment.y0))
 
 
-def _with_orders(base: Experiment, names: Sequence[str], named: bool) -> dict[str, Experiment]:
-    """Experiments of the schemes whose order can be observed. Raises UsageError for others if they are ``named``."""
-    chosen: dict[str, Experiment] = {}
-    for name in map(str.lower, names):
-        if name in chosen:
-            raise UsageError(f"scheme {name!r} is named twice")
-        try:
-            experiment = entry_named(base, name)
-            if experiment.scheme.adaptive:
-                raise UsageError(f"{name}: has no order in h: it chooses its steps by a tolerance")
-            if not experiment.scheme.order_for(experiment.options):
-                raise UsageError(f"{name}: has no error that depends on h")
-        except UsageError:
-            if named:
-                raise
-        else:
-            chosen[name] = experiment
-    return chosen
+def _without_order(experiment: Experiment) -> str:
+    """Reason why the order of a scheme cannot be observed; empty if it can."""
+    if experiment.scheme.adaptive:
+        return "has no order in h: it chooses its steps by a tolerance"
+    return "" if experiment.scheme.order_for(experiment.options) else "has no error that depends on h"
 
 
 def _answer(rows: Sequence[Mapping[str, Any]]) -> str:

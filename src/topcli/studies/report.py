@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from topcli.pages.page import Chapter
-
 _Draw = Callable[..., None]
 PICTURES = (".png", ".pdf", ".svg")
 TABLES = (".csv", ".md", ".tex")
 """Endings of the names of files of pictures and of tables."""
+SIZE = (6.4, 3.6)
+"""Width and height of a picture in inches."""
 _KEYS = ("command", "title", "answer", "notes", "errors", "code", "config")
 
 
@@ -91,37 +91,39 @@ class Report:
         return {"schema_version": 1, **{key: plain(getattr(self, key)) for key in _KEYS}, "tables": tables}
 
     def record(self) -> dict[str, Any]:
-        """Everything that a page shows: plain data, the picture as SVG, and the environment."""
+        """Everything that a page shows: plain data, the picture as SVG (None without one), and the environment."""
         from topcli.store.provenance import environment
 
-        drawn = None if self.draw is None else self._picture("svg").decode()
-        return {**self.as_dict(), "picture": drawn, "environment": environment()}
+        try:
+            picture = self.picture("svg").decode()
+        except UsageError:
+            picture = None
+        return {**Report.as_dict(self), **self.as_dict(), "picture": picture, "environment": environment()}
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the report into ``ax`` and return the axes; without ``ax``, make new axes in the style of topcli.
 
         Raises UsageError if there is no picture.
         """
-        from topcli.figures.study import on_axes
+        from topcli.figures.figure import on_axes
 
-        return on_axes(self._drawing(), ax)
+        return on_axes(self._draw, ax, SIZE)
 
-    def _drawing(self) -> Callable[[Any], object]:
-        from topcli.figures.study import drawing_of
+    def picture(self, form: str) -> bytes:
+        """Picture as a file in a format, "png", "pdf" or "svg". Raises UsageError if there is none."""
+        from topcli.figures.figure import picture_of
+
+        return picture_of(lambda canvas: self._draw(canvas.add_subplot()), SIZE, form)
+
+    def _draw(self, axes: Any) -> None:
+        """Draw into axes; lines with labels get a legend beside them."""
+        from topcli.figures.style import looks
 
         if self.draw is None:
             raise UsageError(f"this result of topcli {self.command} has no picture; see its tables")
-        return drawing_of(self.draw)
-
-    def _picture(self, form: str) -> bytes:
-        from topcli.figures.study import picture
-
-        return picture(self._drawing(), form)
-
-    def _chapter(self) -> Chapter:
-        from topcli.pages.stored import record_chapter
-
-        return record_chapter(self.record())
+        self.draw(axes, looks)
+        if axes.get_legend() is None and len(axes.get_legend_handles_labels()[1]) > 1:
+            axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), fontsize="small")
 
     def _text(self, form: str) -> str:
         return "\n".join(table.text(form) for table in self.tables if table.rows)
@@ -148,17 +150,17 @@ class Report:
         RunError
             If writing fails; then no partial file is left.
         """
-        from topcli.pages.page import page_of
         from topcli.store.files import sealed_text, write_by_ending
+        from topcli.studies.page import page_of
 
         texts = {
             ".json": lambda: sealed_text(self.record()),
-            ".html": lambda: page_of([self._chapter()]),
+            ".html": lambda: page_of([self.record()]),
             ".csv": lambda: str(self.table.to_csv(lineterminator="\n")),
             ".md": lambda: self._text("markdown"),
             ".tex": lambda: self._text("latex"),
         }
-        pictures = {ending: partial(self._picture, ending[1:]) for ending in PICTURES}
+        pictures = {ending: partial(self.picture, ending[1:]) for ending in PICTURES}
         return write_by_ending(path, texts | pictures)
 
     def __repr__(self) -> str:
@@ -174,7 +176,7 @@ class Report:
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Stored report in a JSON file. Raises UsageError for any other file, and RunError for one that was changed."""
+    """Stored ``Report.record`` in a JSON file. Raises UsageError for any other file, and RunError for a changed one."""
     from topcli.store.files import SEAL, DamagedError, check_seal, read_json
 
     try:
@@ -183,8 +185,8 @@ def read_record(path: Path) -> dict[str, Any]:
         raise UsageError(f"{path}: cannot be read ({error.strerror})") from None
     except DamagedError as error:
         raise UsageError(f"{path}: not a result of a study: {error}") from None
-    if not isinstance(record.get("command"), str) or not isinstance(record.get("tables"), list):
-        raise UsageError(f"{path}: not a result of a study")
+    if missing := {*_KEYS, "tables", "picture", "environment"} - record.keys():
+        raise UsageError(f"{path}: not a result that this version of topcli writes ({min(missing)} is missing)")
     if SEAL in record:
         try:
             check_seal(record)

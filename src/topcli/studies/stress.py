@@ -43,9 +43,9 @@ from topcli.runs.references import REFERENCES, Reference
 from topcli.schemes.limits import has_own_cases
 from topcli.schemes.own_tops import forms
 from topcli.schemes.plugins import reason_of, users_error
-from topcli.schemes.registry import find_scheme, names_for, schemes_of
+from topcli.schemes.registry import schemes_of
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import code_failures, entry_named
+from topcli.studies.entries import code_failures, entry_named, schemes_called
 from topcli.studies.report import Report, Table
 from topcli.tops import CATALOGUE, TOPS, gentle_scene
 from topcli.tops.kowalevski import Kowalevski
@@ -376,7 +376,8 @@ def _chosen(names: Sequence[str], cases_named: Sequence[str], top: str | None) -
     fits = [form.form for form in forms(top)] if top else sorted(TOPS)
     schemes = [(scheme, scheme.name) for form in fits for scheme in schemes_of(form)]
     if names:
-        schemes = [pair for name in dict.fromkeys(map(str.lower, names)) for pair in _forms_of(name, fits)]
+        texts = dict.fromkeys(map(str.lower, names))
+        schemes = [(scheme, text) for text in texts for scheme in schemes_called(text.partition(":")[0], fits)]
     cases = {form: cases_of(form) for form in dict.fromkeys(scheme.top for scheme, _ in schemes)}
     if top is None:  # tops without their own cases are tried if they are the only ones
         cases = {form: cases[form] for form in forms_with_cases() if form in cases} or cases
@@ -388,14 +389,6 @@ def _chosen(names: Sequence[str], cases_named: Sequence[str], top: str | None) -
             raise UnknownNameError(f"unknown case {quoted(name)} of {where}; {nearest(name, names_of_cases)}")
     pairs = [(scheme, text, name) for scheme, text in schemes for name in order]
     return [(*pair, cases[pair[0].top][pair[2]]) for pair in pairs if pair[2] in cases.get(pair[0].top, ())]
-
-
-def _forms_of(text: str, fits: Sequence[str]) -> list[tuple[Scheme, str]]:
-    """Schemes of a name with settings, one for each form that it steps. Raises UnknownNameError or UsageError."""
-    name = text.partition(":")[0]
-    schemes = [find_scheme(name, form) for form in fits if name.partition("+")[0] in names_for(form)]
-    # the error of a name that is unknown, or of a scheme for another top
-    return [(scheme, text) for scheme in schemes or [find_scheme(name, fits[0])]]
 
 
 SHOWN_TRIALS = 40

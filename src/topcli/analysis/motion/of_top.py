@@ -179,6 +179,8 @@ def _lagrange(top: Lagrange | LagrangeInertial, y: Floats) -> Described:
         return _steady(nutation)
     low, high = max(between.lower, mp.mpf(-1)), min(between.upper, mp.mpf(1))
     turned, period = float(nutation.precession(low, high) / (2 * mp.pi)), between.period
+    if abs(turned) < _NOTHING:  # the axis does not go round the vertical: the rest is rounding
+        turned = 0.0
     quantities = (
         MotionQuantity("frequency.nutation", 1.0 / period, "cycles of cos θ per unit time"),
         MotionQuantity("period.nutation", period, "time of one oscillation of cos θ"),

@@ -1,19 +1,20 @@
-"""Self-contained HTML page on results: no scripts, no requests, readable on a phone."""
+"""Self-contained HTML page of reports: no scripts, no requests, readable on a phone."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from topcli import __version__
-from topcli.errors import ExitCode, UnknownNameError, counted, printable
+from topcli.config.text import to_yaml
+from topcli.errors import UnknownNameError, counted, printable
 from topcli.store.provenance import now
 from topcli.studies.cite import ALWAYS, bibliography, works_of
-from topcli.table import Cells
+from topcli.table import Cells, stored_cells
 
 STYLES = Path(__file__).with_name("page.css")
 HEAD = """<!doctype html>
@@ -30,55 +31,18 @@ HEAD = """<!doctype html>
 <h1>{title}</h1>
 <p class="quiet">Written by topcli {version} on {written}. All quantities are dimensionless.</p>
 """
-MOST_NAMED = 3
-"""Largest number of results whose names make the title of a page."""
 LONGEST_TEXT = 400
 """Lines of a config that a page shows; an ensemble may list thousands of states."""
+WRITTEN = ("written", "commit", "dirty")
+"""Entries of a stored record on its origin, besides the environment."""
 
 
-@dataclass(frozen=True)
-class Chapter:
-    """One result on a page.
-
-    Attributes
-    ----------
-    title, subtitle, answer : str
-        Name, description, and outcome or answer.
-    code : int
-        Exit code of the command; the answer is green only for 0.
-    pictures : sequence of (bytes, str)
-        SVG, which browsers show without running anything in it, and captions.
-    tables : sequence of Cells
-        Tables.
-    notes : sequence of str
-        Sentences: verdicts, warnings, explanations.
-    config : str
-        Config as YAML.
-    origin : mapping
-        Times, versions, machine and digests.
-    cited : iterable of str
-        Names of the schemes and tops that took part.
-    """
-
-    title: str
-    subtitle: str = ""
-    answer: str = ""
-    code: int = ExitCode.SUCCESS
-    pictures: Sequence[tuple[bytes, str]] = ()
-    tables: Sequence[Cells] = ()
-    notes: Sequence[str] = ()
-    config: str = ""
-    origin: Mapping[str, Any] = field(default_factory=dict)
-    cited: Iterable[str] = ()
-
-
-def page_of(chapters: Sequence[Chapter]) -> str:
-    """Page of ``chapters``; everything in them but the pictures is escaped."""
-    titles = [chapter.title for chapter in chapters]
-    title = text(", ".join(titles) if len(titles) <= MOST_NAMED else counted(len(titles), "result"))
+def page_of(records: Sequence[Mapping[str, Any]]) -> str:
+    """Page of reports, each a ``Report.record``; everything in them but the pictures is escaped."""
+    title = text(records[0]["title"] if len(records) == 1 else counted(len(records), "result"))
     styles = STYLES.read_text(encoding="utf-8")
     head = HEAD.format(title=title, styles=styles, version=__version__, written=now())
-    return head + "".join(map(chapter_html, chapters)) + "</body>\n</html>\n"
+    return head + "".join(map(section_html, records)) + "</body>\n</html>\n"
 
 
 def text(content: object) -> str:
@@ -86,29 +50,31 @@ def text(content: object) -> str:
     return escape(printable(str(content)))
 
 
-def chapter_html(chapter: Chapter) -> str:
-    """Section of a page: answer, notes, pictures and tables, and the origin folded."""
+def section_html(record: Mapping[str, Any]) -> str:
+    """Section of a page: answer, notes, picture and tables, and the origin folded."""
+    origin = {key: record[key] for key in WRITTEN if record.get(key)} | record["environment"]
     setup = [
-        ("Config", lines_html(chapter.config)),
-        ("Provenance", table_html(Cells("", (), [[key, str(value)] for key, value in chapter.origin.items()]))),
-        ("BibTeX", lines_html("\n\n".join(works(chapter.cited).values()))),
+        ("Config", lines_html(to_yaml(record["config"]) if record["config"] else "")),
+        ("Provenance", table_html(Cells("", (), [[key, str(value)] for key, value in origin.items()]))),
+        ("BibTeX", lines_html("\n\n".join(works(cited(record)).values()))),
     ]
+    messages = [*record["errors"], *record["notes"]]
     parts = [
-        f"<h2>{text(chapter.title)}</h2>",
-        f'<p class="quiet">{text(chapter.subtitle)}</p>' if chapter.subtitle else "",
-        f'<p class="{"bad" if chapter.code else "good"}">{text(chapter.answer)}</p>' if chapter.answer else "",
-        f"<ul>{''.join(f'<li>{text(note)}</li>' for note in chapter.notes)}</ul>" if chapter.notes else "",
-        *(picture_html(svg, caption) for svg, caption in chapter.pictures),
-        *map(table_html, chapter.tables),
+        f"<h2>{text(record['title'])}</h2>",
+        f'<p class="quiet">topcli {text(record["command"])}</p>',
+        f'<p class="{"bad" if record["code"] else "good"}">{text(record["answer"])}</p>' if record["answer"] else "",
+        f"<ul>{''.join(f'<li>{text(message)}</li>' for message in messages)}</ul>" if messages else "",
+        picture_html(record["picture"], record["title"]) if record["picture"] else "",
+        *(table_html(stored_cells(table)) for table in record["tables"]),
         *(f"<details><summary>{title}</summary>{content}</details>" for title, content in setup if content),
     ]
     return "<section>\n" + "\n".join(filter(None, parts)) + "\n</section>\n"
 
 
-def picture_html(svg: bytes, caption: str) -> str:
-    """Picture with its caption."""
-    source = "data:image/svg+xml;base64," + base64.b64encode(svg).decode()
-    return f'<figure><img src="{source}" alt="{text(caption)}"><figcaption>{text(caption)}</figcaption></figure>'
+def picture_html(svg: str, title: str) -> str:
+    """Picture, which a browser shows without running anything in it."""
+    source = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
+    return f'<figure><img src="{source}" alt="{text(title)}"></figure>'
 
 
 def table_html(cells: Cells) -> str:
@@ -138,10 +104,20 @@ def lines_html(content: str) -> str:
     return f'<pre tabindex="0">{chr(10).join(map(text, lines))}</pre>' if lines else ""
 
 
+def cited(record: Mapping[str, Any]) -> Iterator[str]:
+    """Names of the tops and schemes that took part: those of the rows, or without any, that of the config."""
+    rows = [*record.get("rows", ()), *(row for table in record["tables"] for row in table["rows"])]
+    config = record["config"].get("base", record["config"])
+    for key, part in (("top", "kind"), ("scheme", "name")):
+        in_rows = [row[key] for row in rows if isinstance(row.get(key), str)]
+        in_config = config.get(key) or {}
+        yield from in_rows or [in_config if isinstance(in_config, str) else in_config.get(part, "")]
+
+
 def works(names: Iterable[str]) -> dict[str, str]:
     """BibTeX of topcli, the paper, and the works behind ``names``, without those that are not registered here."""
     entries = {key: bibliography()[key][0] for key in ALWAYS}
-    for name in dict.fromkeys(names):
+    for name in dict.fromkeys(re.split("[ :]", name)[0] for name in names):
         try:
             entries |= works_of(name)
         except UnknownNameError:
