@@ -184,6 +184,13 @@ def test_growth_does_not_depend_on_the_place_in_the_batch() -> None:
             np.testing.assert_array_equal(np.concatenate(parts), values)
 
 
+@pytest.mark.parametrize(("N", "reason"), [(999, "N = 999: too few steps for an exponent; take at least 1000"), (1000, "")])
+def test_too_few_steps_for_an_exponent_are_a_reason_of_each_row(N: int, reason: str) -> None:
+    found = measured(symmetric("hk", 0.1, N), ["lyapunov", "chaotic"], [OMEGA, (0.1, 0.2, 0.3)])
+    assert [text for _, _, text in found.faults] == ([reason] * 4 if reason else [])
+    assert np.isnan(found["lyapunov"]).all() == bool(reason)
+
+
 @pytest.fixture
 def lowest(own_registry: None) -> list[int]:
     """A measure like a plugin's, which cannot cope with runs that start above omega1 = 0.5."""

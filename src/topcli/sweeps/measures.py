@@ -408,11 +408,15 @@ def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
     return reason and f"scheme {scheme.name!r} {reason}"
 
 
+def _require_steps(batch: Batch) -> None:
+    if (N := batch.experiment.N) < LEAST_STEPS:
+        raise UsageError(f"N = {N}: too few steps for an exponent; take at least {LEAST_STEPS}")
+
+
 @measure("lyapunov", "largest Lyapunov exponent, after a transient", "inverse time", obstacle=_tangent_obstacle)
 def lyapunov(batch: Batch) -> Array:
-    """Growth of a tangent vector after a transient, divided by the time; nan for too few steps."""
-    if batch.experiment.N < LEAST_STEPS:
-        return np.full(len(batch), np.nan)
+    """Growth of a tangent vector after a transient, divided by the time. Raises UsageError for too few steps."""
+    _require_steps(batch)
     return batch.growth.exponents
 
 
@@ -423,7 +427,8 @@ def lyapunov(batch: Batch) -> Array:
     obstacle=_tangent_obstacle,
 )
 def chaotic(batch: Batch) -> Array:
-    """Verdict on each run from the growth of a tangent vector; nan if it is undecided."""
+    """Verdict on each run from the growth of a tangent vector; nan if undecided. Raises UsageError as ``lyapunov``."""
+    _require_steps(batch)
     return shares_of_chaos(batch.growth.verdicts)
 
 
