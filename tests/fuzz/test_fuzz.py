@@ -132,11 +132,11 @@ def test_a_config_is_refused_or_means_what_it_says(folder: Path, mutant: tuple[s
 def test_a_sweep_file_is_refused_or_has_the_rows_that_it_counts(folder: Path, mutant: tuple[str, str]) -> None:
     path, again = written(folder, mutant)
     sweep = accepted(lambda: load_sweep(path))
-    if sweep is None or sweep.count_left > MOST_ROWS:
+    if sweep is None or sweep.count > MOST_ROWS:
         return
     rows = accepted(lambda: [number for group in sweep.groups() for number in group.numbers.tolist()])
     if rows is not None:
-        assert sorted(rows) == list(range(sweep.count_left))
+        assert sorted(rows) == list(range(sweep.count))
         again.write_text(sweep.to_yaml(), encoding="utf-8")
         assert load_sweep(again).digest == sweep.digest
 

@@ -38,7 +38,6 @@ grid:
   h: {from: 0.002, to: 0.02, count: 10}
 zip:
   top.c0: [1, 2]
-  sample: [1, 2]
 exclude: [{scheme: hk, h: 0.002}]
 measure: [max_deviation.energy]
 """

@@ -38,8 +38,7 @@ COLUMN, FIGURE = "column", "figure"
 RECORDED = (STATES, SWING, PROBES, ERROR, FINAL_ERROR)
 """Words that ``needs`` may hold beside the names of columns. A family may also need ``COLUMN``, the column of its name,
 or ``FIGURE``, the figure of an invariant that the measure is."""
-_TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output"}
-_TAKEN |= {"sample", "seed"}
+_TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output", "sample"}
 """Names of other columns of a table of rows; those of keys may be followed by a dot."""
 FAMILY = ".NAME"
 """End of the name of a family."""
