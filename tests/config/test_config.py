@@ -17,7 +17,7 @@ import topcli
 from config_texts import BASE, CONFIGS, ENSEMBLES, FILES, PAPER_GAMMA, refusal, write
 from topcli.config.files import scene_files
 from topcli.config.load import load, load_experiment
-from topcli.config.ranges import steps_of
+from topcli.config.models import steps_of
 from topcli.config.text import resolve_scalar
 from topcli.contracts import Stepper
 from topcli.errors import ConfigError, UnknownNameError, UsageError

@@ -9,12 +9,10 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from topcli.config.document import Document, plain_data
+from topcli.config.document import Document, apply_overrides, drop_partner, parse_override, plain_data, set_key
 from topcli.config.ensemble import read_ensemble
 from topcli.config.files import find_config, first_sentence, read_document, scene_files
-from topcli.config.models import Config, Experiment, changed_name
-from topcli.config.overrides import apply_overrides, drop_partner, parse_override, set_key
-from topcli.config.ranges import steps_of
+from topcli.config.models import Config, Experiment, changed_name, steps_of
 from topcli.config.sections import read_scheme, read_top
 from topcli.config.states import read_states, vectors_in
 from topcli.config.written import read_written, with_written_numbers
@@ -22,7 +20,7 @@ from topcli.contracts import Array, Top
 from topcli.engine.numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError
 from topcli.schemes.own_tops import forms
-from topcli.tops import CUSTOM, TOPS
+from topcli.tops import TOPS
 from topcli.tops.bodies import checked_rotation
 
 Source = Path | str | Mapping[str, Any]
@@ -157,8 +155,6 @@ def read_experiment(
     ensemble = config.ensemble.named if config.ensemble else ()
     top = read_top(data["top"], [*vectors, *ensemble, *named], document)
     cls = type(top)
-    if cls.form in TOPS.declared and (default_name or cls.form not in TOPS.names):  # a study derives configs
-        TOPS.names[cls.form] = str(data.get("name", CUSTOM))
     scheme = read_scheme(data["scheme"], cls, document)
     many = None
     if start:

@@ -20,12 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator
 
-from topcli.config.document import STRICT, Document, canonical, number_of, plain_data, unknown_key
+from topcli.config.document import (
+    STRICT,
+    Document,
+    apply_overrides,
+    canonical,
+    drop_partner,
+    number_of,
+    plain_data,
+    set_key,
+    unknown_key,
+)
+from topcli.config.ensemble import MAX_SWEEP_ROWS, Interval, Range, is_range, read_axis
 from topcli.config.files import find_config, read_document
 from topcli.config.load import read_experiment
-from topcli.config.models import Experiment, Name, folder_name_fault
-from topcli.config.overrides import apply_overrides, drop_partner, set_key
-from topcli.config.ranges import MAX_STEPS, MAX_SWEEP_ROWS, Interval, Range, is_range, read_axis
+from topcli.config.models import MAX_STEPS, Experiment, Name, folder_name_fault
 from topcli.config.states import NOTHING_DRAWN, Random, drawn_number, many_states
 from topcli.config.text import KeyPath, to_yaml
 from topcli.contracts import Array, Top
@@ -137,7 +146,8 @@ class Sweep:
         if not outer:
             yield self._group(np.arange(self.count))
             return
-        experiments = np.ravel_multi_index(self.places[:, outer].T, [_size(self.axes[i]) for i in outer])
+        shape = [_size(self.axes[i]) for i in outer]
+        experiments = np.asarray(np.ravel_multi_index(tuple(self.places[:, outer].T), shape))
         order = np.argsort(experiments, kind="stable")
         for numbers in np.split(order, np.flatnonzero(np.diff(experiments[order])) + 1):
             yield self._group(numbers)

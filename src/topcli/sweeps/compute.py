@@ -145,11 +145,6 @@ def compute_batch(
     return [row for experiment, states in pieces for row in compute(experiment, states, names, stop, machines)]
 
 
-def _never() -> bool:
-    """Do not stop: what a worker of a cluster is told, which cannot ask."""
-    return False
-
-
 @contextmanager
 def executor(threads: int, dask: str | None) -> Iterator[tuple[Executor, int]]:
     """Threads of this process or a Dask cluster, ``local:N`` or an address, and the number of its threads.
@@ -181,25 +176,16 @@ def results(
 ) -> Iterator[tuple[list[Piece], list[StoredRow]]]:
     """Yield batches and their results as they end, until all have ended or ``stop()``.
 
-    Dask runs a batch whose worker was lost again on other workers, and gives up after some of them. As it blames all
-    batches on a lost worker, each one is tried once more with no other in flight; then its rows are failed. Raises
-    RunError if the cluster is lost.
+    Dask runs a batch whose worker was lost again on other workers, and gives up after some of them; then its rows are
+    failed. Raises RunError if the cluster is lost.
     """
     plugins, code = ([str(path) for path in FILES], code_of_process()) if dask else ([], "")
-    source, flying, suspects = iter(batches), dict[Future[list[StoredRow]], list[Piece]](), list[list[Piece]]()
-
-    def submit(batch: list[Piece]) -> None:
-        pieces = [(experiment.resolved() if dask else experiment, states) for experiment, states, _ in batch]
-        flying[pool.submit(compute_batch, pieces, names, _never if dask else stop, plugins, code)] = batch
-
+    source, flying = iter(batches), dict[Future[list[StoredRow]], list[Piece]]()
     while True:
-        # new batches, or a suspect by itself once nothing else is in flight
-        stopping = stop()
-        for batch in islice(source, 0 if stopping else max(0, IN_FLIGHT * workers - len(flying))):
-            submit(batch)
-        alone = not flying and bool(suspects) and not stopping
-        if alone:
-            submit(suspects.pop())
+        for batch in islice(source, 0 if stop() else max(0, IN_FLIGHT * workers - len(flying))):
+            pieces = [(experiment.resolved() if dask else experiment, states) for experiment, states, _ in batch]
+            asked = (lambda: False) if dask else stop  # a worker of a cluster cannot ask
+            flying[pool.submit(compute_batch, pieces, names, asked, plugins, code)] = batch
         if not flying:
             return
         # batches that have not begun are cancelled by a stop, which is asked for while none ends
@@ -219,8 +205,5 @@ def results(
                 if type(error).__name__ != "KilledWorker":
                     text = f"--dask {dask}: {reason_of(error)}; finished rows are kept"
                     raise RunError(text, "run the sweep again to continue") from None
-                if alone:
-                    count = sum(len(piece.rows) for piece in batch)
-                    yield batch, _failed("its worker was lost again and again", count, names)
-                else:
-                    suspects.append(batch)
+                count = sum(len(piece.rows) for piece in batch)
+                yield batch, _failed("its worker was lost again and again", count, names)

@@ -42,8 +42,6 @@ _TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "sch
 """Names of other columns of a table of rows; those of keys may be followed by a dot."""
 FAMILY = ".NAME"
 """End of the name of a family."""
-COUNTER = "counter"
-"""Family with members that a scheme need not have: their values are nan then."""
 H_OF_NAMES = 2.0**-10
 """Step at which the integrals of a scheme are built when only their names are asked for."""
 NUMBER, TIME, OF_NAME, OF_STATE = "number", "time", "unit of NAME", "unit of the state"
@@ -202,9 +200,13 @@ def measured_columns(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
 
 
 def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
-    """Names of the events that the scheme counts."""
-    method = scheme.build(top, options)
-    return [] if isinstance(method, Sampler) else list(method.counters)
+    """Names of the events that the scheme or another one of the top counts."""
+    counted: dict[str, None] = {}
+    for each in (scheme, *schemes_of(top.form)):
+        with without_users_errors():
+            method = each.build(top, options if each is scheme else each.options())
+            counted |= dict.fromkeys([] if isinstance(method, Sampler) else method.counters)
+    return list(counted)
 
 
 def fitting_measures(top: Top, scheme: Scheme, options: BaseModel, quantities: Sequence[str] = ()) -> Iterator[Measure]:
@@ -227,9 +229,8 @@ def resolve_measures(
 ) -> tuple[Measure, ...]:
     """Return the measures called ``names`` for runs of ``top`` under ``scheme``, in this order.
 
-    ``quantities`` are names of ``output.quantities``, which are columns too. A counter that only other schemes of the
-    top have is nan. Raises UnknownNameError for a name that is no measure of this top and scheme, with the nearest
-    ones, and UsageError for a measure that cannot be computed, with the reason.
+    ``quantities`` are names of ``output.quantities``, which are columns too. Raises UnknownNameError for a name that is
+    no measure of this top and scheme, with the nearest ones, and UsageError for a measure that cannot be computed.
     """
     options = options or scheme.options()
     columns = [*measured_columns(top, scheme, options), *quantities]
@@ -252,20 +253,9 @@ def _measure_called(name: str, top: Top, scheme: Scheme, options: BaseModel, qua
     family = MEASURES.get(base + FAMILY)
     if family and member in _member_names(family, top, scheme, options, quantities):
         return family.member(member)
-    if family and base == COUNTER and member in _counted(top):
-        return family.member(member)
     fitting = [each.name for each in fitting_measures(top, scheme, options, quantities)]
     near = nearest(name, fitting, "topcli list measures")
     raise UnknownNameError(f"unknown measure {quoted(name)} of top {top.kind!r} under scheme {scheme.name!r}; {near}")
-
-
-def _counted(top: Top) -> set[str]:
-    """Names of the events that any scheme of the top counts."""
-    counted: set[str] = set()
-    for scheme in schemes_of(top.form):
-        with without_users_errors():
-            counted.update(counter_names(top, scheme, scheme.options()))
-    return counted
 
 
 def definition_texts(names: Iterable[str]) -> list[str]:

@@ -59,8 +59,6 @@ class Tops(UserDict[str, Any]):
 
     def __init__(self, classes: Mapping[str, str]) -> None:
         self.declared: dict[str, type[Top]] = {}
-        self.names: dict[str, str] = {}
-        """Names of the configs that have declared tops, by form."""
         super().__init__(classes)
 
     def __contains__(self, form: object) -> bool:
@@ -80,8 +78,8 @@ class Tops(UserDict[str, Any]):
         return top
 
     def called(self, form: str) -> str:
-        """Name of a form for messages: of a declared top, the name of its config."""
-        return self.names.get(form, CUSTOM if form.startswith(f"{CUSTOM}-") else form)
+        """Name of a form for messages, without the digest of a declared top."""
+        return CUSTOM if form.startswith(f"{CUSTOM}-") else form
 
     def kind(self, form: str) -> str:
         """Kind of a form, without importing its class."""
