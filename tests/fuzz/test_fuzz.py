@@ -21,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import GEN, examples
-from mutations import DAMAGES, RUNS, SWEEPS, damaged, mutants
+from mutations import DAMAGES, PIECES, RUNS, SWEEPS, damaged, mutants
 from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
@@ -125,6 +125,15 @@ def test_a_config_is_refused_or_means_what_it_says(folder: Path, mutant: tuple[s
     assert load(again).digest == experiment.digest
     if experiment.ensemble is None and math.isfinite(experiment.h * STEPS):
         assert_steps_of_plain_python(experiment)
+
+
+KEYS = "h N T name top top.c0 initial.omega scheme scheme.branch output.quantities.q section ensemble.grid"
+
+
+@examples(150)
+@given(text=st.text(max_size=40) | st.tuples(st.sampled_from(KEYS.split()), st.just("="), PIECES).map("".join))
+def test_any_override_loads_or_is_refused(text: str) -> None:
+    accepted(lambda: load("kowalevski_hybrid", [text]))
 
 
 @examples(60)
