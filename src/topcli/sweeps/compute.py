@@ -81,7 +81,7 @@ def compute(
         top, scheme, options = experiment.top, experiment.scheme, experiment.options
         measures = resolve_measures(names, top, scheme, options, tuple(experiment.output.quantities or ()))
         machines, key = {} if machines is None else machines, (top, scheme.build, options.model_dump_json())
-        run = Measuring(experiment, measures, threads=1, machine=machines.get(key))
+        run = Measuring(experiment, measures, machines.get(key))
         machines[key] = run.machine
     except Exception as error:
         return _failed(error, len(states), names)
