@@ -12,12 +12,12 @@ from declared import BODIES, TRIALS
 from topcli.contracts import Top
 from topcli.errors import UsageError
 from topcli.runs.simulate import simulate
-from topcli.schemes.own_tops import top_class, top_names
 from topcli.tops import BUILT_IN, CATALOGUE, TOPS, Tops
 from topcli.tops.bodies import moment_warnings
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.lagrange import Lagrange
+from topcli.tops.own import top_class, top_names
 
 
 def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:

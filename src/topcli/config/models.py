@@ -23,7 +23,7 @@ from topcli.contracts import Array, Invariant, Method, Scheme, Top
 from topcli.engine.columns import ATTITUDES, column_names
 from topcli.engine.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
 from topcli.errors import UsageError, quoted
-from topcli.schemes.plugins import own_sources
+from topcli.plugins import own_sources
 from topcli.store.sources import digest_of_texts
 
 MAX_NAME = 100

@@ -8,9 +8,9 @@ from pydantic import BaseModel
 
 from topcli.config.formulas import CustomSection
 from topcli.config.models import Config
-from topcli.schemes.own_tops import top_names
 from topcli.schemes.registry import all_schemes
 from topcli.tops import CUSTOM, TOPS
+from topcli.tops.own import top_names
 
 Schema = dict[str, Any]
 

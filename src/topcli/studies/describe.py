@@ -11,10 +11,10 @@ from typing import Any
 from topcli.contracts import Block, Scheme, Top
 from topcli.errors import UsageError
 from topcli.field.polynomial import NotPolynomialError, field_of
-from topcli.schemes.own_tops import forms
 from topcli.schemes.registry import all_schemes, find_scheme, names_for
 from topcli.table import DASH
 from topcli.tops import TOPS
+from topcli.tops.own import forms
 
 
 def scheme_forms(name: str, top: str | None = None) -> list[Scheme]:

@@ -26,9 +26,9 @@ from topcli.engine.endings import Endings
 from topcli.engine.machine import Machine, machine_of
 from topcli.engine.rows import Plan
 from topcli.errors import TopcliError, UsageError, quoted
+from topcli.plugins import users_error
 from topcli.runs.plans import plan_of
 from topcli.runs.references import Errors, reference_of
-from topcli.schemes.plugins import users_error
 from topcli.sweeps.measures import ERROR, FINAL_ERROR, PROBES, RECORDED, STATES, Measure, is_figure
 
 WHOLE = (Outcome.COMPLETED, Outcome.LEFT_MOTION)

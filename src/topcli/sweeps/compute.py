@@ -16,7 +16,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, StopAsked, stopping_when
 from topcli.engine.machine import Machine
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.schemes.plugins import (
+from topcli.plugins import (
     FILES,
     REGISTERED,
     load_plugin_file,

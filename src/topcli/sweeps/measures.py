@@ -25,8 +25,8 @@ from topcli.analysis.tally import OF_INVARIANT
 from topcli.contracts import Array, Sampler, Scheme, Top
 from topcli.engine.tangent import tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
 from topcli.runs.references import error_obstacle
-from topcli.schemes.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
 from topcli.schemes.registry import schemes_of
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 from topcli.contracts import Floats, Top
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.field.integrals import broken_integral
-from topcli.schemes.plugins import is_built_in, line_of, origin_of, plugin_failures, require_plugin
+from topcli.plugins import is_built_in, line_of, origin_of, plugin_failures, require_plugin
 from topcli.tops import CUSTOM, TOPS
 from topcli.tops.bodies import checked_rotation
 
