@@ -12,7 +12,7 @@ from topcli.config.load import load, load_experiment
 from topcli.config.schema import config_schema
 from topcli.config.text import parse_yaml
 from topcli.errors import TopcliError, UnknownNameError, UsageError
-from topcli.tops.own import top_class
+from topcli.tops import top_class
 
 schema_of_configs = cache(config_schema)
 

@@ -44,13 +44,12 @@ def tables() -> dict[str, Any]:
     from topcli.schemes.registry import SCHEMES, all_schemes
     from topcli.sweeps.measures import MEASURES
     from topcli.tops import TOPS
-    from topcli.tops.own import ORIGINS
 
     all_schemes()
     return {
         "schemes": SCHEMES,
         "tops": TOPS.data,
-        "origins": ORIGINS,
+        "origins": TOPS.origins,
         "files": plugins.FILES,
         "figures": FIGURES,
         "measures": MEASURES,

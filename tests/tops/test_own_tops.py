@@ -14,8 +14,7 @@ from topcli.contracts import Stepper
 from topcli.errors import UsageError
 from topcli.plugins import load_plugin_file
 from topcli.schemes.registry import SchemeMisfitError, find_scheme, names_for
-from topcli.tops import TOPS
-from topcli.tops.own import top_origin
+from topcli.tops import TOPS, top_origin
 
 ROTOR = """import topcli
 

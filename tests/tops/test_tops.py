@@ -12,20 +12,17 @@ from declared import BODIES, TRIALS
 from topcli.contracts import Top
 from topcli.errors import UsageError
 from topcli.runs.simulate import simulate
-from topcli.tops import BUILT_IN, CATALOGUE, TOPS, Tops
+from topcli.tops import BUILT_IN, CATALOGUE, TOPS, Tops, kind_of, top_class, top_names
 from topcli.tops.bodies import moment_warnings
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.lagrange import Lagrange
-from topcli.tops.own import top_class, top_names
 
 
 def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:
     for form in BUILT_IN:
         fresh = Tops(BUILT_IN)
-        kind = fresh.kind(form)
-        assert (fresh[form].form, fresh[form].kind) == (form, kind)
-        assert fresh.kind(form) == kind
+        assert (fresh[form].form, fresh[form].kind) == (form, kind_of(form))
     bodies = ["kowalevski", "euler", "euler+gamma", "lagrange", "lagrange/inertial", "heavy"]
     assert top_names() == [*bodies, *CATALOGUE, "custom"]
 

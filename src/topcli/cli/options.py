@@ -101,7 +101,7 @@ def completions_of(kind: str, beginning: str) -> Sequence[str]:
     if kind in ("SCHEME", "TOP"):
         from topcli.schemes.compose import COMPOSITIONS, composition_obstacle
         from topcli.schemes.registry import all_schemes
-        from topcli.tops.own import top_names
+        from topcli.tops import top_names
 
         if kind == "TOP":
             return sorted(top_names())

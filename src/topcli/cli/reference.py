@@ -22,8 +22,7 @@ _Kind = Literal["tops", "schemes", "compositions", "scenes", "sweeps", "cases", 
 
 def tops() -> Iterable[Item]:
     """Tops with their parameters, the keys of a config, and the constants ``step_p`` of a step in Python."""
-    from topcli.tops import TOPS
-    from topcli.tops.own import top_origin
+    from topcli.tops import TOPS, top_origin
 
     for top in TOPS.values():
         yield {
@@ -176,8 +175,7 @@ def fields(record: object, *names: str) -> Item:
 
 def forms_of(top: str | None) -> Sequence[str]:
     """Forms of a top, or of all. Raises UnknownNameError."""
-    from topcli.tops import TOPS
-    from topcli.tops.own import forms
+    from topcli.tops import TOPS, forms
 
     return [form.form for form in forms(top)] if top else list(TOPS)
 
@@ -228,7 +226,7 @@ def show(
     from topcli.errors import UnknownNameError, nearest
     from topcli.schemes.registry import all_schemes
     from topcli.studies import describe
-    from topcli.tops.own import forms, top_names
+    from topcli.tops import forms, top_names
 
     folder = Path(subject)
     if motion:

@@ -19,9 +19,8 @@ from topcli.config.written import read_written, with_written_numbers
 from topcli.contracts import Array, Top
 from topcli.engine.numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError
-from topcli.tops import TOPS
+from topcli.tops import TOPS, forms
 from topcli.tops.bodies import checked_rotation
-from topcli.tops.own import forms
 
 Source = Path | str | Mapping[str, Any]
 """A config file (.yaml, .yml, .toml), the name of a packaged scene such as ``kowalevski_hk``, or a config as a dict."""

@@ -9,8 +9,7 @@ from pydantic import BaseModel
 from topcli.config.formulas import CustomSection
 from topcli.config.models import Config
 from topcli.schemes.registry import all_schemes
-from topcli.tops import CUSTOM, TOPS
-from topcli.tops.own import top_names
+from topcli.tops import CUSTOM, TOPS, top_names
 
 Schema = dict[str, Any]
 

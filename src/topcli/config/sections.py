@@ -12,8 +12,7 @@ from topcli.config.states import vectors_named
 from topcli.config.text import KeyPath
 from topcli.contracts import Scheme, Top
 from topcli.schemes.registry import find_scheme, names_for
-from topcli.tops import CUSTOM
-from topcli.tops.own import top_class, top_names
+from topcli.tops import CUSTOM, top_class, top_names
 
 
 def read_top(raw: object, names: Iterable[str], document: Document) -> Top:

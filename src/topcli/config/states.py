@@ -28,7 +28,7 @@ from topcli.config.text import KeyPath
 from topcli.contracts import Array, Top
 from topcli.engine.consumers import energy_of
 from topcli.errors import quoted
-from topcli.tops.own import forms
+from topcli.tops import forms
 
 UNIT_TOLERANCE, UNIT_LIMIT = 1e-12, 1e-2
 """Deviations of the square of a unit vector from 1: up to the first it counts as 1, up to the second with a warning.

@@ -24,7 +24,7 @@ from topcli.store.files import json_text
 from topcli.store.provenance import git_commit, now
 from topcli.store.result_folder import Identity, ResultFolder, being_computed
 from topcli.store.results import SWEEP, StoredResult, intact_result, stored_results
-from topcli.tops.own import top_origin
+from topcli.tops import top_origin
 
 CHECKPOINT_SECONDS = 10.0
 """Seconds between two checkpoints; the first one comes after half of it."""

@@ -18,8 +18,7 @@ from topcli.studies.entries import code_failures
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
 from topcli.testing import Trait, check_scheme, check_top
-from topcli.tops import TOPS
-from topcli.tops.own import forms, top_origin
+from topcli.tops import TOPS, forms, top_origin
 
 
 def check(

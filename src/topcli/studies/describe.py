@@ -13,8 +13,7 @@ from topcli.errors import UsageError
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.registry import all_schemes, find_scheme, names_for
 from topcli.table import DASH
-from topcli.tops import TOPS
-from topcli.tops.own import forms
+from topcli.tops import TOPS, forms
 
 
 def scheme_forms(name: str, top: str | None = None) -> list[Scheme]:

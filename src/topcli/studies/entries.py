@@ -17,7 +17,7 @@ from topcli.errors import SchemeCodeError, UsageError, counted, printable, quote
 from topcli.plugins import users_error
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.testing import GENERIC
-from topcli.tops.own import forms
+from topcli.tops import forms
 
 _SCENES = {
     "kowalevski": "kowalevski_generic_hk",

@@ -46,10 +46,9 @@ from topcli.schemes.registry import find_scheme, names_for, schemes_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import code_failures, entry_named
 from topcli.studies.report import Report, Table
-from topcli.tops import CATALOGUE, TOPS, gentle_scene
+from topcli.tops import CATALOGUE, TOPS, forms, gentle_scene
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
-from topcli.tops.own import forms
 
 HELD, NOT_TRIED, DEGRADED, BROKE = "held", "not tried", "degraded", "broke"
 _EPS = float(np.finfo(float).eps)
