@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import statistics
 from itertools import product
 from pathlib import Path
@@ -113,21 +112,6 @@ def test_failed_rows_are_left_out_and_counted(tmp_path: Path) -> None:
         "6 of 24 rows did not complete: 4 no_convergence, 1 blew_up, 1 left_motion",
         "6 of 24 rows have no value and are left out",
     ]
-
-
-def test_texts_hold_the_same_table(tmp_path: Path) -> None:
-    shown = table(tmp_path, where=("seed=1",), aggregate=None)
-    csv = pd.read_csv(io.StringIO(shown.text("csv")), index_col=0)
-    assert csv.to_numpy().tolist() == [[value_of(scheme, h, 1) for h in SIZES] for scheme in SCHEMES]
-    ends = pd.read_csv(io.StringIO(table(tmp_path).text("csv")))
-    assert list(ends)[:4] == ["scheme", "h = 0.1", "h = 0.1:low", "h = 0.1:high"]
-    title, _, header, _, first, second, *_ = shown.text("markdown").splitlines()
-    assert (title, header) == ("max_error of mine, seed=1:", "| scheme | h = 0.1 | h = 0.01 | h = 1e-7 |")
-    assert (first.split()[1], second.split()[1]) == ("hk", "a_b")
-    latex = shown.text("latex")
-    assert all(text in latex for text in (r"\toprule", r"a\_b & ", r"max\_error of mine, seed=1."))
-    data = shown.as_dict()
-    assert data["table"][0] == {"row": ["hk"], "cells": [[value_of("hk", h, 1)] for h in SIZES]}
 
 
 @pytest.mark.parametrize(

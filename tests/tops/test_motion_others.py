@@ -14,7 +14,6 @@ from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Top
 from topcli.errors import UsageError
-from topcli.show.results import motion
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.kowalevski import Kowalevski
@@ -143,14 +142,6 @@ def test_nutation_and_precession_by_quadrature(name: str) -> None:
     assert found["period.nutation"] == pytest.approx(period, rel=1e-10)
     assert found["frequency.precession"] == pytest.approx(turns / period, rel=1e-9)
     assert found["frequency.nutation"] * found["period.nutation"] == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("name", ["cusps", "loops", "waves"])
-def test_curves_of_the_scenes(name: str) -> None:
-    exact = motion(f"lagrange_{name}")
-    assert exact.kind == name
-    turns = exact["frequency.precession"] / exact["frequency.nutation"]
-    assert turns == pytest.approx(1.0 / 9.0, abs=1e-7)  # closed curves of nine nutations
 
 
 @pytest.mark.parametrize(("spin", "stable"), [(3.999, False), (4.0, True), (4.001, True)])
