@@ -13,15 +13,7 @@ from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
 from topcli.config.document import STRICT, Document, as_integer, describe, number_of, unknown_key
 from topcli.config.sections import top_with
-from topcli.config.states import (
-    MAX_TRAJECTORIES,
-    NOTHING_DRAWN,
-    Random,
-    many_states,
-    read_draws,
-    read_states,
-    vectors_in,
-)
+from topcli.config.states import MAX_TRAJECTORIES, drawn_states, read_draws, read_random, read_states, vectors_in
 from topcli.contracts import Array, Top
 
 MAX_SWEEP_ROWS = 10**7
@@ -176,19 +168,16 @@ def read_ensemble(
         inner, source = _read_axes(section.grid, cls, document)
         varied = {name: inner.pop(name) for name in list(inner) if name not in cls.components}
         columns = dict(zip(inner, map(np.ravel, np.meshgrid(*inner.values(), indexing="ij")), strict=True))
-        states = [many_states(top, initial, document, columns=columns, path=path if columns else ("initial",))]
+        states = [read_states(cls, initial, document, columns, path if columns else ("initial",))]
         names = [name.removeprefix("top.") for name in varied]
         chosen = [dict(zip(names, values, strict=True)) for values in itertools.product(*varied.values())]
         if varied:
             tops = [top_with(cls, {**parameters, **values}, document, path) for values in chosen]
     else:
-        key, path, raw = "random", ("ensemble", "random"), section.random or {}
-        numbers = {name: value for name, value in raw.items() if name in Random.model_fields}
-        random, draws = document.read(Random, numbers, *path), read_draws(cls, raw, document, path)
-        if not raw.keys() - numbers.keys() or "count" not in raw:
-            document.fault(path, NOTHING_DRAWN)
-        samples = np.arange(1, random.count + 1)
-        states = [many_states(top, initial, document, random=raw, source=path, samples=samples, seed=random.seed)]
+        key, path = "random", ("ensemble", "random")
+        random, rules = read_random(section.random or {}, document, *path)
+        draws, samples = read_draws(cls, rules, document, path), np.arange(1, random.count + 1)
+        states = [drawn_states(top, initial, document, rules, samples, random.seed, path)]
         source = random.model_dump() | {name: draw.model_dump(exclude_none=True) for name, draw in draws.items()}
     # numbers as floats, and components in their vectors, so that equal sections have equal digests
     return Ensemble(

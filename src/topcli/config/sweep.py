@@ -35,7 +35,7 @@ from topcli.config.ensemble import MAX_SWEEP_ROWS, Interval, Range, is_range, re
 from topcli.config.files import find_config, read_document
 from topcli.config.load import read_experiment
 from topcli.config.models import MAX_STEPS, Experiment, Name, folder_name_fault
-from topcli.config.states import NOTHING_DRAWN, Random, drawn_number, many_states
+from topcli.config.states import Random, drawn_number, drawn_states, read_random
 from topcli.config.text import KeyPath, to_yaml
 from topcli.contracts import Array, Top
 from topcli.errors import UnknownNameError
@@ -206,8 +206,7 @@ class Sweep:
 
         def start(top: Top, initial: object) -> Array:
             nonlocal states
-            drawn = {"random": self.vectors, "samples": samples, "seed": seed}
-            states = many_states(top, initial, document, columns=components, **drawn)
+            states = drawn_states(top, initial, document, self.vectors, samples, seed, columns=components)
             return states
 
         experiment = read_experiment(document, self.name, start, [*components, *self.vectors])
@@ -304,8 +303,8 @@ def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] 
     for index, entry in enumerate(exclude):
         for key in (key for key in entry if key not in varied):
             document.fault(("exclude", index, key), f"does not vary; varied: {', '.join(varied)}")
-    random = file.random and Random(**{k: v for k, v in file.random.items() if k in Random.model_fields}).model_dump()
-    file = file.model_copy(update={"exclude": exclude, "random": {**file.random, **random}})
+    random = file.random and file.random | read_random(file.random, document, "random")[0].model_dump()
+    file = file.model_copy(update={"exclude": exclude, "random": random})
     intervals = {
         key: document.read(Interval, rule, "random", key) for key, rule in file.random.items() if key.startswith("top.")
     }
@@ -352,10 +351,7 @@ def _read_axes(file: SweepFile, listed: bool, document: Document) -> list[Axis]:
     sections: list[tuple[KeyPath, dict[str, Any]]] = [(("grid",), {key: raw}) for key, raw in file.grid.items()]
     axes = [_read_axis(path, section, file, document) for path, section in sections]
     if file.random:
-        numbers = {key: value for key, value in file.random.items() if key in Random.model_fields}
-        random = document.read(Random, numbers, "random")
-        if len(numbers) == len(file.random):
-            document.fault(("random",), NOTHING_DRAWN)
+        random, _ = read_random(file.random, document, "random")
         axes.append({SAMPLE: list(range(1, random.count + 1))})
     sections = [(("zip", i) if listed else ("zip",), section) for i, section in enumerate(file.zip) if section]
     axes += [_read_axis(path, section, file, document) for path, section in sections]
