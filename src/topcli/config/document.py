@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import to_json
 
-from topcli.config.text import MAX_DEPTH, KeyPath, parse_yaml
+from topcli.config.text import KeyPath, parse_yaml
 from topcli.errors import ConfigError, UsageError, nearest, quoted, shortened
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -155,18 +155,15 @@ def as_integer(value: Any) -> Any:
 def plain_data(value: Any, document: Document, path: KeyPath = ()) -> Any:
     """Return a copy of ``value`` as plain data; tuples and numpy's scalars and arrays become lists and numbers.
 
-    Raises ConfigError naming the key of anything else, of a number that no double holds, and of data nested deeper
-    than 16 levels.
+    Raises ConfigError naming the key of anything else, and of a number that no double holds.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
     fault = f"must be a number, text, list or section, not a {type(value).__name__}"
-    if len(path) > MAX_DEPTH:
-        path, fault = path[:1], f"nested deeper than {MAX_DEPTH} levels"
-    elif isinstance(value, Mapping):
+    if isinstance(value, Mapping):
         return {str(key): plain_data(item, document, (*path, str(key))) for key, item in value.items()}
-    elif isinstance(value, (list, tuple)):
+    if isinstance(value, (list, tuple)):
         return [plain_data(item, document, (*path, i)) for i, item in enumerate(value)]
-    elif isinstance(value, (int, float)) and not abs(value) <= sys.float_info.max:
+    if isinstance(value, (int, float)) and not abs(value) <= sys.float_info.max:
         fault = "must be a finite number that a double holds"
     elif value is None or isinstance(value, (bool, int, float, str)):
         return value
