@@ -38,7 +38,6 @@ from topcli.config.models import MAX_STEPS, Experiment, Name, folder_name_fault
 from topcli.config.states import Random, drawn_number, drawn_states, read_random
 from topcli.config.text import KeyPath, to_yaml
 from topcli.contracts import Array, Top
-from topcli.errors import UnknownNameError
 
 STEPS = ("h", "T", "N", "output.every")
 """Keys of the steps of a row."""
@@ -271,32 +270,19 @@ def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] 
     ``overrides`` are ``key=value`` texts such as ``base.N=100``. Raises ConfigError or UnknownNameError with
     ``file:line``, the key, what is wrong and what would be right.
     """
-    if isinstance(source, (str, os.PathLike)):
-        path = find_config(source, sweep=True)
-        document = read_document(path)
-    else:
-        path, document = Path("sweep"), Document(plain_data(source, Document({})))
-    _expand_base(document, path.parent)
-    apply_overrides(document, overrides)
-    for section, inside in (("grid", ()), ("zip", ()), ("random", ("top",))):  # keys such as top.c0 in one piece
-        raw = document.data.get(section)
-        if isinstance(raw, dict):  # also where TOML or an override has made sections
-            document.data[section] = flat = dict(_dotted(raw, inside))
-            for key in flat:
-                document.places.setdefault((section, key), document.place((section, *key.split("."))))
+    document, name = _read_sweep(source, overrides)
     data = {key: value for key, value in document.data.items() if value is not None}
     if "base" not in data and "top" in data:
         document.fault((), "this is an experiment; `topcli run` takes experiments, and a sweep has one in base")
-    # the file, whose base is an experiment of which only some keys make sense
     file = document.read(SweepFile, data)
-    name = data.get("name") or path.stem
-    if "name" not in data and (fault := folder_name_fault(name)):
+    if file.name is None and (fault := folder_name_fault(name)):
         document.fault(("name",), f"missing, and the file name cannot be used instead: {fault}")
     for key in UNFIT:  # which have no meaning in a sweep
         *sections, last = path = key.split(".")
         section = file.base.get(sections[0]) if sections else file.base
         if isinstance(section, dict) and section.get(last) is not None:
             document.fault(("base", *path), "cannot be in base: a row is one trajectory in doubles without a series")
+
     # the rows; defaults are written out, so that the digest does not depend on them
     axes = _read_axes(file, isinstance(data.get("zip"), list), document)
     varied, exclude = [key for axis in axes for key in axis], [dict(_dotted(entry)) for entry in file.exclude]
@@ -306,9 +292,9 @@ def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] 
     random = file.random and file.random | read_random(file.random, document, "random")[0].model_dump()
     file = file.model_copy(update={"exclude": exclude, "random": random})
     intervals = {
-        key: document.read(Interval, rule, "random", key) for key, rule in file.random.items() if key.startswith("top.")
+        key: document.read(Interval, rule, "random", key) for key, rule in random.items() if key.startswith("top.")
     }
-    sweep = Sweep(name, document, file, tuple(axes), intervals)
+    sweep = Sweep(file.name or name, document, file, tuple(axes), intervals)
     if not axes:
         document.fault((), "varies nothing: give grid, zip or random; for example grid: {h: [0.1, 0.2]}")
     elif (count := math.prod(map(_size, axes))) > MAX_SWEEP_ROWS:
@@ -318,19 +304,30 @@ def load_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str] 
     return sweep
 
 
-def _expand_base(document: Document, folder: Path) -> None:
-    """Replace the name of a scene or config in ``base`` by its content."""
-    source = document.data.get("base")
-    if not isinstance(source, str):
-        return
-    try:
-        path = find_config(source)
-    except UnknownNameError as error:
-        raise UnknownNameError(document.message(("base",), str(error))) from None
-    inner = read_document(folder / path)
-    inner.data.pop("name", None)
-    document.data["base"] = inner.data
-    document.places |= {("base", *key): place for key, place in inner.places.items() if key}
+def _read_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str]) -> tuple[Document, str]:
+    """Return the document of a sweep file with the overrides, and its default name.
+
+    A name in ``base`` is replaced by the content of that config, and keys such as ``top.c0`` are in one piece.
+    """
+    if isinstance(source, (str, os.PathLike)):
+        path = find_config(source, sweep=True)
+        document = read_document(path)
+    else:
+        path, document = Path("sweep"), Document(plain_data(source, Document({})))
+    if isinstance(base := document.data.get("base"), str):
+        with document.at("base"):
+            config = find_config(base)
+        inner = read_document(path.parent / config)
+        document.data["base"] = {key: value for key, value in inner.data.items() if key != "name"}
+        document.places |= {("base", *key): place for key, place in inner.places.items() if key}
+    apply_overrides(document, overrides)
+    for section, inside in (("grid", ()), ("zip", ()), ("random", ("top",))):
+        raw = document.data.get(section)
+        if isinstance(raw, dict):  # also where TOML or an override has made sections
+            document.data[section] = flat = dict(_dotted(raw, inside))
+            for key in flat:
+                document.places.setdefault((section, key), document.place((section, *key.split("."))))
+    return document, path.stem
 
 
 def _dotted(section: Mapping[str, Any], inside: Sequence[str] = (), prefix: str = "") -> Iterator[tuple[str, Any]]:
