@@ -250,15 +250,13 @@ def test_every_measure_that_is_listed_for_a_top_can_be_resolved_and_evaluated() 
 
 
 def test_names_of_a_plugin_are_checked(own_registry: None) -> None:
-    with pytest.raises(ValueError, match="'seconds': already registered by topcli"):
-        measure("seconds", summary="again")
-    for taken in ("row", "outcome", "h", "T", "top.c0", "initial.NAME", "scheme.tol", "sample"):
-        with pytest.raises(ValueError, match="a column of the results has this name already"):
-            measure(taken, summary="clash")
-    with pytest.raises(ValueError, match="no spaces"):
-        measure("two words", summary="odd")
-    with pytest.raises(ValueError, match="a family, and no other measure"):
-        measure("odd.NAME", summary="odd")
+    taken = dict.fromkeys(
+        ["row", "outcome", "h", "T", "top.c0", "initial.NAME", "scheme.tol", "sample"], "has this name"
+    )
+    others = {"seconds": "already registered by topcli", "two words": "no spaces", "odd.NAME": "a family, and no other"}
+    for name, message in (taken | others).items():
+        with pytest.raises(ValueError, match=message):
+            measure(name, summary="clash")
     with pytest.raises(ValueError, match="a family, and no other measure"):
         measure("odd", summary="odd", names=lambda top, scheme, options: ["a"])
     measure("odd", summary="odd", needs=["gamma7"])(lambda batch: None)

@@ -84,24 +84,6 @@ def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
         assert largest == (max(values),)
 
 
-@pytest.mark.parametrize(
-    ("index", "column", "measures", "aggregate", "message"),
-    table_of("""
-scheme     h       ['max_error']             None   'up to 4 values fall into one cell, because seed still varies'
-sceme      None    ['max_error']             None   "unknown key 'sceme'; did you mean 'scheme'"
-scheme     None    ['max_eror']              None   "--value: unknown measure 'max_eror'; did you mean 'max_error'"
-scheme     scheme  ['max_error']             None   "'scheme' is named twice"
-scheme     h       ['max_error', 'seconds']  max    'show a single --value; 2 are given'
-scheme     None    ['max_error']             men    "--aggregate 'men': unknown; did you mean"
-"""),
-)
-def test_refusals_name_the_nearest_and_what_varies(
-    tmp_path: Path, index: str, column: Any, measures: list[str], aggregate: Any, message: str
-) -> None:
-    with pytest.raises(UsageError, match=message):
-        sweep_table(read_rows(stored(tmp_path)), [index], column, measures, aggregate)
-
-
 def test_failed_rows_are_left_out_and_counted(tmp_path: Path) -> None:
     outcome = ["blew_up", "left_motion", *["completed"] * 2, *["no_convergence"] * 4, *["completed"] * 16]
     shown = table(tmp_path, outcome=outcome, spoilt=dict.fromkeys((0, 4, 5, 6, 7, 20), np.nan))

@@ -18,22 +18,12 @@ from cases import changes_of
 from custom_tops import SECTION, VOLTERRA, Volterra, config, section
 from topcli.config.load import load, load_experiment, packaged_scenes
 from topcli.config.sweep import load_sweep
-from topcli.config.text import parse_yaml
 from topcli.engine.loops import interpreted, state_after
 from topcli.errors import ConfigError, TopcliError
 from topcli.field.polynomial import field_of
 from topcli.tops.declared import Custom
 
 FAULTS = changes_of("custom.txt")
-
-
-def test_the_section_comes_back_as_it_was_written() -> None:
-    experiment = load_experiment(config())
-    assert experiment.resolved()["top"] == SECTION
-    assert experiment.resolved()["initial"] == {"w1": 0.9, "w2": -0.4, "w3": 1.2}
-    again = load(parse_yaml(experiment.to_yaml(), "")[0] | {"name": "again"})
-    assert again.digest == experiment.digest
-    assert type(again.top) is type(experiment.top)
 
 
 def test_a_number_is_a_formula() -> None:

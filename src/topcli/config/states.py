@@ -302,12 +302,9 @@ def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: _I
 
 def _uniform(table: tuple[int, ...], samples: _Integers, width: int) -> Array:
     """Rows ``samples`` (m,) of an endless table of uniform numbers with ``width`` columns."""
-    blocks, numbers = samples // _BLOCK, np.empty((len(samples), width))
-    order = np.argsort(blocks, kind="stable")
-    for here in np.split(order, np.flatnonzero(np.diff(blocks[order])) + 1):
-        block = int(blocks[here[0]])
-        numbers[here] = _block(table, block, width)[samples[here] - block * _BLOCK]
-    return numbers
+    blocks, where = np.unique(samples // _BLOCK, return_inverse=True)
+    numbers = np.concatenate([_block(table, block, width) for block in blocks.tolist()])
+    return numbers[where * _BLOCK + samples % _BLOCK]
 
 
 @lru_cache(maxsize=64)
