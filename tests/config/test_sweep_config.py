@@ -88,12 +88,9 @@ def test_keys_of_rows(sections: str, keys: list[str]) -> None:
         assert load_experiment(single.resolved()).digest == row.identity
 
 
-def test_keys_set_what_they_name() -> None:
+def test_a_component_completes_its_vector() -> None:
     (component,) = rows(grid={"initial.gamma3": [0.6]})
     assert component.state == (2.0, 0.0, 0.0, math.sqrt(1.0 - 0.6 * 0.6), 0.0, 0.6)
-    (row,) = rows(zip={"scheme": [{"name": "hybrid", "branch": "sign"}], "top.c0": [3], "h": [0.5], "N": [7]})
-    resolved = row.experiment.resolved()
-    assert (resolved["h"], resolved["N"], resolved["top"]["c0"], resolved["scheme"]["branch"]) == (0.5, 7, 3.0, "sign")
 
 
 def test_ranges_have_both_ends_and_even_spacing() -> None:

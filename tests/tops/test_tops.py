@@ -7,7 +7,7 @@ import pytest
 
 from topcli.errors import UsageError
 from topcli.runs.simulate import simulate
-from topcli.tops import BUILT_IN, CATALOGUE, TOPS, Tops, kind_of, top_class, top_names
+from topcli.tops import BUILT_IN, CATALOGUE, TOPS, Tops, kind_of, top_names
 from topcli.tops.bodies import moment_warnings
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -58,12 +58,6 @@ def test_impossible_moments_are_warned_of(top: type[Heavy | Euler], moments, nam
     assert len(found) == bool(named)
     for line in found:
         assert f"{named} = {max(moments):g} >" in line
-
-
-def test_the_initial_vectors_choose_the_form() -> None:
-    assert top_class("Euler") is Euler
-    assert top_class("euler", ["omega"]) is Euler
-    assert top_class("euler", ["gamma", "omega"]) is EulerGamma
 
 
 def test_unequal_moments_are_refused_and_heavy_is_offered() -> None:
