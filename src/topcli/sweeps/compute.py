@@ -51,8 +51,8 @@ def compute(
     experiment: Experiment | dict[str, Any],
     states: Array,
     names: Sequence[str],
-    stop: Stop = lambda: False,
-    machines: Machines | None = None,
+    stop: Stop,
+    machines: Machines,
 ) -> list[StoredRow]:
     """Run an experiment, or a resolved config, from several initial states.
 
@@ -64,9 +64,9 @@ def compute(
         Initial states.
     names : sequence of str
         Names of the measures.
-    stop : callable, optional
+    stop : callable
         Asked all the time; once it returns True, the rows that are not finished have the outcome ``interrupted``.
-    machines : dict, optional
+    machines : dict
         Machine code of earlier experiments, to be used again for the same top, scheme and options.
 
     Returns
@@ -80,7 +80,7 @@ def compute(
             experiment = load_experiment(experiment)
         top, scheme, options = experiment.top, experiment.scheme, experiment.options
         measures = resolve_measures(names, top, scheme, options, tuple(experiment.output.quantities or ()))
-        machines, key = {} if machines is None else machines, (top, scheme.build, options.model_dump_json())
+        key = top, scheme.build, options.model_dump_json()
         run = Measuring(experiment, measures, machines.get(key))
         machines[key] = run.machine
     except Exception as error:
