@@ -78,7 +78,7 @@ def load_experiment(
     if loaded.precision != DOUBLE and not any_precision:
         commands = "`topcli run`, `topcli compare` and topcli.simulate take another precision"
         document.fault(("precision",), f"computed in doubles here; {commands}")
-    return loaded if crossings else loaded.of_all_steps()
+    return loaded if crossings or not loaded.section else loaded.model_copy(update={"section": None})
 
 
 def _loaded(source: Source, overrides: Sequence[str], changes: Mapping[str, Any] | None) -> tuple[Experiment, Document]:

@@ -273,10 +273,6 @@ class Experiment(BaseModel):
         """Build the scheme for the top with the options."""
         return self.scheme.build(self.top, self.options)
 
-    def of_all_steps(self) -> Experiment:
-        """Return the same experiment without its section."""
-        return self.model_copy(update={"section": None}) if self.section else self
-
     def trajectory(self, index: int) -> Experiment:
         """Return trajectory ``index`` (from 0) of the ensemble by itself. Raises IndexError."""
         assert self.ensemble is not None
