@@ -21,6 +21,7 @@ from conftest import examples
 from topcli.config.files import scene_files
 from topcli.config.load import load, load_experiment
 from topcli.config.models import steps_of
+from topcli.config.sweep import load_sweep
 from topcli.config.text import parse_yaml, resolve_scalar, to_yaml
 from topcli.contracts import Stepper
 from topcli.errors import ConfigError, UnknownNameError, UsageError
@@ -42,6 +43,7 @@ def test_config_round_trips(path: Path, tmp_path: Path) -> None:
 def test_scene_by_bare_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(scene_files()) == {path.stem for path in (*FILES, *ENSEMBLES)}
     assert load_experiment("Kowalevski-Bohlin-A").digest == load_experiment(CONFIGS / "kowalevski_bohlin_a.yaml").digest
+    assert load_sweep("Heavy-Drift").name == "heavy_drift"
     with pytest.raises(UnknownNameError, match="did you mean 'kowalevski_hk'"):
         load_experiment("kowalevski_hkk")
     write(tmp_path, BASE, "mine.yaml")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import math
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
@@ -139,15 +138,3 @@ def test_overrides_reach_the_base_and_the_grid() -> None:
     assert [row.keys for row in changed] == [(0.1, 5.0), (0.1, 6.0)]
     assert (changed[0].experiment.N, changed[0].experiment.resolved()["top"]["A"]) == (7, 3.0)
     assert changed[0].state[0] == 1.0
-
-
-def test_the_resolved_file_gives_the_same_rows(tmp_path: Path) -> None:
-    h = {"from": 1e-3, "to": 1e-2, "count": 3, "spacing": "log"}
-    random = {"count": 2, "gamma": {"near": 0.1}}
-    data = {"name": "again", "base": "kowalevski_hk", "grid": {"h": h}, "random": random, "measure": ["seconds"]}
-    first = load_sweep(data, ["base.N=100"])
-    (tmp_path / "other.yaml").write_text(first.to_yaml())
-    second = load_sweep(tmp_path / "other.yaml")
-    assert [row.identity for row in rows_of(second)] == [row.identity for row in rows_of(first)]
-    assert second.digest == first.digest
-    assert load_sweep("Heavy-Drift").name == "heavy_drift"
