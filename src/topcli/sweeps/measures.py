@@ -196,14 +196,24 @@ def measured_columns(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     return [*top.components, *integral_names(top, scheme, options)]
 
 
+_COUNTED: dict[tuple[Scheme, ...], list[str]] = {}
+"""Names of the events that the schemes of a top count."""
+
+
+def _counters(top: Top, scheme: Scheme, options: BaseModel) -> tuple[str, ...]:
+    method = scheme.build(top, options)
+    return () if isinstance(method, Sampler) else method.counters
+
+
 def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     """Names of the events that the scheme or another one of the top counts."""
-    counted: dict[str, None] = {}
-    for each in (scheme, *schemes_of(top.form)):
-        with without_users_errors():
-            method = each.build(top, options if each is scheme else each.options())
-            counted |= dict.fromkeys([] if isinstance(method, Sampler) else method.counters)
-    return list(counted)
+    others = tuple(schemes_of(top.form))
+    if others not in _COUNTED:
+        _COUNTED[others] = names = []
+        for other in others:
+            with without_users_errors():
+                names += _counters(top, other, other.options())
+    return list(dict.fromkeys([*_counters(top, scheme, options), *_COUNTED[others]]))
 
 
 def fitting_measures(top: Top, scheme: Scheme, options: BaseModel, quantities: Sequence[str] = ()) -> Iterator[Measure]:
