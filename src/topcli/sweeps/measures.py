@@ -399,12 +399,7 @@ def _require_steps(batch: Batch) -> None:
         raise UsageError(f"N = {N}: too few steps for an exponent; take at least {LEAST_STEPS}")
 
 
-@measure(
-    "lyapunov",
-    "largest Lyapunov exponent, after a transient; needs 1000 steps",
-    "inverse time",
-    obstacle=_tangent_obstacle,
-)
+@measure("lyapunov", "largest Lyapunov exponent; needs 1000 steps", "inverse time", obstacle=_tangent_obstacle)
 def lyapunov(batch: Batch) -> Array:
     """Growth of a tangent vector after a transient, divided by the time. Raises UsageError for too few steps."""
     _require_steps(batch)
