@@ -167,10 +167,9 @@ def keys_of(model: type[BaseModel]) -> list[tuple[str, str, str, str]]:
 
 def config_part() -> Page:
     """Keys of a config, from the models that read it."""
-    from topcli.config.ensemble import EnsembleSection
+    from topcli.config.ensemble import EnsembleSection, Range
     from topcli.config.formulas import CustomSection
     from topcli.config.models import Config, Output, PoincareSection
-    from topcli.config.ranges import Range
     from topcli.config.states import Random
 
     sections = {

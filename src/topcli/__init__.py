@@ -39,7 +39,7 @@ HOMES = {
     "simulate": "topcli.runs.simulate",
     "step": "topcli.runs.step_map",
     "sweep": "topcli.show.results",
-    "top": "topcli.schemes.own_tops",
+    "top": "topcli.tops.own",
     **{name: module for name, (module, _) in STUDIES.items()},
 }
 """Modules of the public names; ``__init__.pyi`` declares them for type checkers."""

@@ -5,7 +5,6 @@ from topcli.figures.catalogue import figure as figure
 from topcli.paper.claims import claims as claims
 from topcli.runs.simulate import simulate as simulate
 from topcli.runs.step_map import step as step
-from topcli.schemes.own_tops import top as top
 from topcli.schemes.registry import scheme as scheme
 from topcli.show.results import motion as motion
 from topcli.show.results import run as run
@@ -22,6 +21,7 @@ from topcli.studies.order import order as order
 from topcli.studies.roundoff import roundoff as roundoff
 from topcli.studies.stress import stress as stress
 from topcli.sweeps.measures import measure as measure
+from topcli.tops.own import top as top
 
 __version__: str
 STUDIES: dict[str, tuple[str, str]]

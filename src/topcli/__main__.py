@@ -19,7 +19,7 @@ def _unexpected(error: Exception) -> ExitCode:
     import traceback
 
     from topcli.cli.output import print_error, print_lines, print_message
-    from topcli.schemes.plugins import users_error
+    from topcli.plugins import users_error
 
     if failure := users_error(error):
         print_error(failure)

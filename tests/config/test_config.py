@@ -12,13 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 import topcli
 from config_texts import BASE, CONFIGS, ENSEMBLES, FILES, PAPER_GAMMA, refusal, write
+from conftest import examples
 from topcli.config.files import scene_files
 from topcli.config.load import load, load_experiment
-from topcli.config.ranges import steps_of
-from topcli.config.text import resolve_scalar
+from topcli.config.models import steps_of
+from topcli.config.sweep import load_sweep
+from topcli.config.text import parse_yaml, resolve_scalar, to_yaml
 from topcli.contracts import Stepper
 from topcli.errors import ConfigError, UnknownNameError, UsageError
 
@@ -39,6 +43,7 @@ def test_config_round_trips(path: Path, tmp_path: Path) -> None:
 def test_scene_by_bare_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(scene_files()) == {path.stem for path in (*FILES, *ENSEMBLES)}
     assert load_experiment("Kowalevski-Bohlin-A").digest == load_experiment(CONFIGS / "kowalevski_bohlin_a.yaml").digest
+    assert load_sweep("Heavy-Drift").name == "heavy_drift"
     with pytest.raises(UnknownNameError, match="did you mean 'kowalevski_hk'"):
         load_experiment("kowalevski_hkk")
     write(tmp_path, BASE, "mine.yaml")
@@ -215,3 +220,22 @@ def test_keywords_replace_keys_of_a_mapping_which_stays_as_it_is() -> None:
     assert data == before
     with pytest.raises(ConfigError, match=r"^hh: unknown key"):
         topcli.simulate(data, hh=0.5)
+
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)  # half a surrogate pair is not in UTF-8
+PLAIN_DATA = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**18), 10**18) | numbers | TEXT,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner, max_size=3),
+    max_leaves=10,
+)
+
+
+@pytest.mark.slow
+@examples(150)
+@given(data=st.dictionaries(TEXT, PLAIN_DATA, min_size=1, max_size=4))
+@example(data={"texts": ["no", "true", "1e3", "", 'a "b" \\ #', "ä\x85\u2028\ufeff🌀", "-", "x: y"], "with space": {}})
+@example(data={"numbers": [1e-5, 1e22, -0.0, 5e-324, 1.7976931348623157e308, 3, True, None], "deep": {"a": [[], [{}]]}})
+def test_emitted_yaml_reads_back(data: dict[str, Any]) -> None:
+    again, _ = parse_yaml(to_yaml(data), "text")
+    assert repr(again) == repr(data)

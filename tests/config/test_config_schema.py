@@ -12,7 +12,7 @@ from topcli.config.load import load, load_experiment
 from topcli.config.schema import config_schema
 from topcli.config.text import parse_yaml
 from topcli.errors import TopcliError, UnknownNameError, UsageError
-from topcli.schemes.own_tops import top_class
+from topcli.tops import top_class
 
 schema_of_configs = cache(config_schema)
 
@@ -29,31 +29,29 @@ def test_schema_accepts_the_packaged_scenes() -> None:
         assert [fits(schema, timed | more) for more in ({}, {"T": 0.5})] == [False, True]
 
 
-ACCEPTED = """
+CUSTOM = "{kind: custom, components: [x], field: {x: k*x}, parameters: {k: 1}, invariants: {i: {value: x, on: {i: 0}}}"
+ACCEPTED = f"""
 scheme: hk+suzuki4
-scheme: {name: hk, compose: suzuki4, project: 2}
-initial: {from: one, normalize: true}
-ensemble: {random: {count: 3, gamma: {near: 0.1}, omega: {energy: 4.0}}, store: final}
-ensemble: {grid: {omega1: [1.0], top.c0: {from: 0.0, to: 1.0, count: 2}}}
-ensemble: {states: [{omega: [1, 2, 3]}], store: final}
+scheme: {{name: hk, compose: suzuki4, project: 2}}
+initial: {{from: one, normalize: true}}
+ensemble: {{random: {{count: 3, gamma: {{near: 0.1}}, omega: {{energy: 4.0}}}}, store: final}}
+ensemble: {{grid: {{omega1: [1.0], top.c0: {{from: 0.0, to: 1.0, count: 2}}}}}}
+top: {CUSTOM}, k: 0.5}}
 """
-REFUSED = """
+REFUSED = f"""
 h: '0.1'
 N: 0
 N: 2.5
 T: 50
-top: {kind: kowalevski, c_0: 1}
-top: {kind: kowalevski, A: 0}
-top: {kind: x}
-scheme: x
-scheme: {name: x}
-scheme: {name: hybrid, branch: x}
-output: {format: x}
-output: {columns: []}
+top: {{kind: kowalevski, c_0: 1}}
+top: {{kind: kowalevski, A: 0}}
+top: {{kind: x}}
+scheme: {{name: hybrid, branch: x}}
+output: {{columns: []}}
 foo: 1
-ensemble: 3
-ensemble: {randm: {}}
-ensemble: {random: {count: 3, gamma: sphere}, store: some}
+ensemble: {{randm: {{}}}}
+top: {CUSTOM}, k: x}}
+top: {{kind: custom, field: 0}}
 """
 
 

@@ -100,7 +100,6 @@ def test_commands_and_functions_warn_of_states_off_the_unit_sphere(cli: Callable
     said = cli("run", "kowalevski_hk", "--set", f"initial.gamma={OFF}", "--set", "N=100")
     assert f"{WARNING}; initial.normalize: true makes it one" in said.err
     assert said.err.count("unit vector") == 1
-    assert "unit vector" not in cli("run", "kowalevski_hk", "--set", "N=100").err
     state = [0.3, 0.2, 1.1, *OFF]
     with pytest.warns(UserWarning, match=WARNING) as caught:
         topcli.simulate({**BODY, "initial": {"omega": state[:3], "gamma": OFF}})

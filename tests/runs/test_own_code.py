@@ -14,7 +14,7 @@ from documentation import read_page
 from scheme_files import loaded_file
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
-from topcli.schemes.plugins import load_plugin_file
+from topcli.plugins import load_plugin_file
 
 FILES = read_page(ROOT / "docs" / "own.md").files()
 

@@ -71,6 +71,20 @@ def test_quantities_of_an_ensemble(tmp_path: Path) -> None:
             assert row[figure] == pytest.approx(join(numbers), rel=1e-14)
 
 
+@pytest.mark.parametrize("store", ["trajectories", "final", "statistics"])
+def test_the_last_value_is_that_of_the_last_step(tmp_path: Path, store: str) -> None:
+    """Also where N is no multiple of ``every``; of a trajectory that ends early, it is that of its last row."""
+    explosion = {"field": {"x": "x**2"}, "kind": "custom", "components": ["x"]}
+    given = {"name": "x", "top": explosion, "scheme": "rk4", "h": 0.01, "N": 103, "initial": {}}
+    given |= {"output": {"every": 10, "quantities": {"later": "x + t"}}}
+    run = run_experiment(load({**given, "ensemble": {"states": [{"x": 0.5}, {"x": 4}], "store": store}}), tmp_path)
+    table = read_series(run.stored.folder / "trajectories.parquet")
+    assert table["outcome"].tolist() == ["completed", "blew_up"]
+    for i, (start, n) in enumerate([(0.5, 103), (4, table["n"][1] // 10 * 10)]):
+        alone = topcli.simulate({**given, "initial": {"x": start}, "output": {}})
+        assert table["last.later"][i] == alone["x"][n] + alone.t[n]
+
+
 def test_a_quantity_without_a_value_is_no_number_in_any_precision(tmp_path: Path) -> None:
     """A logarithm, a quotient, an arc: at the start only, in all rows, or nowhere."""
     quantities = {"root": "log(-w1**2)", "pole": "1/t", "arc": "acos(2 + w1**2)", "turn": "atan2(w2, w1)/pi"}

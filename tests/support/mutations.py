@@ -8,6 +8,7 @@ from collections.abc import Callable
 from hypothesis import strategies as st
 
 from config_texts import CONFIGS
+from custom_tops import VOLTERRA
 
 
 def texts(folder: str) -> dict[str, str]:
@@ -24,6 +25,7 @@ RUNS = texts("") | {
     "composed.yaml": f"{STATE}scheme: hk+suzuki4\nh: -0.01\nN: 50\n",
     "states.yaml": f"{STATE}{MEMBERS}scheme: rk4\nh: 0.01\nN: 50\n",
     "rational.yaml": f"{STATE}scheme: hk\nh: 1/10\nprecision: rational\nmax_digits: 2000\nN: 3\n",
+    "custom.yaml": VOLTERRA,
     "digits.yaml": f"{STATE}scheme: rk4\nh: -0.1\nprecision: 40\nN: 3\n",
 }
 """Configs of runs: the scenes, and features that they do not have."""
@@ -38,7 +40,6 @@ grid:
   h: {from: 0.002, to: 0.02, count: 10}
 zip:
   top.c0: [1, 2]
-  sample: [1, 2]
 exclude: [{scheme: hk, h: 0.002}]
 measure: [max_deviation.energy]
 """
@@ -60,6 +61,11 @@ VALUES = (
     *("{from: 0, to: 1, count: 3}", "{from: 1, to: 1e308, count: 1000000000000}", "hk+suzuki4", "[0.1, x, .nan]"),
     *("{from: -1, to: .inf, count: 3, spacing: log}", "-auto"),
 )
+
+
+SYNTAX = (": ", "\n  ", "- ", "\t", "\x85", "&a", "*a", "!t", "🌀")
+PIECES = st.lists(st.sampled_from(VALUES + NUMBERS + SYNTAX) | st.text(max_size=6), max_size=9).map("".join)
+"""Values and pieces of YAML, joined."""
 
 
 def replaced(pattern: re.Pattern[str], by: st.SearchStrategy[str]) -> Callable[[st.DrawFn, str], str]:

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from steppers import built
+from topcli import plugins
 from topcli.contracts import Outcome
 from topcli.engine.drive import orbit
 from topcli.engine.machine import Machine
-from topcli.schemes import plugins
-from topcli.schemes.plugins import load_plugin_file
+from topcli.plugins import load_plugin_file
 from topcli.tops.kowalevski import Kowalevski
 
 FILE = """
@@ -41,7 +41,6 @@ class Found:
 def tables() -> dict[str, Any]:
     """Tables that plugins extend, by name, with all that is built in."""
     from topcli.figures.catalogue import FIGURES
-    from topcli.schemes.own_tops import ORIGINS
     from topcli.schemes.registry import SCHEMES, all_schemes
     from topcli.sweeps.measures import MEASURES
     from topcli.tops import TOPS
@@ -50,7 +49,7 @@ def tables() -> dict[str, Any]:
     return {
         "schemes": SCHEMES,
         "tops": TOPS.data,
-        "origins": ORIGINS,
+        "origins": TOPS.origins,
         "files": plugins.FILES,
         "figures": FIGURES,
         "measures": MEASURES,

@@ -59,7 +59,7 @@ def measured(experiment: Experiment, names: Sequence[str], states: Any = None) -
     """Measures of runs from ``states``, by default from the initial state of the experiment."""
     measures = resolve_measures(names, experiment.top, experiment.scheme, experiment.options)
     states = np.array([experiment.y0] if states is None else states)
-    batch = Measuring(experiment, measures, threads=1).finished(states)
+    batch = Measuring(experiment, measures).finished(states)
     values, faults = evaluate(measures, batch)
     found = Measured(values)
     found.batch, found.faults = batch, faults

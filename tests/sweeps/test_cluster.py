@@ -10,7 +10,7 @@ import pytest
 from scheme_files import unchanged_tables
 from sweeping import DATA, MANY, sweep, table
 from topcli.errors import UsageError
-from topcli.schemes.plugins import FILES, REGISTERED, load_plugin_file
+from topcli.plugins import FILES, REGISTERED, load_plugin_file
 from topcli.sweeps.compute import code_of_process, compute_batch
 
 KILLER = """

@@ -12,11 +12,9 @@ import pytest
 
 import topcli
 from sweeping import BASE, DATA, MANY, sweep, table
-from topcli.config.sweep import load_sweep
 from topcli.contracts import stopping_when
 from topcli.errors import RunError
 from topcli.sweeps.batch import Measuring
-from topcli.sweeps.compute import compute
 
 
 def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
@@ -118,14 +116,3 @@ def test_equal_rows_are_computed_once(tmp_path: Path) -> None:
     assert (result.ran, result.finished) == (2, 3)
     rows = table(tmp_path)
     assert rows[2] == {**rows[0], "row": 2}
-
-
-@pytest.mark.slow
-def test_rows_do_not_depend_on_their_batch() -> None:
-    """States together, one by one and in another order, from the experiment and from its config."""
-    (group,) = load_sweep({**MANY, "grid": {"scheme": ["hk"]}}).groups()
-    names = MANY["measure"]
-    usual = compute(group.experiment, group.states, names)
-    assert compute(group.experiment.resolved(), group.states[::-1], names)[::-1] == usual
-    assert [row for state in group.states for row in compute(group.experiment, state[None], names)] == usual
-    assert len({numbers for _, _, numbers in usual}) == 40

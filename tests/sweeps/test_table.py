@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import statistics
 from itertools import product
 from pathlib import Path
@@ -85,24 +84,6 @@ def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
         assert largest == (max(values),)
 
 
-@pytest.mark.parametrize(
-    ("index", "column", "measures", "aggregate", "message"),
-    table_of("""
-scheme     h       ['max_error']             None   'up to 4 values fall into one cell, because seed still varies'
-sceme      None    ['max_error']             None   "unknown key 'sceme'; did you mean 'scheme'"
-scheme     None    ['max_eror']              None   "--value: unknown measure 'max_eror'; did you mean 'max_error'"
-scheme     scheme  ['max_error']             None   "'scheme' is named twice"
-scheme     h       ['max_error', 'seconds']  max    'show a single --value; 2 are given'
-scheme     None    ['max_error']             men    "--aggregate 'men': unknown; did you mean"
-"""),
-)
-def test_refusals_name_the_nearest_and_what_varies(
-    tmp_path: Path, index: str, column: Any, measures: list[str], aggregate: Any, message: str
-) -> None:
-    with pytest.raises(UsageError, match=message):
-        sweep_table(read_rows(stored(tmp_path)), [index], column, measures, aggregate)
-
-
 def test_failed_rows_are_left_out_and_counted(tmp_path: Path) -> None:
     outcome = ["blew_up", "left_motion", *["completed"] * 2, *["no_convergence"] * 4, *["completed"] * 16]
     shown = table(tmp_path, outcome=outcome, spoilt=dict.fromkeys((0, 4, 5, 6, 7, 20), np.nan))
@@ -113,21 +94,6 @@ def test_failed_rows_are_left_out_and_counted(tmp_path: Path) -> None:
         "6 of 24 rows did not complete: 4 no_convergence, 1 blew_up, 1 left_motion",
         "6 of 24 rows have no value and are left out",
     ]
-
-
-def test_texts_hold_the_same_table(tmp_path: Path) -> None:
-    shown = table(tmp_path, where=("seed=1",), aggregate=None)
-    csv = pd.read_csv(io.StringIO(shown.text("csv")), index_col=0)
-    assert csv.to_numpy().tolist() == [[value_of(scheme, h, 1) for h in SIZES] for scheme in SCHEMES]
-    ends = pd.read_csv(io.StringIO(table(tmp_path).text("csv")))
-    assert list(ends)[:4] == ["scheme", "h = 0.1", "h = 0.1:low", "h = 0.1:high"]
-    title, _, header, _, first, second, *_ = shown.text("markdown").splitlines()
-    assert (title, header) == ("max_error of mine, seed=1:", "| scheme | h = 0.1 | h = 0.01 | h = 1e-7 |")
-    assert (first.split()[1], second.split()[1]) == ("hk", "a_b")
-    latex = shown.text("latex")
-    assert all(text in latex for text in (r"\toprule", r"a\_b & ", r"max\_error of mine, seed=1."))
-    data = shown.as_dict()
-    assert data["table"][0] == {"row": ["hk"], "cells": [[value_of("hk", h, 1)] for h in SIZES]}
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 from typing import Any
 
 import mpmath as _mpmath
@@ -15,8 +14,8 @@ from conftest import GEN, random_states
 from steppers import built
 from test_euler import random_tops
 from topcli.analysis.reference import reference_states
-from topcli.arithmetic.elliptic import Argument, phase
-from topcli.arithmetic.multiprecision import digits, real
+from topcli.arithmetic.elliptic import Argument
+from topcli.arithmetic.multiprecision import digits
 from topcli.contracts import Sampler, Top
 from topcli.engine.drive import orbit
 from topcli.errors import RunError
@@ -120,17 +119,6 @@ def test_jacobis_functions_keep_the_digits_of_the_small(m1: float) -> None:
                 # u is a double, and mpmath's sn(0) and cn(K) are not quite zero
                 slack = 32 * 2.0**-52 * abs(exact) * max(1, quarter) + mpf(10) ** -40
                 assert abs(mpf(float(values[i])) - exact) <= slack, (name, part)
-
-
-def test_phases_are_reduced_without_loss() -> None:
-    """Whole numbers and rests of start + n step, for n up to 2^52, against rational arithmetic."""
-    start, step = Fraction(10**50 // 3, 10**50), Fraction(5 * 10**50 // 7 + 12345, 10**50)
-    n = np.array([0, 1, -1, 10**6 + 1, -(10**9) - 7, 2**52 + 1])
-    with digits():
-        whole, rest = phase(real(start), real(step), n)
-    for k, j, r in zip(n.tolist(), whole.tolist(), rest.tolist(), strict=True):
-        assert abs(start + k * step - j - Fraction(r)) < 2.0**-52
-        assert abs(r) <= 0.5 + 2.0**-52
 
 
 # the Lagrange top

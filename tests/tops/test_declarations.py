@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from custom_tops import Volterra
-from topcli.arithmetic.sized import Sized
 from topcli.contracts import Top
 from topcli.field.integrals import broken_integral, measured_change
 from topcli.tops import TOPS
@@ -23,21 +22,6 @@ def test_what_a_top_does_not_declare() -> None:
     assert top.vectors == {"w1": (0, 1), "w2": (1, 2), "w3": (2, 3)}
     assert (top.constants(), top.step_constants) == ((3.0, 2.0, 1.0, 0.7), ("A", "B", "C", "k"))
     assert next((i.name, i.symbol, i.meaning) for i in top.invariants()) == ("energy", "energy", "energy")
-
-
-def test_sizes_of_terms_are_added() -> None:
-    x, y = Sized(np.array([3.0])), Sized(np.array([-2.0]))
-    for formula, value, size in [
-        (x + y, 1.0, 5.0),
-        (1.0 - x * y, 7.0, 7.0),
-        ((x + y) ** 2 - 1, 0.0, 26.0),
-        ((x + y) / (y + 1.0), -1.0, 5.0),
-        (np.array([2.0]) * (x + y), 2.0, 10.0),
-        (abs(-x) - +y, 5.0, 5.0),
-        (6.0 / x, 2.0, 2.0),
-        (np.exp(x + y), np.e, np.e),
-    ]:
-        assert (formula.value, formula.size) == (pytest.approx(value), pytest.approx(size))
 
 
 @pytest.mark.parametrize("form", TOPS)

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-import numpy as np
 import pytest
 
-from conftest import random_states
 from declared import BODIES
-from topcli.analysis.reference import reference_states
 from topcli.contracts import EulerPoisson, Top
 from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme
@@ -153,12 +150,3 @@ def test_nothing_trusts_a_wrong_description(user: str, top: Top) -> None:
     assert user in str(caught.value)
     assert "gyrostat" in str(caught.value)
     USERS[user](Heavy())
-
-
-def test_the_reference_needs_no_description() -> None:
-    """It follows the field: a rotor at rest is a heavy top, one that turns is not."""
-    times = np.array([0.5, 3.0])
-    for y0 in map(tuple, random_states(3, seed=61)):
-        heavy = reference_states(Heavy(), y0, times)
-        assert np.array_equal(reference_states(HonestGyrostat(rotor=0.0), y0, times), heavy)
-        assert np.abs(reference_states(HonestGyrostat(rotor=0.1), y0, times) - heavy).max() > 1e-3

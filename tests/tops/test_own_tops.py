@@ -12,10 +12,9 @@ from cases import changes_of
 from scheme_files import loaded_file
 from topcli.contracts import Stepper
 from topcli.errors import UsageError
-from topcli.schemes.own_tops import top_origin
-from topcli.schemes.plugins import load_plugin_file
+from topcli.plugins import load_plugin_file
 from topcli.schemes.registry import SchemeMisfitError, find_scheme, names_for
-from topcli.tops import TOPS
+from topcli.tops import TOPS, top_origin
 
 ROTOR = """import topcli
 

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from conftest import random_states
-from declared import BODIES, TRIALS
-from topcli.contracts import Top
 from topcli.errors import UsageError
 from topcli.runs.simulate import simulate
-from topcli.schemes.own_tops import top_class, top_names
-from topcli.tops import BUILT_IN, CATALOGUE, TOPS, Tops
+from topcli.tops import BUILT_IN, CATALOGUE, TOPS, Tops, kind_of, top_names
 from topcli.tops.bodies import moment_warnings
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
@@ -23,9 +17,7 @@ from topcli.tops.lagrange import Lagrange
 def test_built_in_forms_and_kinds_are_those_of_their_classes() -> None:
     for form in BUILT_IN:
         fresh = Tops(BUILT_IN)
-        kind = fresh.kind(form)
-        assert (fresh[form].form, fresh[form].kind) == (form, kind)
-        assert fresh.kind(form) == kind
+        assert (fresh[form].form, fresh[form].kind) == (form, kind_of(form))
     bodies = ["kowalevski", "euler", "euler+gamma", "lagrange", "lagrange/inertial", "heavy"]
     assert top_names() == [*bodies, *CATALOGUE, "custom"]
 
@@ -40,44 +32,6 @@ def test_the_constants_of_a_step_are_what_the_registry_says(form: str) -> None:
     said = [eval(text.partition(" = ")[2] or text, {}, known) for text in top.step_constants]
     assert said == pytest.approx(top.constants(), rel=1e-15)
     assert len(said) == len(top.constants()) > 0
-
-
-# invariants
-
-
-def terms_of(top: Top, y: np.ndarray) -> dict[str, Any]:
-    """Terms of the invariants of a rigid body with the moments J and the weight r; of Lagrange's axis in space."""
-    a, b = y[:3], y[3:]
-    if top.form == "lagrange/inertial":
-        return {"a_sq": b * b, "m_p": a[2:], "m_a": a * b, "energy": [*(0.5 * a * a), b[2]]}
-    equations = top.euler_poisson()
-    J, r = np.array(equations.moments), np.array(equations.gravity)
-    terms: dict[str, Any] = {"m_sq": (J * a) ** 2, "m_omega": J * a * a, "m_axis": [J[2] * a[2]]}
-    if len(b):
-        xi = complex(a[0], a[1]) ** 2 - r[0] / J[2] * complex(b[0], b[1])
-        terms |= {"gamma_sq": b * b, "m_gamma": J * a * b, "two_l": J * a * b, "k_sq": [xi.real**2, xi.imag**2]}
-        terms["energy"] = [*(0.5 * J * a * a), *(r * b)]
-    return terms
-
-
-@pytest.mark.parametrize("top", [top for form in BODIES for top in TRIALS[form]], ids=repr)
-def test_invariants_and_their_scales_are_those_of_their_terms(top: Top) -> None:
-    """The sum of the terms and of their magnitudes; for k² = |omega² - c gamma|², of the terms within the squares.
-
-    Other tests divide deviations by the scale; this one makes that an independent measure.
-    """
-    for y in random_states(50, seed=71)[:, : len(top.components)]:
-        terms = terms_of(top, y)
-        for invariant in top.invariants():
-            scale = float(invariant.scale(y[None])[0])
-            if invariant.name == "k_sq":
-                w1, w2, c = abs(y[0]), abs(y[1]), abs(2.0 * top.model_dump()["c0"] / top.model_dump()["A"])
-                real, imaginary = w1**2 + w2**2 + c * abs(y[3]), 2.0 * w1 * w2 + c * abs(y[4])
-                assert scale == pytest.approx(real**2 + imaginary**2, rel=1e-14)
-            else:
-                assert scale == pytest.approx(sum(map(abs, terms[invariant.name])), rel=1e-14)
-            value = float(invariant.value(y[None])[0])
-            assert value == pytest.approx(sum(terms[invariant.name]), rel=0.0, abs=4e-15 * max(scale, 1e-300))
 
 
 # parameters
@@ -104,12 +58,6 @@ def test_impossible_moments_are_warned_of(top: type[Heavy | Euler], moments, nam
     assert len(found) == bool(named)
     for line in found:
         assert f"{named} = {max(moments):g} >" in line
-
-
-def test_the_initial_vectors_choose_the_form() -> None:
-    assert top_class("Euler") is Euler
-    assert top_class("euler", ["omega"]) is Euler
-    assert top_class("euler", ["gamma", "omega"]) is EulerGamma
 
 
 def test_unequal_moments_are_refused_and_heavy_is_offered() -> None:

@@ -147,10 +147,11 @@ class Tally(Consumer):
         return deviations
 
     def end(self, run: Integration) -> None:
-        """Take the deviations of the last states."""
-        rows = Rows(self.plan, run.last_n[:1], run.last[:, None])  # quantities depend on n: their last row counts
-        for i in range(len(self.invariants)):
-            last = self._differences(rows.numbers(self.names[i])[:, 0], self.first[i])
+        """Take the last states instead of the last rows, which N steps may be no multiple of."""
+        rows = Rows(self.plan, run.last_n, run.last[None])
+        for i, name in enumerate(self.names):
+            last = rows.numbers(name)[0]
+            last = self._differences(last, self.first[i]) if i < len(self.invariants) else last.astype(np.float64)
             self.last[i] = np.where(self.rows > 0, last, np.nan)
 
     def state(self) -> State:

@@ -130,7 +130,7 @@ def perform(name: str, function: Callable[..., Any], values: dict[str, Any]) -> 
 def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Screen) -> int:
     """Call a study, print its report, write files, and return the code of the report."""
     from topcli.cli.results import require_new_file
-    from topcli.schemes.plugins import FAILURES
+    from topcli.plugins import FAILURES
     from topcli.studies.report import PICTURES, TABLES
 
     plot, save, force, verbose = (values.pop(parameter) for parameter in ("plot", "save", "force", "verbose"))

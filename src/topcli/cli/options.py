@@ -75,7 +75,7 @@ HELP = {
 def load_plugins(paths: list[Path] | None) -> None:
     """Register what the files given by ``--plugin`` define."""
     for path in paths or ():
-        from topcli.schemes.plugins import load_plugin_file
+        from topcli.plugins import load_plugin_file
 
         load_plugin_file(path)
 
@@ -100,8 +100,8 @@ def completions_of(kind: str, beginning: str) -> Sequence[str]:
     """Names of a kind that may begin with ``beginning``; compositions of a scheme only after a +."""
     if kind in ("SCHEME", "TOP"):
         from topcli.schemes.compose import COMPOSITIONS, composition_obstacle
-        from topcli.schemes.own_tops import top_names
         from topcli.schemes.registry import all_schemes
+        from topcli.tops import top_names
 
         if kind == "TOP":
             return sorted(top_names())

@@ -22,8 +22,7 @@ _Kind = Literal["tops", "schemes", "compositions", "scenes", "sweeps", "cases", 
 
 def tops() -> Iterable[Item]:
     """Tops with their parameters, the keys of a config, and the constants ``step_p`` of a step in Python."""
-    from topcli.schemes.own_tops import top_origin
-    from topcli.tops import TOPS
+    from topcli.tops import TOPS, top_origin
 
     for top in TOPS.values():
         yield {
@@ -134,7 +133,7 @@ def list_(items: _Kind, *, top: str | None = None, results: Path = Path("results
     items : str
         One of tops, schemes, compositions, scenes, sweeps, cases, measures, figures, runs.
     """
-    from topcli.schemes.plugins import plugin_failures
+    from topcli.plugins import plugin_failures
 
     for failure in plugin_failures().values():  # items of installed packages are listed too
         print_message(failure)
@@ -176,8 +175,7 @@ def fields(record: object, *names: str) -> Item:
 
 def forms_of(top: str | None) -> Sequence[str]:
     """Forms of a top, or of all. Raises UnknownNameError."""
-    from topcli.schemes.own_tops import forms
-    from topcli.tops import TOPS
+    from topcli.tops import TOPS, forms
 
     return [form.form for form in forms(top)] if top else list(TOPS)
 
@@ -226,10 +224,10 @@ def show(
     from topcli.config.files import is_config, scene_files
     from topcli.config.load import load
     from topcli.errors import UnknownNameError, nearest
-    from topcli.schemes.own_tops import forms, top_names
     from topcli.schemes.registry import all_schemes
     from topcli.studies import describe
     from topcli.studies.entries import schemes_called
+    from topcli.tops import forms, top_names
 
     folder = Path(subject)
     if motion:

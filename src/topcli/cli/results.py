@@ -229,7 +229,7 @@ def plot(
     """
     from topcli.figures.catalogue import FIGURES
     from topcli.figures.figure import DEFAULT_FORMATS, IMAGE_FORMATS, NothingMeasuredError
-    from topcli.schemes.plugins import plugin_failures
+    from topcli.plugins import plugin_failures
 
     if bool(figures) == every:
         raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")

@@ -78,8 +78,8 @@ def run(
         Config files or names of packaged scenes.
     """
     from topcli.config.load import load
+    from topcli.plugins import users_error
     from topcli.runs.run import RunOptions
-    from topcli.schemes.plugins import users_error
 
     entries: list[dict[str, Any]] = []
     codes: list[ExitCode] = []

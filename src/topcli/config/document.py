@@ -1,4 +1,4 @@
-"""Config as read from a file: plain data with the place of every key, which refusals name.
+"""Config as read from a file, with overrides: plain data with the place of every key, which refusals name.
 
 Plain data holds only what JSON has: dicts with text keys, lists, text, numbers, booleans and None. The faults of a
 section are reported together; then the first one of those that depend on several sections.
@@ -9,8 +9,9 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
@@ -21,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import to_json
 
-from topcli.config.text import MAX_DEPTH, KeyPath
+from topcli.config.text import KeyPath, parse_yaml
 from topcli.errors import ConfigError, UsageError, nearest, quoted, shortened
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -154,18 +155,15 @@ def as_integer(value: Any) -> Any:
 def plain_data(value: Any, document: Document, path: KeyPath = ()) -> Any:
     """Return a copy of ``value`` as plain data; tuples and numpy's scalars and arrays become lists and numbers.
 
-    Raises ConfigError naming the key of anything else, of a number that no double holds, and of data nested deeper
-    than 16 levels.
+    Raises ConfigError naming the key of anything else, and of a number that no double holds.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
     fault = f"must be a number, text, list or section, not a {type(value).__name__}"
-    if len(path) > MAX_DEPTH:
-        path, fault = path[:1], f"nested deeper than {MAX_DEPTH} levels"
-    elif isinstance(value, Mapping):
+    if isinstance(value, Mapping):
         return {str(key): plain_data(item, document, (*path, str(key))) for key, item in value.items()}
-    elif isinstance(value, (list, tuple)):
+    if isinstance(value, (list, tuple)):
         return [plain_data(item, document, (*path, i)) for i, item in enumerate(value)]
-    elif isinstance(value, (int, float)) and not abs(value) <= sys.float_info.max:
+    if isinstance(value, (int, float)) and not abs(value) <= sys.float_info.max:
         fault = "must be a finite number that a double holds"
     elif value is None or isinstance(value, (bool, int, float, str)):
         return value
@@ -244,3 +242,69 @@ def _section_at(model: type[BaseModel] | None, path: Iterable[str | int]) -> typ
         kinds = (field.annotation, *get_args(field.annotation)) if field else ()
         model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
     return model
+
+
+BARE = {"top": "kind", "scheme": "name"}
+"""Sections that may be given as a bare name, each with the key whose value the name is."""
+PARTNER = {"T": "N", "N": "T"}
+"""Keys of which a config has one, each with the one whose place it takes."""
+_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+def override_label(text: str) -> str:
+    """Name of an override in messages, and the place of the key that it sets."""
+    return f"--set {shortened(text)}"
+
+
+def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
+    """Return the path and the value of ``key=value``: a dotted path, and a value in YAML.
+
+    ``label`` names the text in messages, by default as an override.
+
+    >>> parse_override("initial.gamma=[auto, 0, 1e-3]")
+    (('initial', 'gamma'), ['auto', 0, 0.001])
+
+    Raises ConfigError naming the text.
+    """
+    key, _, value = text.partition("=")
+    path = tuple(part.strip() for part in key.split("."))
+    label = label or override_label(text)
+    if not value.strip() or not all(_KEY.fullmatch(part) for part in path):
+        raise ConfigError(f"{label}: expected key=value, such as h=0.01 or top.c0=2")
+    return path, parse_yaml(value, label)[0]
+
+
+def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
+    """Set the overridden keys in ``document``; whole sections before keys inside them, in whichever order given.
+
+    T takes the place of N, and N that of T. A bare name of a top or a scheme becomes a section if a key inside it is
+    set. Raises ConfigError for a malformed override, and for a key inside a value that is not a section.
+    """
+    parsed = [(*parse_override(text), override_label(text)) for text in overrides]
+    drop_partner(document.data, {path[0]: value for path, value, _ in parsed if len(path) == 1})
+    for path, value, label in sorted(parsed, key=lambda item: len(item[0])):
+        set_key(document, path, value, label)
+
+
+def set_key(document: Document, path: tuple[str, ...], value: Any, place: str) -> None:
+    """Set the key ``path``, with ``place`` for messages. Raises ConfigError for a key inside what is no section."""
+    section = document.data
+    for depth, key in enumerate(path[:-1]):
+        inner: Any = section.get(key)
+        if key in BARE and isinstance(inner, str):
+            inner = {BARE[key]: inner}
+        elif inner is not None and not isinstance(inner, dict):
+            whole = key_text(path[: depth + 1])
+            raise ConfigError(f"{place}: {whole} is {describe(inner)}, not a section; set {whole} as a whole")
+        section[key] = section = dict(inner or {})
+    if isinstance(section.get(path[-1]), dict | list):  # whose keys have places
+        document.places = {key: where for key, where in document.places.items() if key[: len(path)] != path}
+    section[path[-1]] = plain_data(value, Document({}, {path: place}), path)
+    document.places[path] = place
+
+
+def drop_partner(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Remove N from a config if ``changes`` set T, and T if they set N; nothing if they set both or neither."""
+    for key, other in PARTNER.items():
+        if key in changes and other not in changes:
+            data.pop(other, None)

@@ -1,4 +1,4 @@
-"""The section ``ensemble`` of a config: initial states from a list, a grid or random draws."""
+"""Many values of a key, a list or a range, and the section ``ensemble``: states in a list, on a grid or drawn."""
 
 from __future__ import annotations
 
@@ -6,24 +6,89 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
-from topcli.config.document import STRICT, Document, describe, number_of, unknown_key
-from topcli.config.ranges import Range, read_axis
+from topcli.config.document import STRICT, Document, as_integer, describe, number_of, unknown_key
 from topcli.config.sections import top_with
-from topcli.config.states import (
-    MAX_TRAJECTORIES,
-    NOTHING_DRAWN,
-    Random,
-    many_states,
-    read_draws,
-    read_states,
-    vectors_in,
-)
+from topcli.config.states import MAX_TRAJECTORIES, drawn_states, read_draws, read_random, read_states, vectors_in
 from topcli.contracts import Array, Top
+
+MAX_SWEEP_ROWS = 10**7
+EXAMPLE = "[0.1, 0.2] or {from: 0.1, to: 1, count: 10}"
+
+
+class Interval(BaseModel):
+    """Interval from which a parameter of the top is drawn, uniform in the values or in their logarithms."""
+
+    model_config = STRICT
+
+    first: float = Field(alias="from")
+    """the first value"""
+    last: float = Field(alias="to")
+    """the last value"""
+    spacing: Literal["linear", "log"] = "linear"
+    """linear or logarithmic (log)"""
+
+    @model_validator(mode="after")
+    def check_signs(self) -> Self:
+        """Refuse logarithms of numbers of different signs."""
+        if self.spacing == "log" and not self.first * self.last > 0.0:
+            ends = f"{self.first!r} and {self.last!r}"
+            raise ValueError(f"from and to must be both positive or both negative for spacing: log, not {ends}")
+        return self
+
+    def value(self, share: float) -> float:
+        """Value at ``share`` (0 to 1) of the way, rounded to 15 digits.
+
+        The rounding makes the values independent of the machine's logarithms, and 0.001 of 0.0010000000000000002.
+        """
+        first, last = self.first, self.last
+        if self.spacing == "log":
+            value = math.copysign(math.exp(math.log(abs(first)) * (1.0 - share) + math.log(abs(last)) * share), first)
+        else:
+            value = first * (1.0 - share) + last * share
+        return float(f"{value:.15g}")
+
+
+class Range(Interval):
+    """Evenly spaced values, both ends included."""
+
+    count: Annotated[int, Field(ge=1, le=MAX_SWEEP_ROWS), BeforeValidator(as_integer)]
+    """the number of values"""
+
+    @model_validator(mode="after")
+    def check_ends(self) -> Self:
+        """Refuse several values without two ends."""
+        if self.count > 1 and self.first == self.last:
+            raise ValueError(f"from and to are both {self.first!r}; a range of {self.count} values needs two ends")
+        return self
+
+    def values(self) -> list[float]:
+        """Return the values in order."""
+        inner = (self.value(i / (self.count - 1)) for i in range(1, self.count - 1))
+        return [self.first, *inner, self.last][: self.count]
+
+    def spaced(self) -> list[float]:
+        """Return the values of an ensemble; those of a linear range have all their digits, as in ``numpy.linspace``."""
+        return self.values() if self.spacing == "log" else np.linspace(self.first, self.last, self.count).tolist()
+
+
+def is_range(raw: object) -> bool:
+    """True if ``raw`` is meant as a range."""
+    return isinstance(raw, dict) and not raw.keys().isdisjoint(("from", "to", "count", "spacing"))
+
+
+def read_axis(raw: object, document: Document, *path: str | int) -> list[Any] | Range:
+    """Return a list of values or a range, at ``path``."""
+    if is_range(raw):
+        return document.read(Range, raw, *path)
+    if isinstance(raw, list) and raw:
+        return raw
+    document.fault(path, f"must be a list of values or a range, not {describe(raw)}; for example {EXAMPLE}")
+
 
 SOURCES = ("states", "grid", "random")
 
@@ -103,19 +168,16 @@ def read_ensemble(
         inner, source = _read_axes(section.grid, cls, document)
         varied = {name: inner.pop(name) for name in list(inner) if name not in cls.components}
         columns = dict(zip(inner, map(np.ravel, np.meshgrid(*inner.values(), indexing="ij")), strict=True))
-        states = [many_states(top, initial, document, columns=columns, path=path if columns else ("initial",))]
+        states = [read_states(cls, initial, document, columns, path if columns else ("initial",))]
         names = [name.removeprefix("top.") for name in varied]
         chosen = [dict(zip(names, values, strict=True)) for values in itertools.product(*varied.values())]
         if varied:
             tops = [top_with(cls, {**parameters, **values}, document, path) for values in chosen]
     else:
-        key, path, raw = "random", ("ensemble", "random"), section.random or {}
-        numbers = {name: value for name, value in raw.items() if name in Random.model_fields}
-        random, draws = document.read(Random, numbers, *path), read_draws(cls, raw, document, path)
-        if not raw.keys() - numbers.keys() or "count" not in raw:
-            document.fault(path, NOTHING_DRAWN)
-        samples = np.arange(1, random.count + 1)
-        states = [many_states(top, initial, document, random=raw, source=path, samples=samples, seed=random.seed)]
+        key, path = "random", ("ensemble", "random")
+        random, rules = read_random(section.random or {}, document, *path)
+        draws, samples = read_draws(cls, rules, document, path), np.arange(1, random.count + 1)
+        states = [drawn_states(top, initial, document, rules, samples, random.seed, path)]
         source = random.model_dump() | {name: draw.model_dump(exclude_none=True) for name, draw in draws.items()}
     # numbers as floats, and components in their vectors, so that equal sections have equal digests
     return Ensemble(

@@ -127,24 +127,28 @@ def _with_texts(section: CustomSection, document: Document) -> dict[str, Any]:
     declared = section.model_dump(by_alias=True, exclude_none=True)
     parameters = (*section.parameters,)
     names = (*(BodyTop.components if section.body else section.components), *parameters)
-    places = [(("top", key), declared, key, names) for key in ("field", "invariants", *VECTORS)]
-    places += [(("top", "hk"), declared, "hk", (*names, "h"))]
-    places += [(("top", "body", key), declared["body"], key, parameters) for key in declared.get("body", ())]
-    for path, owner, key, allowed in places:
-        part = owner.get(key) or {}
-        for name, value in part.items() if isinstance(part, dict) else enumerate(part):
-            inside = (*path, name)
-            if key not in ("invariants", "hk") or not isinstance(value, dict):
-                part[name] = read_formula(value, allowed, document, *inside)
-            else:
-                relation = document.read(Relation, value, *inside)
-                part[name] = {"value": read_formula(relation.value, allowed, document, *inside, "value")}
+
+    def read(part: Any, *path: str, allowed: Sequence[str] = names) -> Any:
+        if isinstance(part, dict):
+            return {key: read_formula(value, allowed, document, *path, key) for key, value in part.items()}
+        return [read_formula(value, allowed, document, *path, i) for i, value in enumerate(part)]
+
+    declared |= {key: read(declared[key], "top", key) for key in ("field", *VECTORS) if key in declared}
+    for key, part in declared.get("body", {}).items():
+        declared["body"][key] = read(part, "top", "body", key, allowed=parameters)
+    for key, allowed in (("invariants", names), ("hk", (*names, "h"))):
+        for name, value in declared[key].items():
+            path = ("top", key, name)
+            if isinstance(value, dict):
+                relation = document.read(Relation, value, *path)
+                texts: dict[str, Any] = read({"value": relation.value}, *path, allowed=allowed)
                 if relation.condition is not None:
-                    part[name]["if"] = read_formula(relation.condition, parameters, document, *inside, "if")
-                if relation.on:
-                    part[name]["on"] = relation.on
+                    texts |= read({"if": relation.condition}, *path, allowed=parameters)
                 if relation.on and key == "hk":
-                    document.fault((*inside, "on"), "is for invariants only")
+                    document.fault((*path, "on"), "is for invariants only")
+                declared[key][name] = texts | ({"on": relation.on} if relation.on else {})
+            else:
+                declared[key][name] = read_formula(value, allowed, document, *path)
     return declared
 
 

@@ -9,20 +9,17 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from topcli.config.document import Document, plain_data
+from topcli.config.document import Document, apply_overrides, drop_partner, parse_override, plain_data, set_key
 from topcli.config.ensemble import read_ensemble
 from topcli.config.files import find_config, first_sentence, read_document, scene_files
-from topcli.config.models import Config, Experiment, changed_name
-from topcli.config.overrides import apply_overrides, drop_partner, parse_override, set_key
-from topcli.config.ranges import steps_of
+from topcli.config.models import Config, Experiment, changed_name, steps_of
 from topcli.config.sections import read_scheme, read_top
 from topcli.config.states import read_states, vectors_in
 from topcli.config.written import read_written, with_written_numbers
 from topcli.contracts import Array, Top
 from topcli.engine.numbers import DOUBLE, MAX_DIGITS, RATIONAL
 from topcli.errors import ConfigError, StepTooLongError, TopcliError
-from topcli.schemes.own_tops import forms
-from topcli.tops import CUSTOM, TOPS
+from topcli.tops import TOPS, forms
 from topcli.tops.bodies import checked_rotation
 
 Source = Path | str | Mapping[str, Any]
@@ -81,7 +78,7 @@ def load_experiment(
     if loaded.precision != DOUBLE and not any_precision:
         commands = "`topcli run`, `topcli compare` and topcli.simulate take another precision"
         document.fault(("precision",), f"computed in doubles here; {commands}")
-    return loaded if crossings else loaded.of_all_steps()
+    return loaded if crossings or not loaded.section else loaded.model_copy(update={"section": None})
 
 
 def _loaded(source: Source, overrides: Sequence[str], changes: Mapping[str, Any] | None) -> tuple[Experiment, Document]:
@@ -151,42 +148,38 @@ def read_experiment(
         with document.at("initial"):
             initial = last_state(initial, lambda vectors: read_top(data.get("top"), vectors, document))
 
-    # the sections, each by itself
-    config = _config(data, document)
-    vectors = initial if isinstance(initial, dict) else ()
-    ensemble = config.ensemble.named if config.ensemble else ()
-    top = read_top(data["top"], [*vectors, *ensemble, *named], document)
-    cls = type(top)
-    if cls.form in TOPS.declared and (default_name or cls.form not in TOPS.names):  # a study derives configs
-        TOPS.names[cls.form] = str(data.get("name", CUSTOM))
-    scheme = read_scheme(data["scheme"], cls, document)
+    # the sections, each by itself; vectors and components choose the form of the top
+    config = document.read(Config, data)
+    N = _steps(config, document)
+    vectors = [*(initial if isinstance(initial, dict) else ()), *named]
+    top = read_top(data["top"], [*vectors, *(config.ensemble.named if config.ensemble else ())], document)
+    scheme, options = read_scheme(data["scheme"], type(top), document)
     many = None
-    if start:
-        states = start(top, initial)
-    elif config.ensemble:
+    if config.ensemble:
         many = read_ensemble(config.ensemble, initial, top, top.parameters_in(data["top"]), document)
-        states = many.states
-    else:
-        states = read_states(cls, initial, document)
-    assert config.N is not None
+    states = many.states if many else start(top, initial) if start else read_states(type(top), initial, document)
     state: tuple[float, ...] = tuple(states[0].tolist())
+    shared = {key: getattr(config, key) for key in ("h", "output", "section", "precision")}
     experiment = Experiment(
-        name=config.name or f"{top.kind}_{scheme[0].name}".replace("-", "_"),
+        name=config.name or f"{top.kind}_{scheme.name}".replace("-", "_"),
         top=top,
         y0=state,
         ensemble=many,
-        scheme=scheme[0],
-        options=scheme[1],
-        h=config.h,
-        N=config.N,
-        output=config.output,
-        section=config.section,
-        precision=config.precision,
+        scheme=scheme,
+        options=options,
+        N=N,
         max_digits=config.max_digits or MAX_DIGITS,
+        **shared,
     )
 
     # the keys that depend on each other
-    changes = _formulas(experiment, document)
+    changes: dict[str, Any] = {}
+    output, section = experiment.output, experiment.section
+    if output.quantities or output.columns or section:
+        from topcli.config.formulas import read_output, read_section  # whose parser other configs do not need
+
+        changes["output"] = read_output(output, type(top), top.invariants() + experiment.modified, document)
+        changes["section"] = section and read_section(section, type(top), document)
     _check(experiment, config, document)
     if config.precision != DOUBLE:
         sections = data | {"initial": vectors_in(type(top), initial)}
@@ -194,29 +187,15 @@ def read_experiment(
     return experiment.model_copy(update=changes) if changes else experiment
 
 
-def _formulas(experiment: Experiment, document: Document) -> dict[str, Any]:
-    """Return the section and the output with the texts of their formulas and the names of the columns."""
-    output, section, cls = experiment.output, experiment.section, type(experiment.top)
-    if not (output.quantities or output.columns or section):
-        return {}
-    from topcli.config.formulas import read_output, read_section  # whose parser other configs do not need
-
-    integrals = experiment.top.invariants() + experiment.modified
-    return {
-        "output": read_output(output, cls, integrals, document),
-        "section": section and read_section(section, cls, document),
-    }
-
-
-def _config(data: dict[str, Any], document: Document) -> Config:
-    """Return the keys of the top level, with N from T."""
-    config = document.read(Config, data)
-    if ("T" in data) == ("N" in data):
+def _steps(config: Config, document: Document) -> int:
+    """Return the number of steps that N or T gives."""
+    if (config.T is None) == (config.N is None):
         document.fault(("N",), "give either the number of steps N or the duration T")
-    if config.T:
-        with document.at("T"):
-            return config.model_copy(update={"N": steps_of(config.T, config.h)})
-    return config
+    if config.N is not None:
+        return config.N
+    assert config.T is not None
+    with document.at("T"):
+        return steps_of(config.T, config.h)
 
 
 def _check(experiment: Experiment, config: Config, document: Document) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
@@ -15,36 +16,32 @@ from topcli.analysis.crossings import CrossingSearch
 from topcli.analysis.quantities import Quantity, quantities_of
 from topcli.config.document import STRICT, as_integer, canonical, describe
 from topcli.config.ensemble import Ensemble, EnsembleSection
-from topcli.config.ranges import MAX_STEPS
 from topcli.config.states import unit_warnings
 from topcli.config.text import to_yaml
 from topcli.config.written import WrittenNumbers
 from topcli.contracts import Array, Invariant, Method, Scheme, Top
 from topcli.engine.columns import ATTITUDES, column_names
 from topcli.engine.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
-from topcli.errors import quoted
-from topcli.schemes.plugins import own_sources
+from topcli.errors import UsageError, quoted
+from topcli.plugins import own_sources
 from topcli.store.sources import digest_of_texts
 
-MAX_NAME, MAX_NAME_BYTES = 100, 200
-_NAME = re.compile(
-    r"""(?!(figures|con|prn|aux|nul|(com|lpt)[0-9])\s*(\.|$))(?![\s.-])[^<>:"/\\|?*]+(?<![\s.])""", re.IGNORECASE
-)
-"""Names of folders on every system: neither that of the folder of pictures nor those of Windows's devices."""
+MAX_NAME = 100
+_NAME = re.compile(rf"(?!figures$)\w[\w+.() -]{{0,{MAX_NAME - 1}}}(?<![ .])")
+"""Names of folders; that of pictures is no name of a run."""
 
 
 def folder_name_fault(value: str) -> str:
-    """Reason why ``value`` cannot name an experiment and its run folder on every system; empty if it can."""
-    named = value.isprintable() and _NAME.fullmatch(value)
-    if named and len(value) <= MAX_NAME and len(value.encode()) <= MAX_NAME_BYTES:
+    """Reason why ``value`` cannot name an experiment and its run folder; empty if it can."""
+    if _NAME.fullmatch(value):
         return ""
     letters = f"use at most {MAX_NAME} letters, digits, spaces or _ - + . ( ), beginning with a letter or digit"
-    return f"{quoted(value)} cannot name a folder on every system; {letters}"
+    return f"{quoted(value)} cannot name a folder; {letters}"
 
 
 def changed_name(base: str, digest: str) -> str:
     """Return the default name of a run with ``digest`` that differs from the config ``base``; long ones are cut."""
-    return f"{base.encode()[: MAX_NAME - 7].decode(errors='ignore').rstrip()}-{digest[:6]}"
+    return f"{base[: MAX_NAME - 7].rstrip()}-{digest[:6]}"
 
 
 def _name(value: str) -> str:
@@ -64,6 +61,37 @@ def _precision(value: Any) -> Any:
         return value
     digits = f"a number of digits from {FEWEST_DIGITS} to {MOST_DIGITS}"
     raise ValueError(f"must be double, rational, or {digits}, not {describe(value)}")
+
+
+MAX_STEPS = 10**12
+WHOLE_NUMBER = 4.0 * 2.0**-52
+"""Relative deviation of T/h from a whole number that is accepted, for the rounding of T, h and their quotient."""
+
+
+def steps_of(T: float, h: float, adapted: Literal["T", "h"] = "T") -> int:
+    """Return the number of steps T/h, a whole number within round-off (4 ulp).
+
+    >>> steps_of(50, 0.001)
+    50000
+
+    Raises UsageError with the nearest values that fit of the one of the two that is ``adapted``.
+    """
+    ratio = T / h
+    if 0.5 <= ratio <= MAX_STEPS + 0.5 and abs(ratio - (N := round(ratio))) <= WHOLE_NUMBER * N:
+        return N
+    if not 0.0 < ratio <= MAX_STEPS:
+        raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.6g} steps; must be from 1 to {MAX_STEPS}")
+    counts = [N for N in (math.floor(ratio), math.floor(ratio) + 1) if 1 <= N <= MAX_STEPS]
+    near = " or ".join(f"{adapted} = {_shortest(T, h, N, adapted)} (N = {N})" for N in counts)
+    raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {near}")
+
+
+def _shortest(T: float, h: float, N: int, adapted: str) -> str:
+    """Fewest digits of the T or h that gives N steps."""
+    value = N * h if adapted == "T" else T / N
+    texts = (f"{value:.{digits}g}" for digits in range(6, 18))
+    ratios = ((text, float(text) / h if adapted == "T" else T / float(text)) for text in texts)
+    return next((text for text, ratio in ratios if abs(ratio - N) <= WHOLE_NUMBER * N), f"{value:g}")
 
 
 Name = Annotated[str, AfterValidator(_name)]
@@ -244,10 +272,6 @@ class Experiment(BaseModel):
     def method(self) -> Method:
         """Build the scheme for the top with the options."""
         return self.scheme.build(self.top, self.options)
-
-    def of_all_steps(self) -> Experiment:
-        """Return the same experiment without its section."""
-        return self.model_copy(update={"section": None}) if self.section else self
 
     def trajectory(self, index: int) -> Experiment:
         """Return trajectory ``index`` (from 0) of the ensemble by itself. Raises IndexError."""

@@ -8,9 +8,8 @@ from pydantic import BaseModel
 
 from topcli.config.formulas import CustomSection
 from topcli.config.models import Config
-from topcli.schemes.own_tops import top_names
 from topcli.schemes.registry import all_schemes
-from topcli.tops import CUSTOM, TOPS
+from topcli.tops import CUSTOM, TOPS, top_names
 
 Schema = dict[str, Any]
 

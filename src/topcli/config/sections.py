@@ -11,9 +11,8 @@ from topcli.config.document import Document
 from topcli.config.states import vectors_named
 from topcli.config.text import KeyPath
 from topcli.contracts import Scheme, Top
-from topcli.schemes.own_tops import top_class, top_names
 from topcli.schemes.registry import find_scheme, names_for
-from topcli.tops import CUSTOM
+from topcli.tops import CUSTOM, top_class, top_names
 
 
 def read_top(raw: object, names: Iterable[str], document: Document) -> Top:

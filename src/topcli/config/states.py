@@ -28,7 +28,7 @@ from topcli.config.text import KeyPath
 from topcli.contracts import Array, Top
 from topcli.engine.consumers import energy_of
 from topcli.errors import quoted
-from topcli.schemes.own_tops import forms
+from topcli.tops import forms
 
 UNIT_TOLERANCE, UNIT_LIMIT = 1e-12, 1e-2
 """Deviations of the square of a unit vector from 1: up to the first it counts as 1, up to the second with a warning.
@@ -48,7 +48,6 @@ NOTHING_DRAWN = "needs a count and a vector; for example random: {count: 100, ga
 
 _Columns = Mapping[str, Array]
 _Integers = NDArray[np.int64]
-_FIRST = np.ones(1, dtype=np.int64)
 
 
 def vectors_in(cls: type[Top], initial: Any) -> dict[str, Any]:
@@ -188,7 +187,7 @@ class Random(BaseModel):
 
     model_config = STRICT
 
-    count: Annotated[int, Field(ge=1, le=MAX_TRAJECTORIES), BeforeValidator(as_integer)] = 1
+    count: Annotated[int, Field(ge=1, le=MAX_TRAJECTORIES), BeforeValidator(as_integer)]
     """the number of draws, 1 to 1e6"""
     seed: Seed = 0
     """the seed of the random numbers"""
@@ -196,14 +195,22 @@ class Random(BaseModel):
     """the way of drawing, of which this one is known"""
 
 
-def read_draws(cls: type[Top], raw: Mapping[str, Any], document: Document, path: KeyPath) -> dict[str, Draw]:
-    """Read the distributions of vectors in a section ``random`` at ``path``."""
+def read_random(raw: Mapping[str, Any], document: Document, *path: str) -> tuple[Random, dict[str, Any]]:
+    """Return number and seed of the draws of a section ``random`` at ``path``, and the rules for what is drawn."""
+    rules = {key: rule for key, rule in raw.items() if key not in Random.model_fields}
+    if not rules:
+        document.fault(path, NOTHING_DRAWN)
+    return document.read(Random, {key: raw[key] for key in raw if key not in rules}, *path), rules
+
+
+def read_draws(cls: type[Top], rules: Mapping[str, Any], document: Document, path: KeyPath) -> dict[str, Draw]:
+    """Return the distributions of vectors that a section ``random`` at ``path`` has as ``rules``."""
     draws: dict[str, Draw] = {}
     drawable = [name for name, names in _vectors(cls) if len(names) in (1, 3)]
-    for key in (key for key in raw if key not in Random.model_fields):
+    for key, rule in rules.items():
         if key not in drawable:
             document.fault((*path, key), unknown_key(key, [*drawable, *Random.model_fields]))
-        rule = {"sphere": 1.0} if raw[key] == "sphere" and key in cls.unit_vectors else raw[key]
+        rule = {"sphere": 1.0} if rule == "sphere" and key in cls.unit_vectors else rule
         draws[key] = draw = document.read(Draw, rule, *path, key)
         if fault := _draw_fault(cls, key, draw):
             document.fault((*path, key), fault)
@@ -240,38 +247,32 @@ def _energy_fault(top: Top, vector: str) -> str:
     return f"cannot have an energy: {quoted(energy.name)} of the top {top.kind} is not quadratic in {vector}"
 
 
-def many_states(
+def drawn_states(
     top: Top,
     initial: object,
     document: Document,
-    *,
+    rules: Mapping[str, Any],
+    samples: _Integers,
+    seed: int,
+    path: KeyPath = ("random",),
     columns: _Columns | None = None,
-    path: KeyPath = ("initial",),
-    random: Mapping[str, Any] | None = None,
-    source: KeyPath = ("random",),
-    samples: _Integers = _FIRST,
-    seed: int = 0,
 ) -> Array:
-    """Return the states (m, d) of an ensemble, or of rows of a sweep.
+    """Return the states (m, d) of the numbered ``samples`` (m,), with the vectors drawn that have a rule.
 
-    ``columns`` (m,) replace components of ``initial``, whose place is ``path``; then the vectors of the section
-    ``random`` at ``source`` are drawn for the numbered ``samples`` (m,). A vector that is drawn without a centre need
-    not be in ``initial``.
+    The ``rules`` are those of the section ``random`` at ``path``. ``columns`` (m,) replace components of ``initial``. A
+    vector that is drawn without a centre need not be in ``initial``.
     """
-    cls, columns = type(top), columns or {}
-    draws = read_draws(cls, random or {}, document, source)
+    cls, columns, draws = type(top), columns or {}, read_draws(type(top), rules, document, path)
     if not isinstance(initial, dict):
         return read_states(cls, initial, document)
     free = {name: [0.0, 0.0, 1.0] for name, draw in draws.items() if draw.near is None}
     for name in free:
         for component in (key for key in columns if key in cls.components[slice(*cls.vectors[name])]):
-            document.fault(
-                (*source, name), f"is drawn in every row, and initial.{component} is varied; keep one of them"
-            )
-    centres = read_states(cls, {**initial, **free}, document, columns, path)
+            document.fault((*path, name), f"is drawn in every row, and initial.{component} is varied; keep one of them")
+    centres = read_states(cls, {**initial, **free}, document, columns)
     if not columns:
         centres = centres.repeat(len(samples), axis=0)
-    with document.at(*source):
+    with document.at(*path):
         return draw_states(top, draws, centres, samples, seed) if draws else centres
 
 
@@ -301,12 +302,9 @@ def draw_states(top: Top, draws: Mapping[str, Draw], centres: Array, samples: _I
 
 def _uniform(table: tuple[int, ...], samples: _Integers, width: int) -> Array:
     """Rows ``samples`` (m,) of an endless table of uniform numbers with ``width`` columns."""
-    blocks, numbers = samples // _BLOCK, np.empty((len(samples), width))
-    order = np.argsort(blocks, kind="stable")
-    for here in np.split(order, np.flatnonzero(np.diff(blocks[order])) + 1):
-        block = int(blocks[here[0]])
-        numbers[here] = _block(table, block, width)[samples[here] - block * _BLOCK]
-    return numbers
+    blocks, where = np.unique(samples // _BLOCK, return_inverse=True)
+    numbers = np.concatenate([_block(table, block, width) for block in blocks.tolist()])
+    return numbers[where * _BLOCK + samples % _BLOCK]
 
 
 @lru_cache(maxsize=64)

@@ -16,8 +16,6 @@ from topcli.errors import ConfigError, quoted
 KeyPath = tuple[str | int, ...]
 Lines = dict[KeyPath, int]
 
-MAX_VALUES = 5_000
-MAX_DEPTH = 16
 LONGEST_INTEGER = 300
 """Digits of the longest integer; longer ones become floats."""
 
@@ -65,18 +63,20 @@ def parse_yaml(text: str, label: str) -> tuple[Any, Lines]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError
 
+    lines: Lines = {}
     try:
         root = YAML(typ="safe", pure=True).compose(text)
+        return (None if root is None else _data(root, (), lines, label)), lines
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{label}:{mark.line + 1}:{mark.column + 1}" if mark else label
         problem = " ".join(str(error.problem or error.context).split())
         hint = "; indent with spaces, not tabs" if "'\\t'" in problem else ""
         raise ConfigError(f"{where}: YAML: {problem}{hint}") from None
+    except ConfigError:
+        raise
     except Exception as error:  # the parser meets arbitrary text, and some of it trips its own code
         raise ConfigError(f"{label}: YAML: cannot be read: {str(error).partition(chr(10))[0][:80]}") from None
-    lines: Lines = {}
-    return (None if root is None else _data(root, (), lines, label)), lines
 
 
 _TAG = "tag:yaml.org,2002:"
@@ -90,8 +90,6 @@ def _data(node: Any, path: KeyPath, lines: Lines, label: str) -> Any:
         return ConfigError(f"{label}:{part.start_mark.line + 1}:{part.start_mark.column + 1}: {text}")
 
     lines.setdefault(path, node.start_mark.line + 1)
-    if len(lines) > MAX_VALUES or len(path) > MAX_DEPTH:  # also of an alias inside its own anchor
-        raise refused(node, f"more than {MAX_VALUES} values, or nested deeper than {MAX_DEPTH} levels")
     if (kind := str(node.tag).removeprefix(_TAG)) not in _KINDS:
         raise refused(node, f"YAML: tags such as {quoted(kind)} are not allowed; write the plain value")
     if node.id == "scalar":

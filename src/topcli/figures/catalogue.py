@@ -5,7 +5,7 @@ from __future__ import annotations
 from topcli.errors import UnknownNameError, nearest, quoted
 from topcli.figures import bench, diagram, maps, paper, space  # noqa: F401 (they register their figures)
 from topcli.figures.figure import FIGURES, Figure, figure
-from topcli.schemes.plugins import require_plugin
+from topcli.plugins import require_plugin
 
 __all__ = ["FIGURES", "figure", "find_figure"]
 for name in [name for name in FIGURES if not name.startswith("fig")]:

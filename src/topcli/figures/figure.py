@@ -15,7 +15,7 @@ import numpy as np
 
 from topcli.errors import UsageError
 from topcli.figures.style import styled
-from topcli.schemes.plugins import origin_of
+from topcli.plugins import origin_of
 from topcli.store.files import io_failure, require_new, require_writable, write_whole
 from topcli.store.series import read_metadata
 from topcli.store.sources import digest_of_texts, package_digest

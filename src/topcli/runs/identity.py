@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from topcli.config.models import Experiment, digest_of
 from topcli.contracts import Scheme, Top
-from topcli.schemes.plugins import own_sources
+from topcli.plugins import own_sources
 from topcli.store.result_folder import Identity
 from topcli.store.sources import source_digest
 

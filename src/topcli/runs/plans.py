@@ -40,19 +40,19 @@ def plans(experiment: Experiment, block: int = _BLOCK) -> Iterator[Plan]:
         return
     offset = 0
     for top in experiment.ensemble.tops:
-        plan = _doubles(experiment.model_copy(update={"top": top}), np.empty((0, 0)))
+        plan = plan_of(experiment.model_copy(update={"top": top}), np.empty((0, 0)))
         for start in range(0, len(experiment.ensemble.states), block):
             states = experiment.ensemble.states[start : start + block]
             yield replace(plan, states=states, first=offset)
             offset += len(states)
 
 
-def _doubles(experiment: Experiment, states: Array) -> Plan:
-    """Plan of an experiment in doubles from ``states`` (B, d)."""
+def plan_of(experiment: Experiment, states: Array, machine: Machine | None = None) -> Plan:
+    """Plan of an experiment in doubles from ``states`` (B, d), with the ``machine`` of its scheme if there is one."""
     top = experiment.top
     return Plan(
         top,
-        machine_of(top, experiment.scheme, experiment.options),
+        machine or machine_of(top, experiment.scheme, experiment.options),
         states,
         experiment.h,
         experiment.N,
@@ -65,7 +65,7 @@ def _doubles(experiment: Experiment, states: Array) -> Plan:
 
 def _single(experiment: Experiment) -> Plan:
     """Plan of one trajectory, in its precision and with its attitude."""
-    plan = _doubles(experiment, np.array([experiment.y0]))
+    plan = plan_of(experiment, np.array([experiment.y0]))
     top, scheme = experiment.top, experiment.scheme
     assert plan.machine is not None
     if form := experiment.output.attitude:

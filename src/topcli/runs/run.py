@@ -16,15 +16,15 @@ from topcli.config.models import Experiment
 from topcli.contracts import Outcome
 from topcli.engine.drive import Chunk, drive
 from topcli.errors import RunError
+from topcli.plugins import own_sources
 from topcli.runs.identity import identity_of
 from topcli.runs.plans import plans
 from topcli.runs.recording import Recording
-from topcli.schemes.own_tops import top_origin
-from topcli.schemes.plugins import own_sources
 from topcli.store.files import json_text
 from topcli.store.provenance import git_commit, now
 from topcli.store.result_folder import Identity, ResultFolder, being_computed
 from topcli.store.results import SWEEP, StoredResult, intact_result, stored_results
+from topcli.tops import top_origin
 
 CHECKPOINT_SECONDS = 10.0
 """Seconds between two checkpoints; the first one comes after half of it."""

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from topcli.config.document import parse_override
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.config.overrides import parse_override
 from topcli.contracts import Array
 from topcli.engine.drive import drive
 from topcli.engine.machine import lanes_of

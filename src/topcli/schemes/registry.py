@@ -22,8 +22,8 @@ from pydantic import BaseModel, Field, ValidationError, create_model
 
 from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.plugins import line_of, origin_of, plugin_failures, require_plugin, users_error
 from topcli.schemes.compose import Composition, compose, composition_obstacle, find_composition
-from topcli.schemes.plugins import line_of, origin_of, plugin_failures, require_plugin, users_error
 from topcli.schemes.projection import projected
 from topcli.schemes.steppers import compensated
 from topcli.tops import BUILT_IN, TOPS

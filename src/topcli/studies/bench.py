@@ -30,8 +30,8 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Sampler, Stepper
 from topcli.errors import ExitCode, SchemeCodeError, UnknownNameError, UsageError, counted, nearest, quoted
+from topcli.plugins import FILES, load_plugin_file, reason_of
 from topcli.schemes.display import display_name
-from topcli.schemes.plugins import FILES, load_plugin_file, reason_of
 from topcli.schemes.registry import composable_names, names_for
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import code_failures, entries_of

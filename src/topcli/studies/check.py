@@ -11,15 +11,14 @@ from topcli.config.files import is_config
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.errors import ExitCode, UsageError, counted, quoted
-from topcli.schemes.own_tops import forms, top_origin
-from topcli.schemes.plugins import load_plugin_file
+from topcli.plugins import load_plugin_file
 from topcli.schemes.registry import all_schemes
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import code_failures, schemes_called
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
 from topcli.testing import Trait, check_scheme, check_top
-from topcli.tops import TOPS
+from topcli.tops import TOPS, forms, top_origin
 
 
 def check(

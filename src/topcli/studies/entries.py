@@ -15,11 +15,10 @@ from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Scheme
 from topcli.errors import SchemeCodeError, UsageError, counted, printable, quoted, shortened
-from topcli.schemes.own_tops import forms
-from topcli.schemes.plugins import users_error
+from topcli.plugins import users_error
 from topcli.schemes.registry import find_scheme, names_for
 from topcli.testing import GENERIC
-from topcli.tops import TOPS
+from topcli.tops import TOPS, forms
 
 _SCENES = {
     "kowalevski": "kowalevski_generic_hk",

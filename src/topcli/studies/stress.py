@@ -39,15 +39,14 @@ from topcli.errors import (
     shortened,
 )
 from topcli.field.polynomial import field_of
+from topcli.plugins import reason_of, users_error
 from topcli.runs.references import REFERENCES, Reference
 from topcli.schemes.limits import has_own_cases
-from topcli.schemes.own_tops import forms
-from topcli.schemes.plugins import reason_of, users_error
 from topcli.schemes.registry import schemes_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import code_failures, entry_named, schemes_called
 from topcli.studies.report import Report, Table
-from topcli.tops import CATALOGUE, TOPS, gentle_scene
+from topcli.tops import CATALOGUE, TOPS, forms, gentle_scene
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from topcli.analysis.lyapunov import Growth, growth_of
 from topcli.analysis.order import PROBES as PROBE_STATES
 from topcli.analysis.order import probe_rows
-from topcli.analysis.tally import BLOCKS, OF_INVARIANT, Tally
+from topcli.analysis.tally import BLOCKS, Tally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, StopAsked, check_stop
 from topcli.engine.consumers import Consumer, Memory
@@ -26,9 +26,10 @@ from topcli.engine.endings import Endings
 from topcli.engine.machine import Machine, machine_of
 from topcli.engine.rows import Plan
 from topcli.errors import TopcliError, UsageError, quoted
+from topcli.plugins import users_error
+from topcli.runs.plans import plan_of
 from topcli.runs.references import Errors, reference_of
-from topcli.schemes.plugins import users_error
-from topcli.sweeps.measures import ERROR, FINAL_ERROR, PROBES, RECORDED, STATES, Measure, measured_integrals
+from topcli.sweeps.measures import ERROR, FINAL_ERROR, PROBES, RECORDED, STATES, Measure, is_figure
 
 WHOLE = (Outcome.COMPLETED, Outcome.LEFT_MOTION)
 """Outcomes of runs that took all their steps."""
@@ -122,36 +123,21 @@ class Batch:
 class Measuring:
     """Runs of ``experiment``, whose initial state is ignored, with the records that ``measures`` need.
 
-    ``threads`` is their number, by default one for each CPU. Errors are distances from the reference that
-    ``reference_of`` chooses. ``machine`` is the code for the same top, scheme and options, if it is there already.
+    Errors are distances from the reference that ``reference_of`` chooses. ``machine`` is the code for the same top,
+    scheme and options, if it is there already.
     """
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        measures: Sequence[Measure],
-        threads: int | None = None,
-        machine: Machine | None = None,
-    ) -> None:
-        self.experiment, self.measures, self._threads = experiment, tuple(measures), threads
+    def __init__(self, experiment: Experiment, measures: Sequence[Measure], machine: Machine | None = None) -> None:
+        self.experiment, self.measures = experiment, tuple(measures)
+        d, rows = len(experiment.top.components), experiment.N // experiment.output.every + 1
+        self.machine = machine or machine_of(experiment.top, experiment.scheme, experiment.options)
+        self._plan = plan_of(experiment, np.empty((0, d)), self.machine)
+        self._reference = reference_of(experiment.top, judged=experiment.scheme)
         self._needs = needs = {need for measure in measures for need in measure.needs}
-        figures = {need: need.partition(".") for need in needs if need.partition(".")[0] in OF_INVARIANT}
-        self._invariants = sorted({name for _, _, name in figures.values()})
-        self._drifts = any(figure == "drift" for figure, _, _ in figures.values())
-        self._columns = sorted(needs - figures.keys() - {*RECORDED})
-        top, scheme, h, N, every = (
-            experiment.top,
-            experiment.scheme,
-            experiment.h,
-            experiment.N,
-            experiment.output.every,
-        )
-        self.machine = machine or machine_of(top, scheme, experiment.options)
-        integrals = measured_integrals(top, scheme, h, experiment.options)
-        d, rows = len(top.components), N // every + 1
-        none = np.empty((0, d))
-        self._plan = Plan(top, self.machine, none, h, N, every, invariants=integrals, quantities=experiment.quantities)
-        self._reference = reference_of(top, judged=scheme)
+        figures = {need.partition(".") for need in needs if is_figure(need)}
+        self._invariants = sorted({name for _, _, name in figures})
+        self._drifts = any(figure == "drift" for figure, _, _ in figures)
+        self._columns = sorted(need for need in needs if not is_figure(need) and need not in RECORDED)
         numbers = 1 + len(self._columns) + d * bool({STATES, PROBES} & needs) + (d + 1) * (ERROR in needs)
         per_run = 8 * (rows * numbers + d * PROBE_STATES + 4 * BLOCKS * len(self._invariants))
         self.size = max(1, min(MAX_RUNS, BATCH_BYTES // per_run))
@@ -169,7 +155,7 @@ class Measuring:
             errors: bool({ERROR, FINAL_ERROR} & needs),
         }
         consumers: list[Consumer] = [columns, *(consumer for consumer, needed in optional.items() if needed)]
-        run = drive(plan, consumers, threads=self._threads)
+        run = drive(plan, consumers, threads=1)
 
         count, d = plan.states.shape
         none, states = np.full(count, np.nan), memory.states if optional[memory] else np.empty((count, 0, d))
@@ -195,7 +181,7 @@ class Measuring:
         """States (k, d) after one step of ``h`` from ``states`` (k, d); nan where the step fails."""
         after, usable = np.full_like(states, np.nan), np.flatnonzero(np.isfinite(states).all(axis=1))
         if len(usable):
-            step = drive(Plan(self._plan.top, self._plan.machine, states[usable], h, 1), threads=self._threads)
+            step = drive(Plan(self._plan.top, self.machine, states[usable], h, 1), threads=1)
             stepped = step.last_n == 1
             after[usable[stepped]] = step.last[stepped]
         check_stop()

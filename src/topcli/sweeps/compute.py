@@ -18,7 +18,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, StopAsked, stop_asked
 from topcli.engine.machine import Machine
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.schemes.plugins import (
+from topcli.plugins import (
     FILES,
     REGISTERED,
     load_plugin_file,
@@ -52,7 +52,7 @@ def compute(
     experiment: Experiment | dict[str, Any],
     states: Array,
     names: Sequence[str],
-    machines: Machines | None = None,
+    machines: Machines,
 ) -> list[StoredRow]:
     """Run an experiment, or a resolved config, from several initial states.
 
@@ -64,7 +64,7 @@ def compute(
         Initial states.
     names : sequence of str
         Names of the measures.
-    machines : dict, optional
+    machines : dict
         Machine code of earlier experiments, to be used again for the same top, scheme and options.
 
     Returns
@@ -79,8 +79,8 @@ def compute(
             experiment = load_experiment(experiment)
         top, scheme, options = experiment.top, experiment.scheme, experiment.options
         measures = resolve_measures(names, top, scheme, options, tuple(experiment.output.quantities or ()))
-        machines, key = {} if machines is None else machines, (top, scheme.build, options.model_dump_json())
-        run = Measuring(experiment, measures, threads=1, machine=machines.get(key))
+        key = top, scheme.build, options.model_dump_json()
+        run = Measuring(experiment, measures, machines.get(key))
         machines[key] = run.machine
     except Exception as error:
         return _failed(error, len(states), names)
@@ -174,27 +174,17 @@ def results(
 ) -> Iterator[tuple[list[Piece], list[StoredRow]]]:
     """Yield batches and their results as they end, until all have ended or the work is asked to stop.
 
-    Dask runs a batch whose worker was lost again on other workers, and gives up after some of them. As it blames all
-    batches on a lost worker, each one is tried once more with no other in flight; then its rows are failed. Raises
-    RunError if the cluster is lost.
+    Dask runs a batch whose worker was lost again on other workers, and gives up after some of them; then its rows are
+    failed. Raises RunError if the cluster is lost.
     """
     plugins, code = ([str(path) for path in FILES], code_of_process()) if dask else ([], "")
-    source, flying, suspects = iter(batches), dict[Future[list[StoredRow]], list[Piece]](), list[list[Piece]]()
-
-    def submit(batch: list[Piece]) -> None:
-        pieces = [(experiment.resolved() if dask else experiment, states) for experiment, states, _ in batch]
-        # a thread hears of a request to stop by its context; a worker of a cluster cannot
-        begin = compute_batch if dask else partial(copy_context().run, compute_batch)
-        flying[pool.submit(begin, pieces, names, plugins, code)] = batch
-
+    source, flying = iter(batches), dict[Future[list[StoredRow]], list[Piece]]()
     while True:
-        # new batches, or a suspect by itself once nothing else is in flight
-        stopping = stop_asked()
-        for batch in islice(source, 0 if stopping else max(0, IN_FLIGHT * workers - len(flying))):
-            submit(batch)
-        alone = not flying and bool(suspects) and not stopping
-        if alone:
-            submit(suspects.pop())
+        for batch in islice(source, 0 if stop_asked() else max(0, IN_FLIGHT * workers - len(flying))):
+            pieces = [(experiment.resolved() if dask else experiment, states) for experiment, states, _ in batch]
+            # a thread hears of a request to stop by its context; a worker of a cluster cannot
+            begin = compute_batch if dask else partial(copy_context().run, compute_batch)
+            flying[pool.submit(begin, pieces, names, plugins, code)] = batch
         if not flying:
             return
         # batches that have not begun are cancelled by a stop, which is asked for while none ends
@@ -214,8 +204,5 @@ def results(
                 if type(error).__name__ != "KilledWorker":
                     text = f"--dask {dask}: {reason_of(error)}; finished rows are kept"
                     raise RunError(text, "run the sweep again to continue") from None
-                if alone:
-                    count = sum(len(piece.rows) for piece in batch)
-                    yield batch, _failed("its worker was lost again and again", count, names)
-                else:
-                    suspects.append(batch)
+                count = sum(len(piece.rows) for piece in batch)
+                yield batch, _failed("its worker was lost again and again", count, names)

@@ -22,11 +22,11 @@ from topcli.analysis.lyapunov import LEAST_STEPS, shares_of_chaos
 from topcli.analysis.swings import first_swing_spacing as first_spacing_of
 from topcli.analysis.swings import minima_times
 from topcli.analysis.tally import OF_INVARIANT
-from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
+from topcli.contracts import Array, Sampler, Scheme, Top
 from topcli.engine.tangent import tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
 from topcli.runs.references import error_obstacle
-from topcli.schemes.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
 from topcli.schemes.registry import schemes_of
 
 if TYPE_CHECKING:
@@ -38,19 +38,20 @@ COLUMN, FIGURE = "column", "figure"
 RECORDED = (STATES, SWING, PROBES, ERROR, FINAL_ERROR)
 """Words that ``needs`` may hold beside the names of columns. A family may also need ``COLUMN``, the column of its name,
 or ``FIGURE``, the figure of an invariant that the measure is."""
-_TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output"}
-_TAKEN |= {"sample", "seed"}
+_TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output", "sample"}
 """Names of other columns of a table of rows; those of keys may be followed by a dot."""
 FAMILY = ".NAME"
 """End of the name of a family."""
-COUNTER = "counter"
-"""Family with members that a scheme need not have: their values are nan then."""
-H_OF_NAMES = 2.0**-10
-"""Step at which the integrals of a scheme are built when only their names are asked for."""
 NUMBER, TIME, OF_NAME, OF_STATE = "number", "time", "unit of NAME", "unit of the state"
 """Units in words; the numbers themselves are dimensionless."""
 Names = Callable[[Top, Scheme, BaseModel], Iterable[str]]
 Obstacle = Callable[[Top, Scheme], str]
+
+
+def is_figure(need: str) -> bool:
+    """True for a figure of an invariant, such as ``drift.energy``."""
+    figure, dot, _ = need.partition(".")
+    return bool(dot) and figure in OF_INVARIANT
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class Measure:
     def misfit(self, columns: Collection[str], top: Top, scheme: Scheme) -> str:
         """Reason why the measure does not fit runs with these ``columns``; empty if it does."""
         for need in self.needs:
-            if need not in (*RECORDED, *columns) and need.partition(".")[0] not in OF_INVARIANT:
+            if need not in (*RECORDED, *columns) and not is_figure(need):
                 return f"it needs {quoted(need)}, which top {top.kind!r} under scheme {scheme.name!r} does not have"
         return self.obstacle(top, scheme) if self.obstacle else ""
 
@@ -184,17 +185,10 @@ def all_measures() -> tuple[Measure, ...]:
     return tuple(MEASURES[name] for name in sorted(MEASURES))
 
 
-def measured_integrals(
-    top: Top, scheme: Scheme, h: float = H_OF_NAMES, options: BaseModel | None = None
-) -> tuple[Invariant, ...]:
-    """Integrals of ``top``, and those of ``scheme`` itself at step ``h``."""
-    modified = scheme.modified(top, h, options or scheme.options()) if scheme.modified else ()
-    return (*top.invariants(), *modified)
-
-
 def integral_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
-    """Names of the invariants of the top and of the integrals of the scheme."""
-    return [integral.name for integral in measured_integrals(top, scheme, options=options)]
+    """Names of the invariants of the top and of the integrals of the scheme, which are those at any step."""
+    modified = scheme.modified(top, 2.0**-10, options) if scheme.modified else ()
+    return [integral.name for integral in (*top.invariants(), *modified)]
 
 
 def measured_columns(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
@@ -202,10 +196,24 @@ def measured_columns(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     return [*top.components, *integral_names(top, scheme, options)]
 
 
-def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
-    """Names of the events that the scheme counts."""
+_COUNTED: dict[tuple[Scheme, ...], list[str]] = {}
+"""Names of the events that the schemes of a top count."""
+
+
+def _counters(top: Top, scheme: Scheme, options: BaseModel) -> tuple[str, ...]:
     method = scheme.build(top, options)
-    return [] if isinstance(method, Sampler) else list(method.counters)
+    return () if isinstance(method, Sampler) else method.counters
+
+
+def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
+    """Names of the events that the scheme or another one of the top counts."""
+    others = tuple(schemes_of(top.form))
+    if others not in _COUNTED:
+        _COUNTED[others] = names = []
+        for other in others:
+            with without_users_errors():
+                names += _counters(top, other, other.options())
+    return list(dict.fromkeys([*_counters(top, scheme, options), *_COUNTED[others]]))
 
 
 def fitting_measures(top: Top, scheme: Scheme, options: BaseModel, quantities: Sequence[str] = ()) -> Iterator[Measure]:
@@ -228,9 +236,8 @@ def resolve_measures(
 ) -> tuple[Measure, ...]:
     """Return the measures called ``names`` for runs of ``top`` under ``scheme``, in this order.
 
-    ``quantities`` are names of ``output.quantities``, which are columns too. A counter that only other schemes of the
-    top have is nan. Raises UnknownNameError for a name that is no measure of this top and scheme, with the nearest
-    ones, and UsageError for a measure that cannot be computed, with the reason.
+    ``quantities`` are names of ``output.quantities``, which are columns too. Raises UnknownNameError for a name that is
+    no measure of this top and scheme, with the nearest ones, and UsageError for a measure that cannot be computed.
     """
     options = options or scheme.options()
     columns = [*measured_columns(top, scheme, options), *quantities]
@@ -253,20 +260,9 @@ def _measure_called(name: str, top: Top, scheme: Scheme, options: BaseModel, qua
     family = MEASURES.get(base + FAMILY)
     if family and member in _member_names(family, top, scheme, options, quantities):
         return family.member(member)
-    if family and base == COUNTER and member in _counted(top):
-        return family.member(member)
     fitting = [each.name for each in fitting_measures(top, scheme, options, quantities)]
     near = nearest(name, fitting, "topcli list measures")
     raise UnknownNameError(f"unknown measure {quoted(name)} of top {top.kind!r} under scheme {scheme.name!r}; {near}")
-
-
-def _counted(top: Top) -> set[str]:
-    """Names of the events that any scheme of the top counts."""
-    counted: set[str] = set()
-    for scheme in schemes_of(top.form):
-        with without_users_errors():
-            counted.update(counter_names(top, scheme, scheme.options()))
-    return counted
 
 
 def definition_texts(names: Iterable[str]) -> list[str]:
@@ -288,30 +284,21 @@ def _own_texts() -> tuple[str, ...]:
     return tuple(file.read_text(encoding="utf-8") for file in files)
 
 
-def _register_figure(figure: str, summary: str, unit: str) -> None:
-    """Register a figure of invariants as a family."""
+for _figure, (_summary, _unit) in OF_INVARIANT.items():
 
-    @measure(figure + FAMILY, summary, unit, needs=[FIGURE], names=integral_names)
-    def of_invariant(batch: Batch, name: str) -> Array:
+    @measure(_figure + FAMILY, _summary, _unit, needs=[FIGURE], names=integral_names)
+    def of_invariant(batch: Batch, name: str, figure: str = _figure) -> Array:
+        """Figure of an invariant."""
         return batch.figures[f"{figure}.{name}"]
 
 
-for _figure, (_summary, _unit) in OF_INVARIANT.items():
-    _register_figure(_figure, _summary, _unit)
+for _name, _word, _function in (("min", "smallest", np.min), ("max", "largest", np.max), ("mean", "mean", np.mean)):
+    _summary = f"{_word} value of NAME over the recorded rows"
 
-
-def _register_extreme(name: str, word: str, function: Callable[..., Array]) -> None:
-    """Register a function of the recorded rows of a column as a family."""
-    summary = f"{word} value of NAME over the recorded rows"
-
-    @measure(name + FAMILY, summary, OF_NAME, needs=[COLUMN], names=measured_columns)
-    def of_column(batch: Batch, column: str) -> Array:
+    @measure(_name + FAMILY, _summary, OF_NAME, needs=[COLUMN], names=measured_columns)
+    def of_column(batch: Batch, column: str, function: Callable[..., Array] = _function) -> Array:
+        """Function of the recorded rows of a column."""
         return function(batch.columns[column], axis=1)
-
-
-_register_extreme("min", "smallest", np.min)
-_register_extreme("max", "largest", np.max)
-_register_extreme("mean", "mean", np.mean)
 
 
 def _of_swings(batch: Batch, figure: Callable[[Array], float]) -> Array:
@@ -365,16 +352,15 @@ def digits(batch: Batch, column: str) -> Array:
     return agreement_digits(batch.columns[column])
 
 
-def _register_error(name: str, need: str, summary: str) -> None:
-    """Register a distance from the reference solution, a Euclidean norm."""
+for _name, _need, _summary in (
+    ("max_error", ERROR, "largest distance of a recorded state from the reference solution"),
+    ("final_error", FINAL_ERROR, "distance of the last state from the reference solution"),
+):
 
-    @measure(name, summary, OF_STATE, needs=[need], obstacle=error_obstacle)
-    def error_of(batch: Batch) -> Array:
+    @measure(_name, _summary, OF_STATE, needs=[_need], obstacle=error_obstacle)
+    def error_of(batch: Batch, name: str = _name) -> Array:
+        """Euclidean distance."""
         return getattr(batch, name)
-
-
-_register_error("max_error", ERROR, "largest distance of a recorded state from the reference solution")
-_register_error("final_error", FINAL_ERROR, "distance of the last state from the reference solution")
 
 
 @measure(
@@ -408,11 +394,15 @@ def _tangent_obstacle(top: Top, scheme: Scheme) -> str:
     return reason and f"scheme {scheme.name!r} {reason}"
 
 
-@measure("lyapunov", "largest Lyapunov exponent, after a transient", "inverse time", obstacle=_tangent_obstacle)
+def _require_steps(batch: Batch) -> None:
+    if (N := batch.experiment.N) < LEAST_STEPS:
+        raise UsageError(f"N = {N}: too few steps for an exponent; take at least {LEAST_STEPS}")
+
+
+@measure("lyapunov", "largest Lyapunov exponent; needs 1000 steps", "inverse time", obstacle=_tangent_obstacle)
 def lyapunov(batch: Batch) -> Array:
-    """Growth of a tangent vector after a transient, divided by the time; nan for too few steps."""
-    if batch.experiment.N < LEAST_STEPS:
-        return np.full(len(batch), np.nan)
+    """Growth of a tangent vector after a transient, divided by the time. Raises UsageError for too few steps."""
+    _require_steps(batch)
     return batch.growth.exponents
 
 
@@ -423,7 +413,8 @@ def lyapunov(batch: Batch) -> Array:
     obstacle=_tangent_obstacle,
 )
 def chaotic(batch: Batch) -> Array:
-    """Verdict on each run from the growth of a tangent vector; nan if it is undecided."""
+    """Verdict on each run from the growth of a tangent vector; nan if undecided. Raises UsageError as ``lyapunov``."""
+    _require_steps(batch)
     return shares_of_chaos(batch.growth.verdicts)
 
 

@@ -8,7 +8,6 @@ disks: a batch takes about a second, so that a write-ahead log would gain nothin
 
 from __future__ import annotations
 
-import math
 import os
 import sqlite3
 import zlib
@@ -22,7 +21,7 @@ import numpy as np
 
 from topcli.config.files import scene_files, sweep_files
 from topcli.config.sweep import Group, Sweep, load_sweep
-from topcli.contracts import Outcome
+from topcli.contracts import Array, Outcome
 from topcli.errors import RunError, UsageError, nearest, quoted
 from topcli.store.files import json_text, sealed, sha256_of, write_text, write_whole
 from topcli.store.provenance import environment, git_commit, now
@@ -116,16 +115,16 @@ def write_table(
 
     # values of the keys, and drawn values, of all rows
     numbers = np.concatenate([group.numbers for group in groups])
-    columns: dict[str, list[Any]] = {key: [] for key in (*sweep.keys, *(DRAWN + name for name in sweep.drawn))}
-    for group in groups:
-        for key in sweep.keys:
-            columns[key] += group.values[key]
-        for name in sweep.drawn:
-            columns[DRAWN + name] += _drawn(group, name)
+    columns: dict[str, Any] = {key: [value for group in groups for value in group.values[key]] for key in sweep.keys}
     table = pd.DataFrame(columns, index=pd.Index(numbers, name="row")).sort_index()
     for key in sweep.keys:
         if table[key].dtype == object:  # numbers and texts
             table[key] = table[key].astype("str")
+    drawn: dict[str, Array] = {}
+    for group in groups:
+        for name, values in sweep.drawn(group).items():
+            drawn.setdefault(DRAWN + name, np.full(len(digests), np.nan))[group.numbers] = values
+    table = table.assign(**drawn)
 
     # results of the rows that are finished
     table = table[np.array([digest in rows for digest in digests], dtype=bool)].reset_index()
@@ -137,14 +136,6 @@ def write_table(
     table.attrs = {"name": sweep.name, "keys": list(sweep.keys), "measures": list(sweep.measures)}
     write_whole(folder / ROWS_FILE, lambda path: table.to_parquet(path, index=False, write_page_checksum=True))
     return dict(Counter(outcomes))
-
-
-def _drawn(group: Group, name: str) -> list[float]:
-    """Drawn values of the rows of a group: a parameter of the top or a component of the state; nan for another top."""
-    top, (section, _, item) = group.experiment.top, name.partition(".")
-    if section == "initial" and item in top.components:
-        return group.states[:, top.components.index(item)].tolist()
-    return [getattr(top, item, math.nan) if section == "top" else math.nan] * len(group.states)
 
 
 def is_sweep(folder: Path) -> bool:

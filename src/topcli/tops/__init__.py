@@ -1,4 +1,8 @@
-"""Tops: parameters, equations of motion and integrals; one module per top.
+"""Tops: parameters, equations of motion and integrals.
+
+The tops of the paper, for which there are schemes of their own, are classes in a module each. All others are formulas:
+those of the catalogue in a YAML file each, those of configs in their section ``top`` (``tops.declared``). The decorator
+``topcli.top`` registers a class of a user (``tops.own``).
 
 ``TOPS`` maps every form of every top to its class. A kind of top has several forms if its state can be written in
 several ways. The first form is the default, and the vectors of the initial state choose among them. This module also
@@ -8,11 +12,13 @@ contains the state that several tops share.
 from __future__ import annotations
 
 from collections import UserDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib import import_module
 from typing import Any, ClassVar
 
 from topcli.contracts import Floats, Top
+from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.plugins import is_built_in, plugin_failures, require_plugin
 
 CATALOGUE = (
     "volterra",
@@ -37,7 +43,7 @@ BUILT_IN = {
     "lagrange": "lagrange.Lagrange",
     "lagrange/inertial": "lagrange.LagrangeInertial",
     "heavy": "heavy.Heavy",
-    **dict.fromkeys(CATALOGUE, ""),
+    **dict.fromkeys(CATALOGUE, "declared"),
 }
 """Module and class of each built-in form. A form is its kind, or begins with its kind and + or /."""
 
@@ -59,37 +65,69 @@ class Tops(UserDict[str, Any]):
 
     def __init__(self, classes: Mapping[str, str]) -> None:
         self.declared: dict[str, type[Top]] = {}
-        self.names: dict[str, str] = {}
-        """Names of the configs that have declared tops, by form."""
+        self.origins: dict[str, str] = {}
+        """Package or file of each form that a plugin registered."""
         super().__init__(classes)
 
     def __contains__(self, form: object) -> bool:
         return form in self.data or form in self.declared
 
     def __getitem__(self, form: str) -> type[Top]:
-        if form in self.declared:
-            return self.declared[form]
-        top = self.data[form]
+        top = self.declared.get(form) or self.data[form]
         if isinstance(top, str):
-            if form in CATALOGUE:
-                top = import_module("topcli.tops.declared").catalogue_class(form)
-            else:
-                module, name = top.split(".")
-                top = getattr(import_module(f"topcli.tops.{module}"), name)
-            self.data[form] = top
+            module, _, name = top.partition(".")
+            imported = import_module(f"topcli.tops.{module}")
+            top = self.data[form] = getattr(imported, name) if name else imported.catalogue_class(form)
         return top
 
     def called(self, form: str) -> str:
-        """Name of a form for messages: of a declared top, the name of its config."""
-        return self.names.get(form, CUSTOM if form.startswith(f"{CUSTOM}-") else form)
-
-    def kind(self, form: str) -> str:
-        """Kind of a form, without importing its class."""
-        top = self.declared.get(form) or self.data[form]
-        return form.replace("/", "+").partition("+")[0] if isinstance(top, str) else top.kind
+        """Name of a form for messages, without the digest of a declared top."""
+        return CUSTOM if form.startswith(f"{CUSTOM}-") else form
 
 
 TOPS = Tops(BUILT_IN)
+
+
+def kind_of(form: str) -> str:
+    """Kind of a form."""
+    return form.replace("/", "+").partition("+")[0]
+
+
+def top_names() -> list[str]:
+    """Names of the tops for users: each kind, and each form that differs from its kind; ``custom`` comes last."""
+    plugin_failures()
+    return [*dict.fromkeys(name for form in TOPS for name in (kind_of(form), form)), CUSTOM]
+
+
+def forms(name: str) -> list[type[Top]]:
+    """Forms of the top called ``name``, matched without case: all of a kind with the default first, or a single one.
+
+    Raises UnknownNameError, with the nearest names, for an unknown kind.
+    """
+    key = name.lower()
+    if key == CUSTOM:
+        raise UsageError("a custom top is declared in a config, by its section top")
+    failures = [] if any(key in (kind_of(form), form) for form in TOPS) else require_plugin(key, "top")
+    classes = [TOPS[form] for form in TOPS if key in (kind_of(form), form)]
+    if not classes:
+        raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}", *failures)
+    return classes
+
+
+def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
+    """Return the class of the top called ``name`` that has the ``vectors`` in its initial state.
+
+    If a top has several forms (choices of state variables), the names of the ``vectors``, such as omega and gamma,
+    decide which form is meant. If no form has these vectors, the default form is returned. Raises UnknownNameError,
+    with the nearest names, if there is no such top.
+    """
+    classes = forms(name)
+    return next((top for top in classes if set(top.vectors) == set(vectors)), classes[0])
+
+
+def top_origin(top: type[Top]) -> str:
+    """``topcli``, or the package or file of a top."""
+    return "topcli" if is_built_in(top) else TOPS.origins.get(top.form, top.__module__)
 
 
 def omega_of(y: Floats, p: Floats) -> Floats:

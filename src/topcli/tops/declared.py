@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from fractions import Fraction
 from functools import cache
@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from topcli.contracts import EulerPoisson, Floats, Integral, Invariant, Top
-from topcli.field.expression import FUNCTIONS, NAME, Expression, function_of, in_arithmetic, parse, value_of
+from topcli.field.expression import FUNCTIONS, NAME, function_of, in_arithmetic, parse, value_of
 from topcli.field.polynomial import decimal
 from topcli.tops import CUSTOM, BodyTop
 
@@ -258,32 +258,30 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
     """Class of a declaration; ``parameters`` are their defaults or fields of pydantic."""
     full = with_body(declaration)
     components, names = tuple(full["components"]), tuple(parameters)
-    body = full.get("body") or {}
-    symbols = {**(BODY_SYMBOLS if body else {}), **attributes.pop("symbols", {})}
+    symbols = {**(BODY_SYMBOLS if "body" in full else {}), **attributes.pop("symbols", {})}
 
-    def read(text: Any, *more: str) -> Expression:
-        return parse(str(text), (*components, *names, *more))
+    def function(name: str, texts: Iterable[Any], variables: tuple[str, ...] = components) -> Callable[..., Any]:
+        """Function of the variables and the parameters, like one of a top written in Python."""
+        return function_of(name, [parse(str(text), (*variables, *names)) for text in texts], variables, names)
 
-    def of_parameters(*texts: Any) -> Callable[..., Any]:
-        return function_of("of_parameters", [parse(str(text), names) for text in texts], (), names)
+    def integral(name: str, text: Any, more: tuple[str, ...]) -> Integral:
+        value = value_of(parse(str(text), (*components, *names, *more)), components, (*names, *more))
+        value.__doc__ = symbols[name][2] if name in symbols else name
+        return value
 
-    # formulas become functions of the state and the parameters, as those of a top written in Python
-    functions: dict[str, dict[str, Any]] = {"invariants": {}, "hk": {}, "on": {}, "if": {}}
-    for key, more in (("invariants", ()), ("hk", ("h",))):
-        for name, relation in (full.get(key) or {}).items():
-            parts = relation if isinstance(relation, Mapping) else {"value": relation}
-            value = functions[key][name] = value_of(read(parts["value"], *more), components, (*names, *more))
-            value.__doc__ = symbols[name][2] if name in symbols else name
-            if parts.get("on"):
-                functions["on"][name] = parts["on"]
-            if parts.get("if"):
-                functions["if"][name] = of_parameters(parts["if"])
-    if base is Custom and "energy" not in symbols and "E" not in (*components, *names, *functions["invariants"]):
-        symbols["energy"] = ("E", "E")
-    vectors = {
-        name: (components.index(part[0]), components.index(part[-1]) + 1)
-        for name, part in (full.get("vectors") or {}).items()
+    relations = {
+        key: {name: part if isinstance(part, Mapping) else {"value": part} for name, part in full[key].items()}
+        for key in ("invariants", "hk")
+        if full.get(key)
     }
+    integrals, modified = (
+        {name: integral(name, part["value"], more) for name, part in relations.get(key, {}).items()}
+        for key, more in (("invariants", ()), ("hk", ("h",)))
+    )
+    every = [(name, part) for parts in relations.values() for name, part in parts.items()]
+    if base is Custom and "energy" not in symbols and "E" not in (*components, *names, *integrals):
+        symbols["energy"] = ("E", "E")
+
     # a class, since a top is a type with parameters for all that follows, from defaults to several instances
     namespace: dict[str, Any] = {
         "__module__": __name__,
@@ -292,24 +290,21 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
         **attributes,
         "declaration": declaration,
         "components": components,
-        "field": staticmethod(
-            function_of("field", [read(full["field"][name]) for name in components], components, names)
-        ),
-        "integrals": functions["invariants"],
-        "hk": functions["hk"],
-        "holds_on": functions["on"],
-        "conditions": functions["if"],
-        "symbols": {name: tuple(relation[:2]) for name, relation in symbols.items()},
+        "field": staticmethod(function("field", [full["field"][name] for name in components])),
+        "integrals": integrals,
+        "hk": modified,
+        "holds_on": {name: part["on"] for name, part in every if part.get("on")},
+        "conditions": {name: function("condition", [part["if"]], ()) for name, part in every if part.get("if")},
+        "symbols": {name: tuple(texts[:2]) for name, texts in symbols.items()},
         "body_numbers": None,
+        **{key: function(key, full[key]) for key in VECTORS if full.get(key)},
     }
-    if vectors:
-        namespace["vectors"] = vectors
-    if body:
+    if spans := full.get("vectors"):
+        places = {name: index for index, name in enumerate(components)}
+        namespace["vectors"] = {name: (places[part[0]], places[part[-1]] + 1) for name, part in spans.items()}
+    if body := full.get("body"):
         namespace["unit_vectors"] = BodyTop.unit_vectors
         if all(map(_is_zero, body.get("rotor") or ())):
-            namespace["body_numbers"] = staticmethod(of_parameters(*body["moments"], *body["gravity"]))
-    for key in VECTORS:
-        if full.get(key):
-            namespace[key] = function_of(key, [read(text) for text in full[key]], components, names)
+            namespace["body_numbers"] = staticmethod(function("body", [*body["moments"], *body["gravity"]], ()))
     metaclass: Any = type(base)
     return metaclass(base.__name__, (base,), namespace)

@@ -185,7 +185,7 @@ def sources_of(values: Iterable[Any]) -> dict[str, str]:
     return {name: text for value in values for name, text in _texts(value.__module__).items()}
 
 
-TOPCLI = str(Path(__file__).parents[1])
+TOPCLI = str(Path(__file__).parent)
 STANDARD = sysconfig.get_path("stdlib")
 
 

@@ -1,27 +1,24 @@
-"""Tops from plugins and users' files: the decorator that registers a top and checks it, and look-up by name."""
+"""The decorator ``topcli.top``, which checks the class of a user's top and registers it."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from topcli.contracts import Floats, Top
-from topcli.errors import UnknownNameError, UsageError, nearest, quoted
+from topcli.errors import UsageError, nearest
 from topcli.field.integrals import broken_integral
-from topcli.schemes.plugins import is_built_in, line_of, origin_of, plugin_failures, require_plugin
+from topcli.plugins import line_of, origin_of
 from topcli.tops import CUSTOM, TOPS
 from topcli.tops.bodies import checked_rotation
+from topcli.tops.declared import name_fault
 
 KIND = re.compile(r"[a-z][a-z0-9_-]*")
-_TAKEN = ("n", "t")
-"""Columns of every series."""
-ORIGINS: dict[str, str] = {}
-"""Package or file of each form of a top that a plugin registered."""
 _STATES = 4
 """States at which a field is tried."""
 
@@ -81,7 +78,7 @@ def top(declared: type[Top]) -> type[Top]:
     if declared.angular_velocity or declared.vertical:
         checked_rotation(declared.new(), "its vertical")
     form = declared.form
-    TOPS[form], ORIGINS[form] = declared, origin_of(declared)
+    TOPS[form], TOPS.origins[form] = declared, origin_of(declared)
     return declared
 
 
@@ -98,17 +95,18 @@ def _fault(declared: type[Top]) -> str:
     if form != kind and not form.startswith((f"{kind}+", f"{kind}/")):
         return f"form {form!r} is neither {kind!r} nor begins with '{kind}+' or '{kind}/'"
     if form in TOPS or kind == CUSTOM:
-        return f"top {form!r} is already registered by {ORIGINS.get(form, 'topcli')}; choose another kind"
+        return f"top {form!r} is already registered by {TOPS.origins.get(form, 'topcli')}; choose another kind"
     if isinstance(components, str) or not components or not all(isinstance(name, str) for name in components):
         return f"components of top {kind!r} are {components!r}; give a tuple of names"
 
-    # each column of a series has a name of its own
-    columns = [*_TAKEN, *components, *declared.integrals]
-    for i, column in enumerate(columns):
-        if not column.isidentifier():
-            return f"{column!r} is not the name of a component or an integral of top {kind!r}"
-        if column in columns[:i]:
-            return f"top {kind!r} has two columns {column!r}; rename a component or an integral"
+    # each column of a series and each name in a formula has one meaning
+    earlier: dict[str, str] = {}
+    names = {"component": components, "parameter": declared.model_fields, "invariant": declared.integrals}
+    for what, group in names.items():
+        for each in group:
+            if fault := name_fault(each, what, earlier):
+                return f"top {kind!r}: {fault}"
+            earlier[each] = what
     for key in (*declared.symbols, *declared.holds_on):
         if key not in declared.integrals and declared.invariants is Top.invariants:
             return f"top {kind!r} has no integral {key!r}; {nearest(key, declared.integrals)}"
@@ -143,40 +141,3 @@ def _require_numbers(declared: type[Top]) -> None:
     for function, what, value in values:
         if not isinstance(value, int | float | np.floating):
             raise UsageError(f"{line_of(function)}: {what} is {type(value).__name__}; expected a float")
-
-
-def top_origin(top: type[Top]) -> str:
-    """``topcli``, or the package or file of a top."""
-    return "topcli" if is_built_in(top) else ORIGINS.get(top.form, top.__module__)
-
-
-def top_names() -> list[str]:
-    """Names of the tops for users: each kind, and each form that differs from its kind; ``custom`` comes last."""
-    plugin_failures()
-    return [*dict.fromkeys(name for form in TOPS for name in (TOPS.kind(form), form)), CUSTOM]
-
-
-def forms(name: str) -> list[type[Top]]:
-    """Forms of the top called ``name``, matched without case: all of a kind with the default first, or a single one.
-
-    Raises UnknownNameError, with the nearest names, for an unknown kind.
-    """
-    key = name.lower()
-    if key == CUSTOM:
-        raise UsageError("a custom top is declared in a config, by its section top")
-    failures = [] if key in TOPS or any(TOPS.kind(form) == key for form in TOPS) else require_plugin(key, "top")
-    classes = [TOPS[form] for form in TOPS if TOPS.kind(form) == key] or ([TOPS[key]] if key in TOPS else [])
-    if not classes:
-        raise UnknownNameError(f"unknown top {quoted(name)}; {nearest(name, top_names())}", *failures)
-    return classes
-
-
-def top_class(name: str, vectors: Collection[str] = ()) -> type[Top]:
-    """Return the class of the top called ``name`` that has the ``vectors`` in its initial state.
-
-    If a top has several forms (choices of state variables), the names of the ``vectors``, such as omega and gamma,
-    decide which form is meant. If no form has these vectors, the default form is returned. Raises UnknownNameError,
-    with the nearest names, if there is no such top.
-    """
-    classes = forms(name)
-    return next((top for top in classes if set(top.vectors) == set(vectors)), classes[0])
