@@ -261,8 +261,9 @@ class Tally(Consumer):
         else:
             size_of_terms = max(size, TERMS * scale)
             verdict, statement, reason = judged(deviation, high - low, bound, size_of_terms, fit, short, span)
-        if precise and not precise.arithmetic.bits and deviation == 0.0:
+        if precise and not precise.arithmetic.bits and verdict == "exact":  # numbers that are never rounded
             reason = f"equal at all {self.rows[0]} rows"
+            statement = f"exact ({reason})"
         return InvariantRow(
             name=invariant.name,
             symbol=invariant.symbol,
