@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array
+from topcli.contracts import Array, Top
+from topcli.errors import UsageError
+from topcli.field.integrals import slopes
 
 _EVEN = np.arange(-2.0, 3.0)
 QUARTIC = np.array([[1, -4, 6, -4, 1], [-2, 4, 0, -4, 2], [-1, 16, -30, 16, -1], [2, -16, 0, 16, -2]]) / 24.0
@@ -16,6 +18,10 @@ RESTS, NEGLIGIBLE = 0.01, 1e-6
 """Largest ranges of a component at rest: relative to its own size, and to the largest component."""
 UNEVEN = 0.1
 """Ratio of the smallest to the largest of four spacings below which the quartic through five points is not used."""
+
+LARGEST_CHANGE, REST = 0.75, 1e-9
+"""Largest change of a component from row to row, relative to its range, in rows that show its oscillations: four rows
+an oscillation. A change below ``REST``, relative to the largest component, is none."""
 
 
 def _lowest(x: Array, y: Array) -> float:
@@ -68,12 +74,32 @@ def minima_times(t: Array, values: Array) -> Array:
     return np.array(times)
 
 
-def first_swing_spacing(t: Array, values: Array) -> float | None:
-    """Time from the first deep minimum to the second; None if the record holds fewer than two.
+def swing_times(top: Top, t: Array, states: Array) -> Array:
+    """Times of the swings of ``top``, the deep minima of its component ``swing``, in rows at times ``t`` (m,).
+
+    Raises UsageError if the rows are too far apart to show them: where this component passes the middle of its range,
+    at the first row and at the last, it changes by a large part of its range from row to row, or would at the rate of
+    the equations of motion, which rows that skip whole oscillations do not show. ``states`` has the shape (m, d).
+    """
+    place = top.components.index(top.swing)
+    values = states[:, place]
+    if len(t) > 1 and np.isfinite(states).all():
+        low, width = values < 0.5 * (values.min() + values.max()), float(np.ptp(values))
+        rows = np.unique([0, *np.flatnonzero(low[1:] != low[:-1]), len(t) - 2])
+        gaps = np.abs(t[rows + 1] - t[rows])
+        rates = np.fmax(*(np.abs(slopes(top, states[ends])[:, place]) for ends in (rows, rows + 1)))
+        changes = np.fmax(np.abs(values[rows + 1] - values[rows]), rates * gaps)
+        if (changes > max(LARGEST_CHANGE * width, REST * float(np.abs(states).max()))).any():
+            apart = f"rows {float(gaps.max()):.3g} apart in time"
+            raise UsageError(f"{apart} are too few to show the swings of {top.swing}; record more of them")
+    return minima_times(t, values)
+
+
+def first_swing_spacing(times: Array) -> float | None:
+    """Time from the first of the swings at ``times`` (m,) to the second; None for fewer than two.
 
     The first spacing instead of the mean, because the drift of a scheme changes it from swing to swing.
     """
-    times = minima_times(t, values)
     return abs(float(times[1] - times[0])) if len(times) > 1 else None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -87,19 +88,24 @@ _CONSERVED = 1e-8
 """Change of an integral over that distance, relative to its terms, that finite differences may leave."""
 
 
+def slopes(top: Top, states: Array) -> Array:
+    """Right-hand sides of the equations of motion at ``states`` (m, d); nan where they have no value."""
+    rows, p = np.full(states.shape, math.nan), top.constants()
+    for row, y in zip(rows, states.tolist(), strict=True):
+        with suppress(ArithmeticError, ValueError):
+            row[:] = top.field(tuple(y), p)
+    return rows
+
+
 def measured_change(top: Top, invariant: Invariant) -> str:
     """Return a text with the rate of change of an invariant at a random state; empty if it does not change.
 
     States at which the field or the invariant has no value are left out.
     """
-    random, p = np.random.default_rng(0), top.constants()
+    states = np.random.default_rng(0).normal(size=(_STATES, len(top.components)))
     changes: list[str] = []
     judged = 0
-    for y in random.normal(size=(_STATES, len(top.components))):
-        try:
-            rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
-        except (ArithmeticError, ValueError):
-            continue
+    for y, rates in zip(states, slopes(top, states), strict=True):
         with np.errstate(all="ignore"):
             s = _REACH * np.abs(y).max() / np.abs(rates).max()
             left2, left, here, right, right2 = invariant.value(y + s * np.outer([-2.0, -1.0, 0.0, 1.0, 2.0], rates))

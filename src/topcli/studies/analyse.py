@@ -18,13 +18,13 @@ import numpy as np
 
 from topcli.analysis.reference import reference_states
 from topcli.analysis.series_report import invariant_report, uneven_report
-from topcli.analysis.swings import minima_times
-from topcli.analysis.verdict import NEEDS_EVEN_TIMES, InvariantRow
+from topcli.analysis.swings import first_swing_spacing, swing_times
+from topcli.analysis.verdict import InvariantRow
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, counted, nearest, quoted, shortened
-from topcli.runs.report import invariant_table
+from topcli.runs.report import invariant_table, open_lines
 from topcli.studies import SILENT, Watch
 from topcli.studies.report import Report, Table
 from topcli.table import ten_digits
@@ -101,7 +101,7 @@ def analyse(
         taken, origin = int(n[-1] - n[0]), "column n"
     watch.begin("analyse", experiment)
     invariants, left, kind = _judged(experiment, t, states, n, taken)
-    notes = [f"no drifts: {NEEDS_EVEN_TIMES}"] if kind == "uneven" else []
+    notes = open_lines([(row.symbol, row.as_dict()) for row in invariants])
     if left is not None:
         notes.append(f"warning: {path}: far off its energy surface at row {left + 1} (t = {t[left]:.6g})")
 
@@ -123,10 +123,14 @@ def analyse(
             values = invariant.value(states)
             columns[f"deviation of {invariant.symbol}"] = np.abs(values - values[0])
 
-    place = top.components.index(top.swing)
-    swings = minima_times(t, states[:, place]).tolist()
-    due = [] if reference is None else minima_times(t, reference[:, place]).tolist()
-    spacing = _spacing(swings) + ("" if reference is None else f" (reference {_spacing(due)})")
+    swings = due = np.empty(0)
+    try:
+        swings = swing_times(top, t, states)
+        due = due if reference is None else swing_times(top, t, reference)
+    except UsageError as failure:
+        notes.append(f"warning: no minima: {failure.lines[0]}")
+    spacing = ten_digits(first_swing_spacing(swings))
+    spacing += "" if reference is None else f" (reference {ten_digits(first_swing_spacing(due))})"
     summary = {
         "rows": len(t),
         "times": f"{ten_digits(float(t[0]))} to {ten_digits(float(t[-1]))}, {kind}",
@@ -140,7 +144,7 @@ def analyse(
     }
     minima = [
         {"minimum": i + 1, "t": time, "reference": expected}
-        for i, (time, expected) in enumerate(zip_longest(swings, due))
+        for i, (time, expected) in enumerate(zip_longest(swings.tolist(), due.tolist()))
     ]
 
     def draw(axes: Any, looks: Callable[..., Any]) -> None:
@@ -157,11 +161,6 @@ def analyse(
     ]
     title = f"{path}: {top.title}"
     return Report("analyse", title, "", tables, notes, config=experiment.resolved(), columns=columns, draw=draw)
-
-
-def _spacing(times: Sequence[float]) -> str:
-    """Time from the first minimum to the second, which the drift of a method changes least."""
-    return ten_digits(abs(times[1] - times[0]) if len(times) > 1 else None)
 
 
 def read_frame(path: Path) -> pd.DataFrame:

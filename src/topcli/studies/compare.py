@@ -10,14 +10,14 @@ import numpy as np
 
 from topcli.analysis.order import probe_rows, reversal
 from topcli.analysis.reference import distances
-from topcli.analysis.swings import first_swing_spacing
+from topcli.analysis.swings import first_swing_spacing, swing_times
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Method, Outcome
+from topcli.contracts import Array, Method, Outcome, Top
 from topcli.engine.numbers import MAX_DIGITS
 from topcli.engine.timing import nanoseconds_per_step
-from topcli.errors import ExitCode, SchemeCodeError
+from topcli.errors import ExitCode, SchemeCodeError, UsageError
 from topcli.runs.plans import precise_of, trajectory_of
 from topcli.runs.references import METHODS, reference_of
 from topcli.runs.report import deviation_text, drift_text, open_lines
@@ -105,6 +105,7 @@ def compare(
     t = np.arange(0, first.N + 1, strides[0]) * first.h
     columns = {"t": t, "swing:reference": exact_states[:, swing]}
     rows, deviations, drifts, figures, invariants, ended = [], [], [], [], [], []
+    coarse: dict[str, None] = {}
     for (label, (experiment, method, run)), nanoseconds in zip(
         runs.items(), _step_times(list(runs.values())), strict=True
     ):
@@ -118,7 +119,7 @@ def compare(
             "scheme": label, "h": experiment.h, "N": experiment.N, "outcome": run.outcome.value,
             "max_error": float(error.max()), "final_error": float(error[-1]) if complete else None,
             "reversal_defect": back.defect, "its_order": back.order,
-            "first_swing_spacing": first_swing_spacing(run.t, run[top.swing]),
+            "first_swing_spacing": first_swing_spacing(_swings(top, run.t, run.states, coarse)),
             "ns_per_step": nanoseconds if complete else None,
         })  # fmt: skip
         measured = [row.as_dict() for row in run.invariant_rows()]
@@ -153,12 +154,21 @@ def compare(
         Table("Invariants and modified integrals", figures, detail=True),
     ]
     speeds = ", ".join(f"{row['scheme']} {row['ns_per_step']:.1f}" for row in rows if row["ns_per_step"] is not None)
-    notes = [*open_lines(invariants), *([f"ns per step: {speeds}"] if speeds else [])]
-    spacing = first_swing_spacing(t, exact_states[:, swing])
+    spacing = first_swing_spacing(_swings(top, t, exact_states, coarse))
     swings = "" if spacing is None else f" The first swing spacing of {top.swing} in the reference is {spacing:.4f}."
+    notes = [*open_lines(invariants), *coarse, *([f"ns per step: {speeds}"] if speeds else [])]
     notes.append(f"Errors are norms of the difference of states from the reference, a {METHODS[reference]}.{swings}")
     code = ExitCode.PARTLY_FAILED if broken else ExitCode.FAILED if ended else ExitCode.SUCCESS
     return Report("compare", title, "", tables, notes, [*ended, *broken], code, base.resolved(), columns, draw)
+
+
+def _swings(top: Top, t: Array, states: Array, coarse: dict[str, None]) -> Array:
+    """Times of the swings in the rows; none if these are too few to show them, which is added to ``coarse``."""
+    try:
+        return swing_times(top, t, states)
+    except UsageError as failure:
+        coarse[f"no swing spacing: {failure.lines[0]}"] = None
+        return np.empty(0)
 
 
 def _recorded(experiment: Experiment, stride: int) -> Trajectory:
