@@ -14,7 +14,6 @@ import pytest
 from cases import MOTIONS, numbers_of
 from topcli.analysis.motion import Motion
 from topcli.analysis.motion.of_top import motion_of
-from topcli.analysis.reference import reference_states
 from topcli.schemes.kowalevski.separation import separated_motion
 from topcli.tops.kowalevski import Kowalevski
 
@@ -133,23 +132,6 @@ def test_two_roots_coincide_at_the_distance_of_the_separatrix(name: str) -> None
     assert min(collision_distance(E, L, G, k_sq) for E, k_sq in moved) < 1e-6
 
 
-PERIODIC = numbers_of("""
-rotates about the third axis: 0 0 1 0.6 0.8 0
-oscillates about the third axis: 0.75 0 0.5 0 0.75 0.375
-""")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PERIODIC)
-def test_pendulums_return_after_their_period(name: str) -> None:
-    y = PERIODIC[name]
-    found = motion(y)
-    assert found.kind == "pendulum"
-    states = reference_states(Kowalevski(), list(y), np.array([0.5, 1.0]) * found["period"])
-    assert np.abs(states[1] - y).max() < 1e-12
-    assert np.abs(states[0] - y).max() > 0.1
-
-
 CRITICAL = numbers_of(MOTIONS["critical curves"])
 """The kind of motion comes first."""
 
@@ -161,5 +143,3 @@ def test_motions_on_critical_curves_have_no_frequencies(name: str) -> None:
     assert found.kind == kind
     distance = ["separatrix.distance"] if kind == "separatrix" else []
     assert list(found) == ["gamma_sq", "two_l", "energy", "k_sq", *distance]
-    homoclinic = motion((0.0, 0.0, 2.0, -1.0, 0.0, 0.0))
-    assert (homoclinic.kind, homoclinic.as_dict()["quantities"]["period"]) == ("separatrix", None)

@@ -5,13 +5,12 @@ All from the roots of Kowalevski's curve and integrals over its two real ovals (
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from fractions import Fraction
 
 from topcli.analysis.motion import Motion, MotionQuantity, integrals_of
 from topcli.analysis.motion.diagram import region, separatrix_distance
-from topcli.arithmetic.multiprecision import DIGITS, digits, mp, real
+from topcli.arithmetic.multiprecision import digits, mp
 from topcli.contracts import Floats
 from topcli.schemes.kowalevski.curve import Curve, Integrals
 from topcli.schemes.kowalevski.separation import ROOT_DIGITS, Separated
@@ -35,8 +34,8 @@ def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     w1, w2, w3, _, _, g3 = exact = tuple(map(Fraction, y))
     if not any(field(exact, (Fraction(c),))):  # type: ignore[arg-type]
         return Motion(top.form, "equilibrium", "equilibrium: omega and gamma are constant", y, conserved)
-    if w2 == 0 and Fraction(c) * g3 == w1 * w3:
-        return _pendulum(top, y, c, conserved)
+    if w2 == 0 and Fraction(c) * g3 == w1 * w3:  # beside the torus with the same integrals
+        return Motion(top.form, "pendulum", "pendulum (Bobylev-Steklov): ω2 = 0 at all times", y, conserved)
     with digits(ROOT_DIGITS):
         curve = Curve.with_integrals(of)
         on_separatrix, point = _coincide(curve) if 0 in of.discriminants() else (False, False)
@@ -72,26 +71,3 @@ def _torus(top: Kowalevski, y: Floats, motion: Separated, conserved: Sequence[Mo
     number = "the only torus" if where.tori == 1 else f"one of {where.tori} tori"
     title = f"quasi-periodic on {number} in region {where.name} of the bifurcation diagram"
     return Motion(top.form, f"torus {where.name}", title, y, tuple(quantities))
-
-
-def _pendulum(top: Kowalevski, y: Floats, c: float, conserved: Sequence[MotionQuantity]) -> Motion:
-    """Motion with omega2 = 0: a pendulum theta'' = -k sin theta (Bobylev 1896, Steklov 1896)."""
-    what = "pendulum (Bobylev-Steklov): ω2 = 0 at all times"
-    w1, _, w3, g1, g2, _ = map(Fraction, y)
-    xi = (w1 * w1 - Fraction(c) * g1, -Fraction(c) * g2)
-    energy, k_sq = w3 * w3 - 2 * xi[0], xi[0] ** 2 + xi[1] ** 2
-    if energy >= 0 and energy**2 == 4 * k_sq:
-        period = MotionQuantity("period", math.inf, "time of the homoclinic motion")
-        return Motion(top.form, "separatrix", f"{what}; homoclinic to its upper equilibrium", y, (*conserved, period))
-    with digits(2 * DIGITS):
-        k = mp.sqrt(real(k_sq))
-        m = (real(energy) + 2 * k) / (4 * k)  # of sin²(theta/2) at the turning points
-        rotates = m > 1
-        time = float(2 * mp.ellipk(1 / m) / mp.sqrt(k * m) if rotates else 4 * mp.ellipk(m) / mp.sqrt(k))
-    quantities = (
-        *conserved,
-        MotionQuantity("frequency", 1.0 / time, "cycles per unit time"),
-        MotionQuantity("period", time, "time of one rotation" if rotates else "time of one oscillation"),
-    )
-    way = "rotates" if rotates else "oscillates"
-    return Motion(top.form, "pendulum", f"{what}; it {way}", y, quantities)
