@@ -17,7 +17,6 @@ from topcli.engine.drive import drive, orbit
 from topcli.engine.loops import interpreted, loop_of
 from topcli.engine.machine import Machine
 from topcli.engine.rows import Plan
-from topcli.field.integrals import slopes
 
 ULPS = 50.0
 """Deviation of an exact invariant that round-off may cause, in ulp of its terms times the square root of the steps."""
@@ -77,22 +76,6 @@ def completed(top: Top, method: Method, y0: Sequence[float], h: float, N: int) -
     """States of every tenth step of a run; None if it does not complete."""
     _, states, ending = orbit(top, method, y0, h, N, 10)
     return states if ending.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION) else None
-
-
-def rate_along(top: Top, value: Callable[[Array], Array], states: Array) -> float:
-    """Largest rate of change of a function of the state along the field, by differences.
-
-    It is relative to the length of the gradient times that of the field: the cosine of the angle between them.
-    Differences of order four with steps of 1e-3 have errors of about 1e-11; a function that is not an integral has
-    rates of size one at most of the ``states`` (n, d).
-    """
-    cosines = []
-    for y, rates in zip(states, slopes(top, states), strict=True):
-        step = 1e-3 * max(1.0, float(np.abs(y).max()))
-        moved = [value(y + k * step * np.eye(len(y))) for k in (-2, -1, 1, 2)]
-        gradient = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * step)
-        cosines.append(abs(gradient @ rates) / (np.linalg.norm(gradient) * np.linalg.norm(rates) or 1.0))
-    return float(max(cosines))
 
 
 def is_vector_of(rates: Any, top: Top) -> bool:
