@@ -6,7 +6,7 @@ The measures take a top and a method, whoever wrote them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np

@@ -9,9 +9,6 @@ from topcli.contracts import Array, Top
 from topcli.errors import UsageError
 from topcli.field.integrals import slopes
 
-_EVEN = np.arange(-2.0, 3.0)
-QUARTIC = np.array([[1, -4, 6, -4, 1], [-2, 4, 0, -4, 2], [-1, 16, -30, 16, -1], [2, -16, 0, 16, -2]]) / 24.0
-"""Coefficients of x⁴, x³, x², x of the quartic through five points at x = -2, ..., 2."""
 LEVELS, MIDDLE = (0.25, 0.5, 0.75), 0.1
 """Levels in the range of a component, and half the part of the range around them that is on neither side."""
 RESTS, NEGLIGIBLE = 0.01, 1e-6
@@ -24,29 +21,21 @@ LARGEST_CHANGE, REST = 0.75, 1e-9
 an oscillation. A change below ``REST``, relative to the largest component, is none."""
 
 
-def _lowest(x: Array, y: Array) -> float:
-    """Position of the minimum of the parabola through three points, the second at (0, 0); within the points."""
-    before, after = float(y[0] / x[0]), float(y[2] / x[2])
-    bend = (after - before) / float(x[2] - x[0])
-    if not 0.0 < bend < np.inf:
-        return 0.0
-    return min(max(0.5 * (float(x[0]) - before / bend), float(x[0])), float(x[2]))
-
-
 def _vertex(x: Array, y: Array) -> float:
     """Position of the minimum near 0 of the quartic through five points; x rises, and the third point is (0, 0).
 
-    Where the points are too uneven for a quartic, the parabola through the middle three.
+    Where the points are too uneven for a quartic, of the parabola through the middle three, within these.
     """
     gaps = np.diff(x)
     if not gaps.min() >= UNEVEN * gaps.max():  # nan included
-        with np.errstate(all="ignore"):
-            return _lowest(x[1:4], y[1:4])
-    fit = QUARTIC if np.abs(x - _EVEN).max() < 1e-6 else np.linalg.inv(np.vander(x))[:4]
-    slope = fit @ y * [4.0, 3.0, 2.0, 1.0]
-    roots = np.roots(slope)
-    inside = roots[np.abs(roots.imag) < 1e-9].real
-    inside = inside[np.polyval(slope[:3] * [3.0, 2.0, 1.0], inside) > 0.0]
+        x, y = x[1:4], y[1:4]
+    try:
+        slope = np.polyder(np.linalg.solve(np.vander(x), y))
+        zeros = np.roots(slope)
+    except np.linalg.LinAlgError:  # two points at almost the same time, or not finite
+        return 0.0
+    inside = zeros[np.abs(zeros.imag) < 1e-9].real
+    inside = np.clip(inside[np.polyval(np.polyder(slope), inside) > 0.0], x[0], x[-1])
     return float(inside[np.argmin(np.abs(inside))]) if len(inside) else 0.0
 
 
