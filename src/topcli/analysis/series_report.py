@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.tally import Tally, tally_of
+from topcli.analysis.tally import Tally
 from topcli.analysis.verdict import NEEDS_EVEN_TIMES, InvariantRow
 from topcli.contracts import Array, Invariant, Top
 from topcli.engine.consumers import EnergyWatch
@@ -22,30 +22,27 @@ def series_rows(top: Top, invariants: Sequence[Invariant], n: NDArray[np.int64],
 
 
 def invariant_report(
-    top: Top, invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array, steps: int | None = None
+    top: Top,
+    invariants: Sequence[Invariant],
+    n: NDArray[np.int64],
+    h: float,
+    states: Array,
+    steps: int | None = None,
+    uneven_span: float | None = None,
 ) -> tuple[list[InvariantRow], int | None]:
-    """Report on rows in memory, and the step at which they left their energy surface; None for never.
+    """Report on rows in memory, and the one of ``n`` at which they left their energy surface; None for never.
 
-    ``steps`` of the method lie behind the rows, for the round-off bound, by default the last of ``n``.
+    ``steps`` of the method lie behind the rows, for the round-off bound, by default the last of ``n``. Rows at uneven
+    times, which take the time ``uneven_span``, have no drift.
     """
-    rows, watch = series_rows(top, invariants, n, h, states), EnergyWatch()
-    watch.begin(rows.plan)
-    watch.add(rows)
-    return tally_of(rows).report(steps), None if watch.left[0] < 0 else int(watch.left[0])
-
-
-def uneven_report(
-    top: Top, invariants: Sequence[Invariant], states: Array, steps: int, span: float
-) -> tuple[list[InvariantRow], int | None]:
-    """Report on rows at uneven times, with ``states`` (m, d): deviations, and no drift.
-
-    ``steps`` of the method lie behind the rows, for the round-off bound, in the time ``span``. The second result is the
-    index of the first row that has left the energy surface of the first one; None for none.
-    """
-    rows = series_rows(top, invariants, np.arange(len(states)), 1.0, states)
-    tally, watch = Tally(drifts=False), EnergyWatch()
+    rows, even = series_rows(top, invariants, n, h, states), uneven_span is None
+    tally, watch = Tally(drifts=even, judged=even), EnergyWatch()
     for consumer in (tally, watch):
         consumer.begin(rows.plan)
         consumer.add(rows)
-    report = [tally.row(i, None, NEEDS_EVEN_TIMES, steps, span) for i in range(len(tally.names))]
-    return report, None if watch.left[0] < 0 else int(watch.left[0])
+    left, last = int(watch.left[0]), int(n[-1]) if steps is None else steps
+    if uneven_span is None:
+        report = tally.report(last)
+    else:
+        report = [tally.row(i, None, NEEDS_EVEN_TIMES, last, uneven_span) for i in range(len(tally.names))]
+    return report, None if left < 0 else left

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.analysis.reference import reference_states
-from topcli.analysis.series_report import invariant_report, uneven_report
+from topcli.analysis.series_report import invariant_report
 from topcli.analysis.swings import first_swing_spacing, swing_times
 from topcli.analysis.verdict import InvariantRow
 from topcli.config.load import load_experiment
@@ -282,6 +282,7 @@ def _judged(
         invariants = (*invariants, *experiment.modified)
     rounding = 4.0 * np.finfo(np.float64).eps * np.abs(t).max()
     if np.abs(t - (t[0] + np.arange(len(t)) * spacing)).max() > _EVEN * abs(spacing) + rounding:
-        return *uneven_report(top, invariants, states, steps, float(t[-1] - t[0])), "uneven"
+        rows = np.arange(len(t))
+        return *invariant_report(top, invariants, rows, 1.0, states, steps, float(t[-1] - t[0])), "uneven"
     report, step = invariant_report(top, invariants, numbers, h, states, steps)
     return report, None if step is None else int(np.searchsorted(numbers, step)), kind
