@@ -115,12 +115,12 @@ def oscillations(lows: Array, highs: Array) -> tuple[float, int]:
         width = top - bottom
         if width > max(RESTS * max(abs(bottom), abs(top)), NEGLIGIBLE * largest):
             levels = [(bottom + (level - MIDDLE) * width, bottom + (level + MIDDLE) * width) for level in LEVELS]
-            passages = max(_passages(low < under, high > over) for under, over in levels)
-            slowest = min(slowest, (0.5 * passages, j))
+            count = max(passages(low < under, high > over) for under, over in levels)
+            slowest = min(slowest, (0.5 * count, j))
     return slowest if slowest[0] < np.inf else (0.0, 0)
 
 
-def _passages(below: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
+def passages(below: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
     """Least number of passages between two sides, of which these are visited in stretches of time (m,) each."""
     at_low = at_high = 0.0
     for low, high in zip(below.tolist(), above.tolist(), strict=True):

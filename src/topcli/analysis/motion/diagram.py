@@ -32,23 +32,17 @@ Kinds = list[tuple[str, Any]]
 """Kinds of critical motions, each with a condition; the first that holds counts, and without any there is no motion."""
 
 
-class Region(NamedTuple):
-    """Part of the bifurcation diagram: its name and the number of tori on each level of the integrals."""
-
-    name: str
-    tori: int
+TORI = {"I": 1, "II": 2, "III": 2, "IV": 2, "V": 4}
+"""Regions of the bifurcation diagram, and the number of tori on each level of the integrals."""
 
 
-REGIONS = {name: Region(name, tori) for name, tori in (("I", 1), ("II", 2), ("III", 2), ("IV", 2), ("V", 4))}
-
-
-def region(curve: Curve) -> Region:
+def region(curve: Curve) -> str:
     """Region of a curve, by sign(E - 2 L²/G - k), a conjugate pair or double root, and the lower end of s1."""
     of, highest = curve.of, curve.occupied()[1] == 4  # e5 is next to e4
     if curve.pair or of.discriminants()[2] == 0:
-        return REGIONS["IV" if highest else "I"]
+        return "IV" if highest else "I"
     above = 3 * of.l1 - 2 * of.L**2 / of.G
-    return REGIONS["V" if highest else "III" if above > 0 and above**2 >= of.k_sq else "II"]
+    return "V" if highest else "III" if above > 0 and above**2 >= of.k_sq else "II"
 
 
 def on_parabola(k: Any, side: float, L: Any, G: Any) -> tuple[Any, Kinds]:
@@ -141,27 +135,22 @@ class Branch(NamedTuple):
     k_sq: Array
 
 
-def _real_cubic(E: Array, k_sq: Array, L: float, G: float) -> tuple[NDArray[np.bool_], Array]:
-    """True where 4 s³ - g2 s - g3 has a conjugate pair, and its largest real root."""
-    m = E / 3.0
-    p, q = (k_sq - G + 3.0 * m * m) / 12.0, (m * (k_sq - G - m * m) + L * L) / 8.0  # s³ = 3 p s + 2 q
-    pair = q * q > p * p * p
-    root = np.sqrt(np.maximum(q * q - p**3, 0.0))
-    u = np.cbrt(np.where(q >= 0.0, q + root, q - root))
-    single = u + p / np.where(u == 0.0, 1.0, u)
-    size = np.sqrt(np.maximum(p, 0.0))
-    cosine = np.clip(q / np.where(size == 0.0, 1.0, size**3), -1.0, 1.0)
-    return pair, np.where(pair, single, 2.0 * size * np.cos(np.arccos(cosine) / 3.0))
-
-
 def regions(E: Array, k_sq: Array, L: float, G: float) -> NDArray[np.int64]:
-    """Numbers 1 to 5 of the regions I to V at points of the plane; 0 where there is no motion."""
-    k, above = np.sqrt(k_sq), E - 2.0 * L * L / G
-    pair, largest = _real_cubic(E, k_sq, L, G)
-    e4, e5 = (E / 3.0 + k) / 2.0, (E / 3.0 - k) / 2.0
-    outside = np.where(pair, 4, np.where(largest > e5, 3, 5))
+    """Numbers 1 to 5 of the regions I to V at points of the plane; 0 where there is no motion.
+
+    By the place of (E/3 ± k)/2 among the roots of the cubic 4 s³ - g2 s - g3, which follows from its signs there.
+    """
+    m, k, above = E / 3.0, np.sqrt(k_sq), E - 2.0 * L * L / G
+    g2, g3 = k_sq - G + 3.0 * m * m, m * (k_sq - G - m * m) + L * L
+    pair = 27.0 * g3 * g3 > g2**3
+
+    def exceeded(s: Array) -> NDArray[np.bool_]:
+        """True where a root exceeds s; of a cubic with three real roots also if a derivative is negative (Budan)."""
+        return ((4.0 * s * s - g2) * s < g3) | ~pair & ((12.0 * s * s < g2) | (s < 0.0))
+
+    outside = np.where(pair, 4, np.where(exceeded((m - k) / 2.0), 3, 5))
     region = np.where(above > k, outside, np.where(pair, 1, 2))
-    return np.where((above < -k) | (largest > e4), 0, region)
+    return np.where((above < -k) | exceeded((m + k) / 2.0), 0, region)
 
 
 def branches(L: float, G: float, E: tuple[float, float], k_sq: tuple[float, float]) -> Iterator[Branch]:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 from topcli.analysis.motion import Motion, MotionQuantity, integrals_of
-from topcli.analysis.motion.diagram import region, separatrix_distance
+from topcli.analysis.motion.diagram import TORI, region, separatrix_distance
 from topcli.arithmetic.multiprecision import digits, mp
 from topcli.contracts import Floats
 from topcli.schemes.kowalevski.curve import Curve, Integrals
@@ -68,6 +68,6 @@ def _torus(top: Kowalevski, y: Floats, motion: Separated, conserved: Sequence[Mo
     distance = separatrix_distance(motion.curve.of)
     if distance is not None:
         quantities.append(MotionQuantity("separatrix.distance", distance, DISTANCE))
-    number = "the only torus" if where.tori == 1 else f"one of {where.tori} tori"
-    title = f"quasi-periodic on {number} in region {where.name} of the bifurcation diagram"
-    return Motion(top.form, f"torus {where.name}", title, y, tuple(quantities))
+    number = "the only torus" if TORI[where] == 1 else f"one of {TORI[where]} tori"
+    title = f"quasi-periodic on {number} in region {where} of the bifurcation diagram"
+    return Motion(top.form, f"torus {where}", title, y, tuple(quantities))
