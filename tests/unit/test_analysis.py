@@ -12,9 +12,8 @@ import pytest
 from conftest import GEN
 from topcli.analysis import order, trajectory
 from topcli.analysis.quantities import quantities_of
-from topcli.analysis.series_report import series_rows
 from topcli.analysis.swings import first_swing_spacing, minima_times
-from topcli.analysis.tally import tally_of
+from topcli.analysis.tally import series_rows, tally_of
 from topcli.engine.columns import column_names
 from topcli.engine.rows import Plan, Rows
 from topcli.errors import UsageError

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.series_report import invariant_report
-from topcli.analysis.tally import Tally, summary, tally_of, trajectory_columns
+from topcli.analysis.tally import Tally, invariant_report, summary, tally_of, trajectory_columns
 from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Array, Ending, Outcome, Top
 from topcli.engine.columns import ATTITUDES, column_names

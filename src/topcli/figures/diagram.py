@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.motion.diagram import TORI, branches, regions
+from topcli.analysis.motion.kowalevski import TORI, branches, regions
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure

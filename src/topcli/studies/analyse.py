@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.analysis.reference import reference_states
-from topcli.analysis.series_report import invariant_report
 from topcli.analysis.swings import first_swing_spacing, swing_times
+from topcli.analysis.tally import invariant_report
 from topcli.analysis.verdict import InvariantRow
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
