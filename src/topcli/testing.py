@@ -139,14 +139,14 @@ def _traits(scheme: Scheme, top: Top, options: Any, method: Method, y0: Array) -
     few = states_near(start, 3 if plain else 9)
     yield Trait("ensembles equal single runs", differing_lanes(top, method, few, few, 0.02, 20 if plain else 100), 0.0)
     if isinstance(method, Stepper) and not plain:
-        python, compiled, _ = working_states(top, method, start, 0.02, 100)
+        python, compiled = working_states(top, method, start, 0.02, 100)
         differing = sum(a.hex() != b.hex() for a, b in zip(python, compiled, strict=True))
         yield Trait("machine code equals Python", differing, 0.0)
 
 
 def _conserved(trait: str, states: Array, invariants: Sequence[Invariant], N: int) -> Trait:
     """Largest deviation of invariants in units of what round-off explains."""
-    off = {each.name: deviation(states, [each], N) for each in invariants}
+    off = {each.name: deviation(states, each, N) for each in invariants}
     worst = max(off, key=lambda name: math.inf if math.isnan(off[name]) else off[name])
     measured = math.inf if math.isnan(off[worst]) else off[worst]
     return Trait(trait, measured, 1.0, f"{worst} is off by {measured:.2g} times what round-off explains")

@@ -74,7 +74,7 @@ def swing_times(top: Top, t: Array, states: Array) -> Array:
     values = states[:, place]
     if len(t) > 1 and np.isfinite(states).all():
         low, width = values < 0.5 * (values.min() + values.max()), float(np.ptp(values))
-        rows = np.unique([0, *np.flatnonzero(low[1:] != low[:-1]), len(t) - 2])
+        rows = np.unique(np.append(np.flatnonzero(low[1:] != low[:-1]), [0, len(t) - 2]))
         gaps = np.abs(t[rows + 1] - t[rows])
         rates = np.fmax(*(np.abs(slopes(top, states[ends])[:, place]) for ends in (rows, rows + 1)))
         changes = np.fmax(np.abs(values[rows + 1] - values[rows]), rates * gaps)
