@@ -129,7 +129,7 @@ True -> 1: only numbers, names
 abs(x for x in w1) -> 4: only numbers, names
 __import__ -> 1: unknown name '__import__'
 sin + w1 -> 1: sin is a function; write sin(x)
-sine(w1) -> 1: unknown function 'sine'; did you mean 'sin'
+sine(w1) -> 1: unknown name 'sine'; did you mean 'sin'
 atan2(w1) -> 1: atan2 is a function; write atan2(y, x)
 asin(w1, w2) -> 1: asin is a function; write asin(x)
 w1**A -> 5: an exponent is a number, whole or half, of size 24 at most
