@@ -16,9 +16,10 @@ RESTS, NEGLIGIBLE = 0.01, 1e-6
 UNEVEN = 0.1
 """Ratio of the smallest to the largest of four spacings below which the quartic through five points is not used."""
 
-LARGEST_CHANGE, REST = 0.75, 1e-9
-"""Largest change of a component from row to row, relative to its range, in rows that show its oscillations: four rows
-an oscillation. A change below ``REST``, relative to the largest component, is none."""
+LARGEST_CHANGE, UNCLEAR, REST = 0.6, 0.5, 1e-9
+"""Largest change of a component from row to row, relative to its range, in rows that show its oscillations: five rows
+an oscillation. Distance of an extremum from the middle of the range that leaves its side open, relative to its height
+above the rows. Largest change, relative to the largest component, of a component at rest."""
 
 
 def _vertex(x: Array, y: Array) -> float:
@@ -39,6 +40,15 @@ def _vertex(x: Array, y: Array) -> float:
     return float(inside[np.argmin(np.abs(inside))]) if len(inside) else 0.0
 
 
+def _depths(values: Array) -> tuple[Array, Array]:
+    """Values (m,) relative to the middle of their range, extremes by parabolas, and by how much these exceed rows."""
+    slope, bend = 0.5 * (values[2:] - values[:-2]), np.diff(values, 2)
+    turns = np.diff(values)[1:] * np.diff(values)[:-1] < 0.0
+    beyond = np.pad(np.where(turns, -0.5 * slope**2 / np.where(turns, bend, 1.0), 0.0), 1)
+    extended = values + beyond
+    return extended - 0.5 * (extended.min() + extended.max()), np.abs(beyond)
+
+
 def minima_times(t: Array, values: Array) -> Array:
     """Times of the deep minima of ``values`` (m,) sampled at times ``t`` (m,), rising or falling, even or not.
 
@@ -49,10 +59,8 @@ def minima_times(t: Array, values: Array) -> Array:
     """
     if len(values) < 5 or not np.isfinite(values).all():
         return np.empty(0)
-    low = values < 0.5 * (values.min() + values.max())
-    edges = np.flatnonzero(low[1:] != low[:-1]) + 1
-    if low[0]:
-        edges = edges[1:]
+    low = _depths(values)[0] < 0.0
+    edges = (np.flatnonzero(low[1:] != low[:-1]) + 1)[int(low[0]) :].tolist()
     times = []
     for start, end in zip(edges[::2], edges[1::2], strict=False):
         at = int(start + np.argmin(values[start:end]))
@@ -68,17 +76,21 @@ def swing_times(top: Top, t: Array, states: Array) -> Array:
 
     Raises UsageError if the rows are too far apart to show them: where this component passes the middle of its range,
     at the first row and at the last, it changes by a large part of its range from row to row, or would at the rate of
-    the equations of motion, which rows that skip whole oscillations do not show. ``states`` has the shape (m, d).
+    the equations of motion, which rows that skip whole oscillations do not show; or it is unclear whether it turns
+    above or below the middle. ``states`` has the shape (m, d).
     """
     place = top.components.index(top.swing)
     values = states[:, place]
     if len(t) > 1 and np.isfinite(states).all():
-        low, width = values < 0.5 * (values.min() + values.max()), float(np.ptp(values))
+        (depths, beyond), width = _depths(values), float(np.ptp(values))
+        low = depths < 0.0
         rows = np.unique(np.append(np.flatnonzero(low[1:] != low[:-1]), [0, len(t) - 2]))
         gaps = np.abs(t[rows + 1] - t[rows])
         rates = np.fmax(*(np.abs(slopes(top, states[ends])[:, place]) for ends in (rows, rows + 1)))
         changes = np.fmax(np.abs(values[rows + 1] - values[rows]), rates * gaps)
-        if (changes > max(LARGEST_CHANGE * width, REST * float(np.abs(states).max()))).any():
+        coarse = changes > max(LARGEST_CHANGE * width, REST * float(np.abs(states).max()))
+        unclear = np.abs(depths) < UNCLEAR * beyond
+        if coarse.any() or unclear.any():
             apart = f"rows {float(gaps.max()):.3g} apart in time"
             raise UsageError(f"{apart} are too few to show the swings of {top.swing}; record more of them")
     return minima_times(t, values)

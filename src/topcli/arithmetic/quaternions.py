@@ -1,8 +1,8 @@
 """Unit quaternions (w, x, y, z), scalar part first; composed rotations keep unit length.
 
 A quaternion q rotates the vector v to q v q*. Rotations near the identity are given as *turns*: the quaternion minus
-one, (w - 1, x, y, z), whose small parts keep all their digits. ``turned_by`` adds the change to q and restores its length,
-which therefore stays one to round-off, however many turns follow each other.
+one, (w - 1, x, y, z), whose small parts keep all their digits. ``turned_by`` adds the change to q and restores its
+length, which therefore stays one to round-off, however many turns follow each other.
 """
 
 from __future__ import annotations
