@@ -81,14 +81,14 @@ def swing_times(top: Top, t: Array, states: Array) -> Array:
     """
     place = top.components.index(top.swing)
     values = states[:, place]
-    if len(t) > 1 and np.isfinite(states).all():
+    if len(t) > 1 and np.isfinite(values).all():
         (depths, beyond), width = _depths(values), float(np.ptp(values))
         low = depths < 0.0
         rows = np.unique(np.append(np.flatnonzero(low[1:] != low[:-1]), [0, len(t) - 2]))
         gaps = np.abs(t[rows + 1] - t[rows])
         rates = np.fmax(*(np.abs(slopes(top, states[ends])[:, place]) for ends in (rows, rows + 1)))
         changes = np.fmax(np.abs(values[rows + 1] - values[rows]), rates * gaps)
-        coarse = changes > max(LARGEST_CHANGE * width, REST * float(np.abs(states).max()))
+        coarse = changes > max(LARGEST_CHANGE * width, REST * float(np.abs(states[rows]).max()))
         unclear = np.abs(depths) < UNCLEAR * beyond
         if coarse.any() or unclear.any():
             apart = f"rows {float(gaps.max()):.3g} apart in time"

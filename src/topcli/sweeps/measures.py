@@ -19,7 +19,7 @@ from pydantic import BaseModel
 import topcli
 from topcli.analysis.frequencies import agreement_digits, strongest_line
 from topcli.analysis.lyapunov import LEAST_STEPS, shares_of_chaos
-from topcli.analysis.swings import first_swing_spacing, swing_times
+from topcli.analysis.swings import first_swing_spacing
 from topcli.analysis.tally import OF_INVARIANT
 from topcli.contracts import Array, Invariant, Sampler, Scheme, Top
 from topcli.engine.tangent import tangent_obstacle
@@ -314,8 +314,7 @@ _register_extreme("mean", "mean", np.mean)
 
 def _of_swings(batch: Batch, figure: Callable[[Array], float | None]) -> Array:
     """``figure`` of the times of the swings of each run (runs,); nan where it is None. Raises UsageError."""
-    top = batch.experiment.top
-    return np.array([figure(swing_times(top, batch.t, states)) for states in batch.states], dtype=np.float64)
+    return np.array([figure(times) for times in batch.swings], dtype=np.float64)
 
 
 @measure("swings", "number of swings, which are deep minima of one component of the state", NUMBER, needs=[STATES])
