@@ -81,21 +81,6 @@ def test_sinc_and_cosc(x: float) -> None:
         assert abs(got[1] - cosc) <= 2 * EPS * max(cosc, mpmath.mpf(0.01))
 
 
-def both(t, out, n):
-    for i in range(n):
-        out[2 * i], out[2 * i + 1] = sinc_cosc(t[i])
-    return 0
-
-
-def test_machine_code_takes_the_rare_branch_too() -> None:
-    """On either side of it the compiled kernel has the bits of the plain one."""
-    t = np.array([x * x for x in ANGLES])
-    out = np.zeros((len(t), 2))
-    native(both, "ppq")(t, out, len(t))
-    assert t.min() <= SMALL_ANGLE_SQ < t.max()
-    assert out.tolist() == [list(sinc_cosc(x)) for x in t.tolist()]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 1e-2, 1.0, 7.0])
 def test_rodrigues_against_the_increment_in_forty_digits(size: float) -> None:
