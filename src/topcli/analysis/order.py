@@ -236,19 +236,6 @@ def is_consistent(top: Top, method: Method, y0: Array) -> bool:
     return not (math.isfinite(whole) and short > 1e-12 * np.abs(y0).max() and short / sizes[0] > 0.5 * whole / sizes[1])
 
 
-@dataclass(frozen=True)
-class Reversal:
-    """Result of one step forward and one back: the ``defect`` at ``h``, and its ``order`` in h.
-
-    ``order`` is None if the defect is round-off at every step size tried, or zero in rational numbers: the scheme is
-    self-adjoint there.
-    """
-
-    h: float
-    defect: float
-    order: float | None
-
-
 def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: float) -> float:
     """Largest component of the difference after one step with h and one with -h from ``y``, in plain Python.
 
@@ -271,12 +258,15 @@ def probe_rows(rows: int) -> slice:
     return slice(0, min(rows, PROBES * stride), stride)
 
 
-def reversal(top: Top, method: Method, states: Array, h: float, precise: PreciseRun | None = None) -> Reversal:
+def reversal(
+    top: Top, method: Method, states: Array, h: float, precise: PreciseRun | None = None
+) -> tuple[float, float | None]:
     """Reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
 
     The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may be
     below round-off. A closed form, which may be set up for each state, is tried at two of the states. For a
-    ``precise`` run of the method, all steps are taken in its arithmetic.
+    ``precise`` run of the method, all steps are taken in its arithmetic. The order is None if the defect is round-off
+    at every step size tried, or zero in rational numbers: the scheme is self-adjoint there.
     """
     if isinstance(method, Sampler):
         states = states[:: max(1, len(states) // 2)][:2]
@@ -297,8 +287,4 @@ def reversal(top: Top, method: Method, states: Array, h: float, precise: Precise
     defects = [max(defect(y, factor) for y in states) for factor in factors]
     eps = precise.arithmetic.eps if precise else float(np.finfo(np.float64).eps)
     floor = FLOOR_ULPS * eps * max(1.0, float(np.abs(states).max()))
-    return Reversal(
-        h=abs(h),
-        defect=defects[factors.index(1.0)],
-        order=observed_order(sizes, defects, floor),
-    )
+    return defects[factors.index(1.0)], observed_order(sizes, defects, floor)

@@ -111,14 +111,14 @@ def compare(
     ):
         error = distances(run.states, expected[experiment.h][: len(run.states)])
         precise = precise_of(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
-        back = reversal(top, method, exact_states[probe_rows(len(exact_states))], experiment.h, precise)
+        defect, its_order = reversal(top, method, exact_states[probe_rows(len(exact_states))], experiment.h, precise)
         complete = run.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION)
         if run.outcome is not Outcome.COMPLETED:
             ended.append(f"{label}: {run.ending.message}")
         rows.append({
             "scheme": label, "h": experiment.h, "N": experiment.N, "outcome": run.outcome.value,
             "max_error": float(error.max()), "final_error": float(error[-1]) if complete else None,
-            "reversal_defect": back.defect, "its_order": back.order,
+            "reversal_defect": defect, "its_order": its_order,
             "first_swing_spacing": first_swing_spacing(_swings(top, run.t, run.states, coarse)),
             "ns_per_step": nanoseconds if complete else None,
         })  # fmt: skip
