@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 import topcli
-from topcli.analysis.series_report import invariant_report, series_rows
-from topcli.analysis.tally import tally_of
+from topcli.analysis.tally import invariant_report, series_rows, tally_of
 from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Array, Top
 from topcli.engine.rows import Rows

@@ -21,7 +21,6 @@ from topcli.analysis.conformance import (
     deviation,
     differing_lanes,
     is_vector_of,
-    rate_along,
     reversal_defect,
     states_near,
     working_states,
@@ -31,7 +30,7 @@ from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
 from topcli.contracts import Array, Invariant, Method, Scheme, Stepper, Top
 from topcli.engine.drive import orbit
-from topcli.field.integrals import exact_rate
+from topcli.field.integrals import RATE, exact_rate, rates_along
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.registry import find_scheme
 from topcli.tops import CATALOGUE, TOPS, gentle_scene
@@ -50,8 +49,6 @@ STEPS, FEW = 5000, 400
 """Steps of the runs that show invariants; in the interpreter fewer."""
 _LONG = 0.05
 """Step size of these runs."""
-RATE = 1e-7
-"""Rate of change of an integral on random states that differences may leave, relative to its gradient and the field."""
 
 
 class Trait(NamedTuple):
@@ -142,14 +139,14 @@ def _traits(scheme: Scheme, top: Top, options: Any, method: Method, y0: Array) -
     few = states_near(start, 3 if plain else 9)
     yield Trait("ensembles equal single runs", differing_lanes(top, method, few, few, 0.02, 20 if plain else 100), 0.0)
     if isinstance(method, Stepper) and not plain:
-        python, compiled, _ = working_states(top, method, start, 0.02, 100)
+        python, compiled = working_states(top, method, start, 0.02, 100)
         differing = sum(a.hex() != b.hex() for a, b in zip(python, compiled, strict=True))
         yield Trait("machine code equals Python", differing, 0.0)
 
 
 def _conserved(trait: str, states: Array, invariants: Sequence[Invariant], N: int) -> Trait:
     """Largest deviation of invariants in units of what round-off explains."""
-    off = {each.name: deviation(states, [each], N) for each in invariants}
+    off = {each.name: deviation(states, each, N) for each in invariants}
     worst = max(off, key=lambda name: math.inf if math.isnan(off[name]) else off[name])
     measured = math.inf if math.isnan(off[worst]) else off[worst]
     return Trait(trait, measured, 1.0, f"{worst} is off by {measured:.2g} times what round-off explains")
@@ -211,5 +208,6 @@ def check_top(top: Top | str, y0: Sequence[float] | None = None) -> list[Trait]:
         except NotPolynomialError:
             pass
         if not each.on:  # an integral on a level of another one
-            traits.append(Trait(f"{each.name}: rate on random states", rate_along(top, each.value, states[1:]), RATE))
+            _, sizes = rates_along(top, each.value, states[1:])
+            traits.append(Trait(f"{each.name}: rate on random states", float(sizes.max()), RATE))
     return traits

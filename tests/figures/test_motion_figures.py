@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from topcli.analysis.motion.diagram import branches, regions
+from topcli.analysis.motion.kowalevski import branches, regions
 
 
 def roots(E: float, k_sq: float, two_l: float) -> np.ndarray:

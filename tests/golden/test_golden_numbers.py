@@ -113,7 +113,7 @@ def test_growth_orders_and_swings() -> None:
     dips = -np.exp(-((T[:, None] - np.array([3.0, 9.0, 14.0, 22.5])) ** 2) / 0.2).sum(axis=1)
     swings = {"dips": dips, "cosine": np.cos(T), "short": np.cos(T) * (1 + 0.5 * np.sin(T / 3)), "line": T}
     fits["swings"] = {
-        k: [*(float(f"{x:.9g}") for x in minima_times(T, v)), str(first_swing_spacing(T, v))[:12]]
+        k: [*(float(f"{x:.9g}") for x in minima_times(T, v)), str(first_swing_spacing(minima_times(T, v)))[:12]]
         for k, v in swings.items()
     }
     golden.check("analyses", fits, rel=1e-6)

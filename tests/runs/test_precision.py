@@ -77,7 +77,7 @@ def test_rational_report_states_equality(tmp_path: Path) -> None:
     report = run_experiment(precise("euler_hk", *EULER), tmp_path).report
     rows = {row["name"]: row for row in report["invariants"]}
     assert rows["modified_m_sq"]["reason"] == "equal at all 13 rows"
-    assert rows["modified_m_sq"]["verdict"] == "exact"
+    assert rows["modified_m_sq"]["statement"] == "exact (equal at all 13 rows)"
     assert rows["m_sq"]["verdict"] != "exact"
     assert "equal" not in rows["m_sq"]["reason"]
 

@@ -9,7 +9,7 @@ import pytest
 
 from conftest import GEN, PAPER, random_states
 from stepping import deviations, error_at, ran, stepper
-from topcli.analysis.series_report import invariant_report
+from topcli.analysis.tally import invariant_report
 from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Floats, Outcome
 from topcli.engine.drive import orbit

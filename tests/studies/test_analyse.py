@@ -144,11 +144,26 @@ def test_an_exact_motion_and_one_whose_spin_grows(tmp_path: Path, kind: str) -> 
     row = laws(report).loc["m·ω"]
     assert row["max_deviation"] == pytest.approx(abs((2.0 + 1e-4 * end) ** 2 - 4.0), rel=1e-9)
     if "uneven" in kind:
-        assert (row["verdict"], report.notes) == ("undecided", ["no drifts: a drift needs rows at even times"])
+        assert (row["verdict"], report.notes) == ("undecided", ["m², m·ω: undecided: a drift needs rows at even times"])
         assert row["drift"] is None
     else:
         assert row["verdict"] == "drifting"
         assert row["drift"] == pytest.approx(4e-4, rel=2e-3)
+
+
+@pytest.mark.parametrize("gap", [1.0, 1.6, 6.3])
+def test_minima_need_rows_between_them(tmp_path: Path, gap: float) -> None:
+    """The period is 2 pi: six rows show it, four do not, and rows every 6.3 look like a slow oscillation."""
+    report = analysed(tmp_path, motion(np.arange(0.0, 1000.0, gap)))
+    shown = f"rows {gap:g} apart in time are too few to show the swings of omega2; record more of them"
+    assert report.notes == ([] if gap == 1.0 else [f"warning: no minima: {shown}"])
+    assert len(report.tables[2].rows) == (159 if gap == 1.0 else 0)
+
+
+def test_a_verdict_left_open_has_its_reason(tmp_path: Path) -> None:
+    t = EVEN[:200]
+    report = analysed(tmp_path, motion(t) | {"omega3": 2.0 + 1e-4 * np.sin(t)})
+    assert report.notes == ["m², m·ω: undecided: covers half an oscillation of omega2; run T >= 8"]
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
@@ -182,8 +197,9 @@ def test_steps_decide_the_round_off_bound(
 
 def test_a_reference_out_of_reach_leaves_the_rest(tmp_path: Path) -> None:
     report = analysed(tmp_path, motion(EVEN) | {"t": EVEN * 1e9})
-    (note,) = report.notes
-    assert note.startswith("warning: no error: the reference would need at least 1e+10 Taylor steps to reach t = 2e+10")
+    no_error, no_minima = report.notes
+    assert no_minima.startswith("warning: no minima: rows 1e+07 apart")
+    assert no_error.startswith("warning: no error: the reference would need at least 1e+10 Taylor steps")
     assert figures(report)["max error"] is None
     assert laws(report)["verdict"].tolist() == ["exact", "exact"]
     assert set(report.columns) == {"t", "deviation of m²", "deviation of m·ω"}
@@ -193,10 +209,10 @@ def test_a_motion_that_leaves_its_energy_surface_is_noted(tmp_path: Path) -> Non
     """The limit is 100 times the sum of the terms: omega3^2 = 450 at most, beside 0.5."""
     start = topcli.simulate("heavy_hk", ["N=1"])
     data = {"t": EVEN[:50], **{name: np.full(50, start[name][0]) for name in start.top.components}}
-    assert not analysed(tmp_path, data, "heavy_hk").notes
+    assert "energy surface" not in str(analysed(tmp_path, data, "heavy_hk").notes)
     data["omega1"][40:] = 1e4
     words = f"far off its energy surface at row 41 (t = {data['t'][40]:.6g})"
-    assert words in analysed(tmp_path, data, "heavy_hk").notes[-1]
+    assert words in str(analysed(tmp_path, data, "heavy_hk").notes)
 
 
 @pytest.mark.parametrize("scene", ["kowalevski_hk", "euler_hk"])

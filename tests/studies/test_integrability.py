@@ -149,20 +149,6 @@ def test_recorded_verdicts(command: str) -> None:
     assert report.answer.startswith(f"{expected}: ")
 
 
-@pytest.mark.slow
-def test_zero_entropy_without_enough_integrals_is_undecided() -> None:
-    """A free body with a rotor and a vector fixed in space, as a top of a config."""
-    m, p, rate = ("m1", "m2", "m3"), ("p1", "p2", "p3"), ("(2*m1 + 5)", "(3*m2)", "(7*m3)")
-    field = {
-        a[i]: f"{a[j]}*{rate[k]} - {a[k]}*{rate[j]}" for a in (m, p) for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-    }
-    top = {"kind": "custom", "components": [*m, *p], "field": field}
-    config = {"name": "own", "top": top, "initial": dict.fromkeys(field, 0.5), "scheme": "rk2", "h": 0.3, "N": 10}
-    report = topcli.integrability("custom", config=config)
-    assert degrees_of(report)[:6] == [6, 21, 58, 129, 246, 421]
-    assert [verdict(report)[name] for name in ("power", "integrals", "verdict")] == [3, 2, "undecided"]
-
-
 REFUSED = {
     "(s[0] + h * s[1] if s[1] > 0.0 else s[0], s[1], s[2])": "it makes a decision that depends on the state",
     "(math.exp(s[0]), s[1], s[2])": "it uses math.exp, which rational functions do not have",

@@ -55,6 +55,22 @@ def test_swings_of_the_symmetric_top_come_once_per_period() -> None:
     assert [float(values[0]) for values in few.values()] == pytest.approx([1.0, math.nan, math.nan], nan_ok=True)
 
 
+@pytest.mark.parametrize(("every", "seen"), [(400, True), (1047, False), (4200, False)])
+def test_swings_are_refused_in_rows_too_few_to_show_them(every: int, seen: bool) -> None:
+    """The period is 41.9: rows every 10.47 are four a period; every 42, they creep along the oscillation.
+
+    Ten rows every 4 show it; those every 42 look smooth, and only the equations of motion tell that they skip periods.
+    """
+    slow = {"initial": {"omega": [0.3, 0.4, 0.3]}, "output": {"every": every}}
+    found = measured(symmetric("exact", 0.01, 100 * every, **slow), ["swings"])
+    if seen:
+        assert (found["swings"][0], found.faults) == (9.0, [])
+    else:
+        reason = f"rows {every / 100:.3g} apart in time are too few to show the swings of omega2; record more of them"
+        assert math.isnan(found["swings"][0])
+        assert found.faults == [(0, "swings", reason)]
+
+
 def test_figures_of_columns_are_those_of_the_run() -> None:
     run = topcli.simulate(symmetric("rk2", 0.1, 400).resolved())
     energy, deviation = run["m_omega"], run["m_omega"] - run["m_omega"][0]
@@ -127,7 +143,7 @@ def test_failed_runs_have_no_numbers_and_disturb_no_others(count: int) -> None:
     assert found["steps"].tolist()[:3] == [400.0, float(batch.endings[1].step), 400.0]
     failed = batch.endings[1].step
     assert failed < 400
-    reached = np.isfinite(batch.columns["omega2"])
+    reached = np.isfinite(batch.states[:, :, 1])
     assert reached[[0, 2]].all()
     assert reached[1].tolist() == [n < failed for n in range(401)]
     for name in names:

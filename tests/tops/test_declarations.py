@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import re
 from dataclasses import replace
-from typing import ClassVar
 
-import numpy as np
 import pytest
 
 from custom_tops import Volterra
-from topcli.contracts import Top
-from topcli.field.integrals import broken_integral, measured_change
+from topcli.field.integrals import measured_change
 from topcli.tops import TOPS
 
 
@@ -37,27 +32,3 @@ def test_integrals_are_told_from_other_functions_by_differences_too(form: str) -
             return value(y) + 1e-3 * scale(y[:1])[0] * y[:, 0] ** 2
 
         assert "its rate of change is" in measured_change(top, replace(invariant, value=wrong)), invariant.name
-
-
-class Pendulum(Top):
-    """Pendulum by its angle and momentum."""
-
-    kind = "pendulum-declared"
-    components = ("q", "p")
-    sign: float = 1.0
-
-    @staticmethod
-    def field(y, p):
-        return (y[1], -math.sin(y[0]))
-
-    integrals: ClassVar = {"energy": lambda y, p: y[1] ** 2 / 2 - p[0] * np.cos(y[0])}
-
-
-def test_an_integral_that_is_no_polynomial_is_judged_by_its_changes() -> None:
-    assert broken_integral(Pendulum()) == ""
-    q, p = np.random.default_rng(0).normal(size=2)
-    wrong = broken_integral(Pendulum(sign=-1.0))
-    assert wrong.startswith("'energy' is not an integral of the field: its rate of change is ")
-    rate, place = re.fullmatch(r".*rate of change is (\S+) at \((.*)\)", wrong).groups()
-    assert [*map(float, place.split(", "))] == pytest.approx([q, p], rel=1e-2)
-    assert float(rate) == pytest.approx(-2.0 * p * math.sin(q), rel=2e-2)

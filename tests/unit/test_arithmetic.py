@@ -34,11 +34,9 @@ from topcli.arithmetic.vectors import (
     rodrigues_increment,
     root_nearest,
     root_sign,
-    rotation_increment,
     sinc_cosc,
     solve3,
 )
-from topcli.engine.columns import attitude_columns, quaternions_of
 from topcli.engine.native import native
 from topcli.engine.numbers import Rational
 
@@ -83,21 +81,6 @@ def test_sinc_and_cosc(x: float) -> None:
         assert abs(got[1] - cosc) <= 2 * EPS * max(cosc, mpmath.mpf(0.01))
 
 
-def both(t, out, n):
-    for i in range(n):
-        out[2 * i], out[2 * i + 1] = sinc_cosc(t[i])
-    return 0
-
-
-def test_machine_code_takes_the_rare_branch_too() -> None:
-    """On either side of it the compiled kernel has the bits of the plain one."""
-    t = np.array([x * x for x in ANGLES])
-    out = np.zeros((len(t), 2))
-    native(both, "ppq")(t, out, len(t))
-    assert t.min() <= SMALL_ANGLE_SQ < t.max()
-    assert out.tolist() == [list(sinc_cosc(x)) for x in t.tolist()]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 1e-2, 1.0, 7.0])
 def test_rodrigues_against_the_increment_in_forty_digits(size: float) -> None:
@@ -110,14 +93,6 @@ def test_rodrigues_against_the_increment_in_forty_digits(size: float) -> None:
             scale = math.hypot(*a)
             error = max(abs(x - e) for x, e in zip(rodrigues_increment(*a, *g), exact, strict=True))
             assert error < 12 * EPS * scale
-
-
-@given(st.floats(-9.0, 9.0), number, number)
-def test_rotation_increment(chi: float, x: float, y: float) -> None:
-    with mpmath.workdps(40):
-        exact = mpmath.expm1(mpmath.mpc(0, -chi)) * mpmath.mpc(x, y)
-        got = mpmath.mpc(*rotation_increment(chi, x, y))
-        assert abs(got - exact) <= 6 * EPS * min(abs(chi), 2.0) * abs(mpmath.mpc(x, y)) + 1e-300
 
 
 @given(st.floats(-9.0, 9.0), number, number, number, number)
@@ -287,14 +262,6 @@ def test_euler_angles_are_those_of_the_sequence_zxz() -> None:
         ((0.0, 1.0, 0.0, 0.0), (0.0, math.pi, 0.0)),
     ):
         assert [float(one[0]) for one in euler_angles(np.array([q]))] == pytest.approx(angles, abs=1e-15)
-
-
-@pytest.mark.parametrize("form", ["quaternion", "euler-angles"])
-def test_recorded_columns_give_the_attitude_back(form: str) -> None:
-    found = quaternions_of(attitude_columns(form, Q))
-    assert found is not None
-    close(np.abs((found * Q).sum(axis=1)), 1.0)
-    assert quaternions_of({"t": Q[:, 0]}) is None
 
 
 @pytest.mark.slow

@@ -69,16 +69,6 @@ def states(count: int, seed: int = 3) -> np.ndarray:
     return y
 
 
-def test_orbits_of_integrable_maps_are_never_called_chaotic() -> None:
-    """hk for Lagrange's top; hk for Kowalevski's top, which is not integrable, is the control."""
-    y, verdicts = states(128), {}
-    for form in ("lagrange", "kowalevski"):
-        top = TOPS[form].new()
-        verdicts[form] = growth_of(top, find_scheme("hk", form), built("hk", top), 0.3, 20_000, y).verdicts
-    assert verdicts["lagrange"] == [Verdict.REGULAR] * 128
-    assert 15 <= verdicts["kowalevski"].count(Verdict.CHAOTIC) <= 35
-
-
 def test_an_orbit_that_breaks_off_has_no_exponent() -> None:
     """The logarithm of a state that is not finite is not a growth; orbits beside it are not affected."""
 

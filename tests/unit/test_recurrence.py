@@ -33,23 +33,17 @@ def noise(seed: int, columns: int = 2) -> tuple[np.ndarray, ...]:
 WINDING = np.cumsum(np.random.default_rng(7).normal(size=len(T)))
 CASES = {
     "a point": (orbit(np.array(1.0), np.array(0.0)), "at rest"),
-    "a decay to a point": (orbit(np.exp(-100.0 * T), np.array(1.0)), "at rest"),
     "a circle, well resolved": (orbit(*turning(11.3)), "repeats"),
     "a circle, hardly resolved": (orbit(*turning(100.7 * GOLDEN)), "repeats"),
     "a circle, seen once a turn": (orbit(*turning(256.0 * (1.0 + 0.001))), "too short"),
     "a torus": (orbit(*turning(31.0), *turning(31.0 * GOLDEN)), "repeats"),
     "pulses": (orbit(np.cosh(np.sin(math.pi * 12.2 * T) * 20.0) ** -0.5), "repeats"),
-    "a circle and the time": (orbit(*turning(11.3), 1000.0 * T), "repeats"),
     "noise": (orbit(*noise(1)), "wanders"),
-    "noise and a circle": (orbit(*noise(2), *turning(11.3)), "wanders"),
-    "noise and the time": (orbit(*noise(3), 1000.0 * T), "wanders"),
     "an angle that turns at random": (orbit(WINDING, *noise(4)), "wanders"),
     "rare bursts": (orbit(noise(5)[0], np.exp(2.0 * noise(6)[0])), "wanders"),
     "an exponential": (orbit(np.exp(20.0 * T)), "leaves"),
-    "an exponential beside noise": (orbit(np.exp(20.0 * T), *noise(8)), "leaves"),
     "a spiral away from a point": (orbit(*(np.exp(14.0 * (T - 1.0)) * x for x in turning(50.3))), "leaves"),
     "one and a half turns": (orbit(*turning(1.5)), "too short"),
-    "a straight line": (orbit(T, 2.0 * T), "too short"),
 }
 
 

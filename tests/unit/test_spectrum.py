@@ -37,33 +37,12 @@ def jacobians(experiment: Experiment) -> np.ndarray:
     return np.moveaxis(images[:, 0] - images[:, 1], 1, 2) / (2.0 * NUDGE)
 
 
-def sum_of_determinants(experiment: Experiment) -> float:
-    return float(np.log(np.abs(np.linalg.det(jacobians(experiment)))).sum())
-
-
 FIELDS = {
     "Lorenz": (LORENZ, (1.0, 2.0, 20.0), 0.01),
     "strong contraction": (STRONG, (1.0, 2.0, 20.0), 0.02),
     "stiff": (STIFF, (1.0, 1.0, 0.5), 0.01),
     "changing divergence": ({"x": "y*y - 0.3*x*x", "y": "-x*y + 0.2*x"}, (0.7, 0.4), 0.05),
 }
-
-
-def check_sum(experiment: Experiment) -> None:
-    """The difference quotients are off by about 1e-9 each."""
-    growth = spectrum(experiment, discard=0)
-    total = sum_of_determinants(experiment)
-    assert growth.logs[-1].sum() == pytest.approx(total, abs=1e-8 * experiment.N, rel=1e-8)
-    assert growth.exponents.sum() == pytest.approx(total / growth.T, abs=1e-8 * experiment.N / growth.T, rel=1e-8)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scheme", "field"),
-    [*((scheme, field) for scheme in ("rk4", "taylor") for field in FIELDS), ("hk", "stiff"), ("midpoint", "stiff")],
-)
-def test_exponents_of_a_field_add_up_to_the_mean_logarithm_of_the_determinant(scheme: str, field: str) -> None:
-    check_sum(of_field(FIELDS[field][0], FIELDS[field][1], scheme, FIELDS[field][2]))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -87,20 +87,19 @@ class DegreeGrowth:
 
     ``law`` is "polynomial", with its ``power``, or "exponential", with the ``factor`` per step; None if no recurrence
     is known. ``characteristic`` are the coefficients of the recurrence's polynomial, highest first, none if the law is
-    only fitted. It holds after the first ``omitted`` terms of 1, d1, d2, ..., and ``surplus`` terms confirm it.
+    only fitted. ``surplus`` terms confirm it.
     """
 
     law: str | None = None
     power: int | None = None
     factor: float | None = None
     characteristic: tuple[int, ...] = ()
-    omitted: int = 0
     surplus: int = 0
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data, ready for JSON, with the algebraic entropy, the logarithm of the factor."""
-        entropy = {POLYNOMIAL: 0.0, EXPONENTIAL: math.log(self.factor or 1.0)}.get(self.law or "")
-        return asdict(self) | {"characteristic": list(self.characteristic), "entropy": entropy}
+    @property
+    def entropy(self) -> float | None:
+        """Algebraic entropy, the logarithm of the factor; None if the law is unknown."""
+        return math.log(self.factor or 1.0) if self.law else None
 
 
 def degree_growth(degrees: Sequence[int], surplus: int = SURPLUS) -> DegreeGrowth:
@@ -113,20 +112,20 @@ def degree_growth(degrees: Sequence[int], surplus: int = SURPLUS) -> DegreeGrowt
                 continue
             if all(sum(x * y for x, y in zip(c, e[i:], strict=False)) == e[i + order] for i in range(len(e) - order)):
                 characteristic = (1, *(-int(x) for x in reversed(c)))
-                return _law(characteristic, omitted, len(e) - 2 * order)
+                return _law(characteristic, len(e) - 2 * order)
     return DegreeGrowth()
 
 
-def _law(characteristic: tuple[int, ...], omitted: int, surplus: int) -> DegreeGrowth:
+def _law(characteristic: tuple[int, ...], surplus: int) -> DegreeGrowth:
     """Growth from the polynomial of a recurrence."""
     factor = float(np.abs(np.roots(characteristic)).max())
     if factor > SALEM:
-        return DegreeGrowth(EXPONENTIAL, None, factor, characteristic, omitted, surplus)
+        return DegreeGrowth(EXPONENTIAL, None, factor, characteristic, surplus)
     ones, left = 0, list(characteristic)
     while sum(left) == 0 and len(left) > 1:  # divide by x - 1
         left = [sum(left[: i + 1]) for i in range(len(left) - 1)]
         ones += 1
-    return DegreeGrowth(POLYNOMIAL, max(ones - 1, 0), None, characteristic, omitted, surplus)
+    return DegreeGrowth(POLYNOMIAL, max(ones - 1, 0), None, characteristic, surplus)
 
 
 def degrees(step: RationalMap, seed: int = 1, most: int = MOST_TERMS) -> list[int]:

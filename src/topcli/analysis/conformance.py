@@ -6,7 +6,7 @@ The measures take a top and a method, whoever wrote them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -34,34 +34,24 @@ def reversal_defect(top: Top, method: Method, h: float, states: Array) -> float:
     return max(one_step_back_and_forth(top, method, y, h) for y in states)
 
 
-def deviation(states: Array, invariants: Sequence[Invariant], steps: int) -> float:
-    """Largest deviation of the invariants from their first values, in units of what round-off explains.
+def deviation(states: Array, invariant: Invariant, steps: int) -> float:
+    """Largest deviation of an invariant from its first value, in units of what round-off explains.
 
-    The unit is ``ULPS`` ulp of the terms of an invariant times the square root of the number of ``steps`` taken.
+    The unit is ``ULPS`` ulp of its terms times the square root of the number of ``steps`` taken.
     """
-    unit = ULPS * np.finfo(float).eps * math.sqrt(steps)
-    deviations = [
-        np.abs(each.value(states) - each.value(states[:1])).max() / (unit * each.scale(states).max() or 1.0)
-        for each in invariants
-    ]
-    return float(max(deviations, default=0.0))
+    values, scale = invariant.value(states), float(invariant.scale(states).max())
+    return float(np.abs(values - values[0]).max()) / (ULPS * np.finfo(float).eps * math.sqrt(steps) * scale or 1.0)
 
 
-def working_states(
-    top: Top, method: Stepper, y0: Sequence[float], h: float, N: int
-) -> tuple[list[float], list[float], Array]:
-    """Working state after N steps of the interpreter and of machine code; the recorded states of the interpreter.
-
-    If a step fails, the states end before it.
-    """
-    start, p = np.array(y0, dtype=float), np.array(top.constants())
-    plain, compiled = (make(method, len(start), len(p)) for make in (interpreted, loop_of))
-    work, other, out = np.zeros(method.width), np.zeros(method.width), np.empty(N * len(start))
-    plain.enter(start, work, p, h)
-    taken = plain.take_steps(work, out, p, h, N, 1, 1)
-    compiled.enter(start, other, p, h)
-    compiled.take_steps(other, other[:0], p, h, N, N + 1, N + 1)
-    return work.tolist(), other.tolist(), out[: max(taken, 0) * len(start)].reshape(-1, len(start))
+def working_states(top: Top, method: Stepper, y0: Sequence[float], h: float, N: int) -> list[list[float]]:
+    """Working state after N steps of the interpreter, and of machine code."""
+    start, p, states = np.array(y0, dtype=float), np.array(top.constants()), []
+    for make in (interpreted, loop_of):
+        loop, work = make(method, len(start), len(p)), np.zeros(method.width)
+        loop.enter(start, work, p, h)
+        loop.take_steps(work, work[:0], p, h, N, N + 1, N + 1)
+        states.append(work.tolist())
+    return states
 
 
 def differing_lanes(top: Top, method: Method, alone: Array, together: Array, h: float, N: int) -> int:
@@ -76,23 +66,6 @@ def completed(top: Top, method: Method, y0: Sequence[float], h: float, N: int) -
     """States of every tenth step of a run; None if it does not complete."""
     _, states, ending = orbit(top, method, y0, h, N, 10)
     return states if ending.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION) else None
-
-
-def rate_along(top: Top, value: Callable[[Array], Array], states: Array) -> float:
-    """Largest rate of change of a function of the state along the field, by differences.
-
-    It is relative to the length of the gradient times that of the field: the cosine of the angle between them.
-    Differences of order four with steps of 1e-3 have errors of about 1e-11; a function that is not an integral has
-    rates of size one at most of the ``states`` (n, d).
-    """
-    p, cosines = top.constants(), []
-    for y in states:
-        rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
-        step = 1e-3 * max(1.0, float(np.abs(y).max()))
-        moved = [value(y + k * step * np.eye(len(y))) for k in (-2, -1, 1, 2)]
-        gradient = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * step)
-        cosines.append(abs(gradient @ rates) / (np.linalg.norm(gradient) * np.linalg.norm(rates) or 1.0))
-    return float(max(cosines))
 
 
 def is_vector_of(rates: Any, top: Top) -> bool:

@@ -132,7 +132,7 @@ def hk_bases(step: RationalMap, degrees: Sequence[int], seed: int = 1) -> Iterat
             yield HKBasis(degree, m, 0, 0)
             continue
         # on r rows, A_p X = A_f for the free columns f and the pivots p, so that A_p dX = dA_f - dA_p X
-        rest = [(slope[:r, free] - polynomial_product(slope[:r][:, pivots], left[:, free])) % PRIME for slope in slopes]
+        rest = [(slope[:r, free] - matrix_product(slope[:r][:, pivots], left[:, free])) % PRIME for slope in slopes]
         solved, leading = reduced(np.concatenate([values[:r][:, pivots], *rest], axis=1))
         if leading != list(range(r)):
             raise ZeroDivisionError("the first rows are dependent")
@@ -140,7 +140,7 @@ def hk_bases(step: RationalMap, degrees: Sequence[int], seed: int = 1) -> Iterat
         yield HKBasis(degree, m, len(free), len(reduced(gradients)[1]))
 
 
-def polynomial_product(a: Residues, b: Residues) -> Residues:
+def matrix_product(a: Residues, b: Residues) -> Residues:
     """Product of two matrices of residues."""
     total = np.zeros((a.shape[0], b.shape[1]), dtype=np.int64)
     for column, row in zip(a.T, b, strict=True):

@@ -27,11 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.recurrence import Recurrence, at_rest, recurrence_of
-from topcli.contracts import Array, Floats, Method, Scheme, Top, check_stop
+from topcli.contracts import Array, Method, Scheme, Top, check_stop
 from topcli.engine.drive import default_threads
 from topcli.engine.machine import lanes_of
 from topcli.engine.tangent import TangentRun, tangent_code
 from topcli.errors import UsageError
+from topcli.field.integrals import slopes
 
 MOST_STEPS = 64
 """Most steps from one orthogonalisation of the vectors to the next."""
@@ -247,20 +248,11 @@ def _units(top: Top, states: Array) -> Array:
         return np.where(units > SMALLEST * typical, units, np.where(typical > 0.0, typical, 1.0))
 
 
-def _slope(top: Top, y: Sequence[float], p: Floats) -> Sequence[float]:
-    """Right-hand side at a state; nan where it has no value."""
-    try:
-        return top.field(tuple(y), p)
-    except (ArithmeticError, ValueError):
-        return (math.nan,) * len(y)
-
-
 def _rates(top: Top, states: Array, units: Array) -> Array:
     """Typical |dy/dt|/|y| over the states (k, m, d) of each orbit (m,), all components in their ``units`` (m, d)."""
-    p = top.constants()
-    slopes = np.array([[_slope(top, y, p) for y in row] for row in states.tolist()])
+    rates = slopes(top, states.reshape(-1, states.shape[-1])).reshape(states.shape)
     with np.errstate(all="ignore"):
-        return _mean(np.linalg.norm(slopes / units, axis=2) / np.linalg.norm(states / units, axis=2))
+        return _mean(np.linalg.norm(rates / units, axis=2) / np.linalg.norm(states / units, axis=2))
 
 
 def _advance(run: TangentRun, steps: int) -> None:

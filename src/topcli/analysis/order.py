@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
@@ -66,18 +66,18 @@ def observed_order(sizes: Sequence[float], errors: Sequence[float], floor: float
     >>> round(observed_order([0.1, 0.05, 0.025], [1e-2, 2.5e-3, 6.25e-4], 1e-12), 6)
     2.0
     """
-    usable = _asymptotic(sizes, errors, floor)
+    return _fit(zip(sizes, errors, strict=True), floor)[0]
+
+
+def _fit(
+    points: Iterable[tuple[float, float]], floor: float
+) -> tuple[float | None, tuple[float, ...], tuple[float, ...]]:
+    """Slope at the smallest sizes whose errors exceed ``floor``, these sizes and errors; None if they are too few."""
+    usable = sorted((s, e) for s, e in points if math.isfinite(e) and e > floor)[:_FITTED]
     if len(usable) < _FITTED:
-        return None
-    x = np.log([s for s, _ in usable])
-    y = np.log([e for _, e in usable])
-    return float(np.polyfit(x, y, 1)[0])
-
-
-def _asymptotic(sizes: Sequence[float], errors: Sequence[float], floor: float) -> list[tuple[float, float]]:
-    """Smallest sizes whose errors exceed ``floor``, as many as are fitted."""
-    finite = ((s, e) for s, e in zip(sizes, errors, strict=True) if math.isfinite(e) and e > floor)
-    return sorted(finite)[:_FITTED]
+        return None, (), ()
+    sizes, errors = zip(*usable, strict=True)
+    return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0]), sizes, errors
 
 
 @dataclass(frozen=True)
@@ -148,20 +148,10 @@ def convergence(sizes: Sequence[float], errors: Sequence[float]) -> Convergence:
     first = _plateau(points)
     level = None if first is None else float(np.median([e for _, e in points[first:]]))
     above = points[:first] if first is not None else points
-    above_sizes, above_errors = [s for s, _ in above], [e for _, e in above]
-    floor = SUSPECT if level is None else ABOVE * level
-    order = observed_order(above_sizes, above_errors, floor)
-    if order is None and level is None:
-        floor = FLOOR
-        order = observed_order(above_sizes, above_errors, floor)
-    used = _asymptotic(above_sizes, above_errors, floor)
-    return Convergence(
-        order=order,
-        fitted=tuple(s for s, _ in used) if order is not None else (),
-        errors=tuple(e for _, e in used) if order is not None else (),
-        plateau=level,
-        onset=None if first is None else points[first][0],
-    )
+    fit = _fit(above, SUSPECT if level is None else ABOVE * level)
+    if fit[0] is None and level is None:
+        fit = _fit(above, FLOOR)
+    return Convergence(*fit, level, None if first is None else points[first][0])
 
 
 class OrderVerdict(StrEnum):
@@ -246,19 +236,6 @@ def is_consistent(top: Top, method: Method, y0: Array) -> bool:
     return not (math.isfinite(whole) and short > 1e-12 * np.abs(y0).max() and short / sizes[0] > 0.5 * whole / sizes[1])
 
 
-@dataclass(frozen=True)
-class Reversal:
-    """Result of one step forward and one back: the ``defect`` at ``h``, and its ``order`` in h.
-
-    ``order`` is None if the defect is round-off at every step size tried, or zero in rational numbers: the scheme is
-    self-adjoint there.
-    """
-
-    h: float
-    defect: float
-    order: float | None
-
-
 def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: float) -> float:
     """Largest component of the difference after one step with h and one with -h from ``y``, in plain Python.
 
@@ -281,12 +258,15 @@ def probe_rows(rows: int) -> slice:
     return slice(0, min(rows, PROBES * stride), stride)
 
 
-def reversal(top: Top, method: Method, states: Array, h: float, precise: PreciseRun | None = None) -> Reversal:
+def reversal(
+    top: Top, method: Method, states: Array, h: float, precise: PreciseRun | None = None
+) -> tuple[float, float | None]:
     """Reversal defect at ``h``, the largest over ``states`` (m, d), and its order in h.
 
     The order is fitted on the ladder h, 2h, 4h ... up to 0.4: at the h of an experiment the defect may be
     below round-off. A closed form, which may be set up for each state, is tried at two of the states. For a
-    ``precise`` run of the method, all steps are taken in its arithmetic.
+    ``precise`` run of the method, all steps are taken in its arithmetic. The order is None if the defect is round-off
+    at every step size tried, or zero in rational numbers: the scheme is self-adjoint there.
     """
     if isinstance(method, Sampler):
         states = states[:: max(1, len(states) // 2)][:2]
@@ -307,8 +287,4 @@ def reversal(top: Top, method: Method, states: Array, h: float, precise: Precise
     defects = [max(defect(y, factor) for y in states) for factor in factors]
     eps = precise.arithmetic.eps if precise else float(np.finfo(np.float64).eps)
     floor = FLOOR_ULPS * eps * max(1.0, float(np.abs(states).max()))
-    return Reversal(
-        h=abs(h),
-        defect=defects[factors.index(1.0)],
-        order=observed_order(sizes, defects, floor),
-    )
+    return defects[factors.index(1.0)], observed_order(sizes, defects, floor)

@@ -15,6 +15,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.analysis.swings import passages
 from topcli.contracts import Array
 
 STILL = 1e-9
@@ -55,7 +56,7 @@ def recurrence_of(states: Array, n: NDArray[np.int64]) -> Recurrence:
     changing = np.ptp(last, axis=0) > STILL
     low, high = np.quantile(last[:, changing], _LEVELS, axis=0)
     columns = list(zip(middle[:, changing].T, low, high, strict=True))
-    comes_back = bool(columns) and all(passages(*column) >= PASSAGES for column in columns)
+    comes_back = bool(columns) and all(passages(x < under, x > over) >= PASSAGES for x, under, over in columns)
     if not comes_back and (np.ptp(last, axis=0) > LEFT * np.ptp(middle, axis=0)).any():
         return Recurrence.LEAVES
     if any(mismatch(states[start:]) < COVERED for start in (len(states) // 4, len(states) // 2)):
@@ -79,10 +80,3 @@ def mismatch(states: Array) -> float:
     worst = (distances / (2.0 * (m - shifts))).max(axis=1)
     apart = np.flatnonzero(worst > APART)
     return float(worst[apart[0] :].min()) if len(apart) else np.inf
-
-
-def passages(values: Array, low: float, high: float) -> int:
-    """Number of passages of ``values`` (k,) from below ``low`` to above ``high`` or back."""
-    beyond = np.sign((values > high).astype(int) - (values < low))
-    beyond = beyond[beyond != 0]
-    return int((beyond[1:] != beyond[:-1]).sum())

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.contracts import Array
+from topcli.contracts import Array, Top
+from topcli.errors import UsageError
+from topcli.field.integrals import slopes
 
-_EVEN = np.arange(-2.0, 3.0)
-QUARTIC = np.array([[1, -4, 6, -4, 1], [-2, 4, 0, -4, 2], [-1, 16, -30, 16, -1], [2, -16, 0, 16, -2]]) / 24.0
-"""Coefficients of x⁴, x³, x², x of the quartic through five points at x = -2, ..., 2."""
 LEVELS, MIDDLE = (0.25, 0.5, 0.75), 0.1
 """Levels in the range of a component, and half the part of the range around them that is on neither side."""
 RESTS, NEGLIGIBLE = 0.01, 1e-6
@@ -17,31 +16,37 @@ RESTS, NEGLIGIBLE = 0.01, 1e-6
 UNEVEN = 0.1
 """Ratio of the smallest to the largest of four spacings below which the quartic through five points is not used."""
 
-
-def _lowest(x: Array, y: Array) -> float:
-    """Position of the minimum of the parabola through three points, the second at (0, 0); within the points."""
-    before, after = float(y[0] / x[0]), float(y[2] / x[2])
-    bend = (after - before) / float(x[2] - x[0])
-    if not 0.0 < bend < np.inf:
-        return 0.0
-    return min(max(0.5 * (float(x[0]) - before / bend), float(x[0])), float(x[2]))
+LARGEST_CHANGE, UNCLEAR, REST = 0.6, 0.5, 1e-9
+"""Largest change of a component from row to row, relative to its range, in rows that show its oscillations: five rows
+an oscillation. Distance of an extremum from the middle of the range that leaves its side open, relative to its height
+above the rows. Largest change, relative to the largest component, of a component at rest."""
 
 
 def _vertex(x: Array, y: Array) -> float:
     """Position of the minimum near 0 of the quartic through five points; x rises, and the third point is (0, 0).
 
-    Where the points are too uneven for a quartic, the parabola through the middle three.
+    Where the points are too uneven for a quartic, of the parabola through the middle three, within these.
     """
     gaps = np.diff(x)
     if not gaps.min() >= UNEVEN * gaps.max():  # nan included
-        with np.errstate(all="ignore"):
-            return _lowest(x[1:4], y[1:4])
-    fit = QUARTIC if np.abs(x - _EVEN).max() < 1e-6 else np.linalg.inv(np.vander(x))[:4]
-    slope = fit @ y * [4.0, 3.0, 2.0, 1.0]
-    roots = np.roots(slope)
-    inside = roots[np.abs(roots.imag) < 1e-9].real
-    inside = inside[np.polyval(slope[:3] * [3.0, 2.0, 1.0], inside) > 0.0]
+        x, y = x[1:4], y[1:4]
+    try:
+        slope = np.polyder(np.linalg.solve(np.vander(x), y))
+        zeros = np.roots(slope)
+    except np.linalg.LinAlgError:  # two points at almost the same time, or not finite
+        return 0.0
+    inside = zeros[np.abs(zeros.imag) < 1e-9].real
+    inside = np.clip(inside[np.polyval(np.polyder(slope), inside) > 0.0], x[0], x[-1])
     return float(inside[np.argmin(np.abs(inside))]) if len(inside) else 0.0
+
+
+def _depths(values: Array) -> tuple[Array, Array]:
+    """Values (m,) relative to the middle of their range, extremes by parabolas, and by how much these exceed rows."""
+    slope, bend = 0.5 * (values[2:] - values[:-2]), np.diff(values, 2)
+    turns = np.diff(values)[1:] * np.diff(values)[:-1] < 0.0
+    beyond = np.pad(np.where(turns, -0.5 * slope**2 / np.where(turns, bend, 1.0), 0.0), 1)
+    extended = values + beyond
+    return extended - 0.5 * (extended.min() + extended.max()), np.abs(beyond)
 
 
 def minima_times(t: Array, values: Array) -> Array:
@@ -54,10 +59,8 @@ def minima_times(t: Array, values: Array) -> Array:
     """
     if len(values) < 5 or not np.isfinite(values).all():
         return np.empty(0)
-    low = values < 0.5 * (values.min() + values.max())
-    edges = np.flatnonzero(low[1:] != low[:-1]) + 1
-    if low[0]:
-        edges = edges[1:]
+    low = _depths(values)[0] < 0.0
+    edges = (np.flatnonzero(low[1:] != low[:-1]) + 1)[int(low[0]) :].tolist()
     times = []
     for start, end in zip(edges[::2], edges[1::2], strict=False):
         at = int(start + np.argmin(values[start:end]))
@@ -68,12 +71,36 @@ def minima_times(t: Array, values: Array) -> Array:
     return np.array(times)
 
 
-def first_swing_spacing(t: Array, values: Array) -> float | None:
-    """Time from the first deep minimum to the second; None if the record holds fewer than two.
+def swing_times(top: Top, t: Array, states: Array) -> Array:
+    """Times of the swings of ``top``, the deep minima of its component ``swing``, in rows at times ``t`` (m,).
+
+    Raises UsageError if the rows are too far apart to show them: where this component passes the middle of its range,
+    at the first row and at the last, it changes by a large part of its range from row to row, or would at the rate of
+    the equations of motion, which rows that skip whole oscillations do not show; or it is unclear whether it turns
+    above or below the middle. ``states`` has the shape (m, d).
+    """
+    place = top.components.index(top.swing)
+    values = states[:, place]
+    if len(t) > 1 and np.isfinite(values).all():
+        (depths, beyond), width = _depths(values), float(np.ptp(values))
+        low = depths < 0.0
+        rows = np.unique(np.append(np.flatnonzero(low[1:] != low[:-1]), [0, len(t) - 2]))
+        gaps = np.abs(t[rows + 1] - t[rows])
+        rates = np.fmax(*(np.abs(slopes(top, states[ends])[:, place]) for ends in (rows, rows + 1)))
+        changes = np.fmax(np.abs(values[rows + 1] - values[rows]), rates * gaps)
+        coarse = changes > max(LARGEST_CHANGE * width, REST * float(np.abs(states[rows]).max()))
+        unclear = np.abs(depths) < UNCLEAR * beyond
+        if coarse.any() or unclear.any():
+            apart = f"rows {float(gaps.max()):.3g} apart in time"
+            raise UsageError(f"{apart} are too few to show the swings of {top.swing}; record more of them")
+    return minima_times(t, values)
+
+
+def first_swing_spacing(times: Array) -> float | None:
+    """Time from the first of the swings at ``times`` (m,) to the second; None for fewer than two.
 
     The first spacing instead of the mean, because the drift of a scheme changes it from swing to swing.
     """
-    times = minima_times(t, values)
     return abs(float(times[1] - times[0])) if len(times) > 1 else None
 
 
@@ -100,12 +127,12 @@ def oscillations(lows: Array, highs: Array) -> tuple[float, int]:
         width = top - bottom
         if width > max(RESTS * max(abs(bottom), abs(top)), NEGLIGIBLE * largest):
             levels = [(bottom + (level - MIDDLE) * width, bottom + (level + MIDDLE) * width) for level in LEVELS]
-            passages = max(_passages(low < under, high > over) for under, over in levels)
-            slowest = min(slowest, (0.5 * passages, j))
+            count = max(passages(low < under, high > over) for under, over in levels)
+            slowest = min(slowest, (0.5 * count, j))
     return slowest if slowest[0] < np.inf else (0.0, 0)
 
 
-def _passages(below: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
+def passages(below: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
     """Least number of passages between two sides, of which these are visited in stretches of time (m,) each."""
     at_low = at_high = 0.0
     for low, high in zip(below.tolist(), above.tolist(), strict=True):

@@ -16,9 +16,17 @@ from numpy.typing import NDArray
 
 from topcli.analysis.swings import oscillations
 from topcli.analysis.trend import Trend, hann_line, trend, with_ends
-from topcli.analysis.verdict import OSCILLATIONS, TERMS, ULP, InvariantRow, judged, round_off_bound
-from topcli.contracts import Array
-from topcli.engine.consumers import Consumer, State
+from topcli.analysis.verdict import (
+    NEEDS_EVEN_TIMES,
+    OSCILLATIONS,
+    TERMS,
+    ULP,
+    InvariantRow,
+    judged,
+    round_off_bound,
+)
+from topcli.contracts import Array, Invariant, Top
+from topcli.engine.consumers import Consumer, EnergyWatch, State
 from topcli.engine.endings import OUTCOMES, Endings
 from topcli.engine.integration import Integration
 from topcli.engine.rows import Plan, Rows
@@ -262,8 +270,9 @@ class Tally(Consumer):
         else:
             size_of_terms = max(size, TERMS * scale)
             verdict, statement, reason = judged(deviation, high - low, bound, size_of_terms, fit, short, span)
-        if precise and not precise.arithmetic.bits and deviation == 0.0:
+        if precise and not precise.arithmetic.bits and verdict == "exact":  # numbers that are never rounded
             reason = f"equal at all {self.rows[0]} rows"
+            statement = f"exact ({reason})"
         return InvariantRow(
             name=invariant.name,
             symbol=invariant.symbol,
@@ -321,6 +330,40 @@ def tally_of(rows: Rows) -> Tally:
     tally.begin(rows.plan)
     tally.add(rows)
     return tally
+
+
+def series_rows(top: Top, invariants: Sequence[Invariant], n: NDArray[np.int64], h: float, states: Array) -> Rows:
+    """Rows (1, m, d) of one trajectory in memory, after ``n`` (m,) steps of ``h`` in a row, with ``invariants``."""
+    every = int(n[1] - n[0]) if len(n) > 1 else 1
+    plan = Plan(top, None, states[:1], h, int(n[-1]) if len(n) else 0, every, invariants=tuple(invariants))
+    return Rows(plan, n, states[None])
+
+
+def invariant_report(
+    top: Top,
+    invariants: Sequence[Invariant],
+    n: NDArray[np.int64],
+    h: float,
+    states: Array,
+    steps: int | None = None,
+    uneven_span: float | None = None,
+) -> tuple[list[InvariantRow], int | None]:
+    """Report on rows in memory, and the one of ``n`` at which they left their energy surface; None for never.
+
+    ``steps`` of the method lie behind the rows, for the round-off bound, by default the last of ``n``. Rows at uneven
+    times, which take the time ``uneven_span``, have no drift.
+    """
+    rows, even = series_rows(top, invariants, n, h, states), uneven_span is None
+    tally, watch = Tally(drifts=even, judged=even), EnergyWatch()
+    for consumer in (tally, watch):
+        consumer.begin(rows.plan)
+        consumer.add(rows)
+    left, last = int(watch.left[0]), int(n[-1]) if steps is None else steps
+    if uneven_span is None:
+        report = tally.report(last)
+    else:
+        report = [tally.row(i, None, NEEDS_EVEN_TIMES, last, uneven_span) for i in range(len(tally.names))]
+    return report, None if left < 0 else left
 
 
 def trajectory_columns(tally: Tally, endings: Endings, varied: Sequence[str]) -> dict[str, NDArray[Any]]:

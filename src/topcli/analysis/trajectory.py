@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.series_report import uneven_report
-from topcli.analysis.tally import Tally, summary, tally_of, trajectory_columns
+from topcli.analysis.tally import Tally, invariant_report, summary, tally_of, trajectory_columns
 from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Array, Ending, Outcome, Top
 from topcli.engine.columns import ATTITUDES, column_names
@@ -200,7 +199,8 @@ class Trajectory:
         rows, plan = self.rows, self.rows.plan
         if rows.n.dtype.kind == "f" and len(rows) > 1:  # crossings of a section
             span = float(self.t[-1] - self.t[0])
-            return uneven_report(plan.top, plan.invariants, self.states, int(self.last_n), span)[0]
+            numbers = np.arange(len(rows))
+            return invariant_report(plan.top, plan.invariants, numbers, 1.0, self.states, int(self.last_n), span)[0]
         return tally_of(Rows(plan, rows.n, rows.recorded[None])).report() if len(rows) else []
 
     def trajectories(self) -> pd.DataFrame:

@@ -131,8 +131,8 @@ def dd_div(ah: float, al: float, b: float) -> tuple[float, float]:
     return quick_two_sum(q, (((ah - p) - e) + al) / b)
 
 
-_POWERS: dict[tuple[str, str], float] = {}
-_CAPS: set[tuple[str, str]] = set()
+FOLLOWING: dict[tuple[str, object], float | None] = {}
+"""Powers of the rounding error by name and value of a constant, which others may import; None for a cap."""
 
 
 def follow_precision(module: str, *, caps: Sequence[str] = (), **powers: float) -> None:
@@ -148,26 +148,5 @@ def follow_precision(module: str, *, caps: Sequence[str] = (), **powers: float) 
         Names of tolerances, each with the power of the rounding error to which it is proportional: 1 for a multiple of
         the rounding error, 0.5 for its square root. A guard against division by 0 has a large power.
     """
-    _CAPS.update((module, name) for name in caps)
-    _POWERS.update({(module, name): power for name, power in powers.items()})
-
-
-def is_cap(module: str, name: str, value: object) -> bool:
-    """True if the global ``name`` of ``module``, its own or an imported one, is a declared number of iterations."""
-    return _declared(_CAPS, module, name, value) is not None
-
-
-def power_of(module: str, name: str, value: object) -> float | None:
-    """Power of the rounding error that the global ``name`` of ``module`` follows; None for any other constant."""
-    key = _declared(_POWERS, module, name, value)
-    return None if key is None else _POWERS[key]
-
-
-def _declared(
-    declared: dict[tuple[str, str], float] | set[tuple[str, str]], module: str, name: str, value: object
-) -> tuple[str, str] | None:
-    if (module, name) in declared:
-        return (module, name)
-    # an imported constant has the name that it was declared by, and is the same object
-    same = (key for key in declared if key[1] == name and getattr(sys.modules.get(key[0]), name, None) is value)
-    return next(same, None)
+    for name, power in (dict.fromkeys(caps) | powers).items():
+        FOLLOWING[name, getattr(sys.modules[module], name)] = power

@@ -1,8 +1,8 @@
 """Unit quaternions (w, x, y, z), scalar part first; composed rotations keep unit length.
 
 A quaternion q rotates the vector v to q v q*. Rotations near the identity are given as *turns*: the quaternion minus
-one, (w - 1, x, y, z), whose small parts keep all their digits. ``turned`` adds the change to q and restores its length,
-which therefore stays one to round-off, however many turns follow each other.
+one, (w - 1, x, y, z), whose small parts keep all their digits. ``turned_by`` adds the change to q and restores its
+length, which therefore stays one to round-off, however many turns follow each other.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def upright(v: _Vector) -> Quaternion:
     return (1.0 + t[0], t[1], t[2], t[3])
 
 
-def turned(q: Quaternion, change: Quaternion) -> Quaternion:
+def turned_by(q: Quaternion, change: Quaternion) -> Quaternion:
     """Sum q + ``change``, scaled to unit length."""
     w, x, y, z = q[0] + change[0], q[1] + change[1], q[2] + change[2], q[3] + change[3]
     excess = 0.5 * (1.0 - (w * w + x * x + y * y + z * z))

@@ -21,13 +21,16 @@ SMALL_ANGLE_SQ = 0.6168502750680849
 """(pi/4)**2; up to this limit the polynomials below are accurate to about the last bit."""
 
 
+def cross(x1: float, x2: float, x3: float, a1: float, a2: float, a3: float) -> Vector:
+    """Vector product x x a."""
+    return (fma(x2, a3, -(x3 * a2)), fma(x3, a1, -(x1 * a3)), fma(x1, a2, -(x2 * a1)))
+
+
 def cayley_quotient(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> tuple[float, Vector]:
     """Factor and vector whose product is ``cayley_increment``."""
-    b1 = fma(g2, a3, -(g3 * a2))
-    b2 = fma(g3, a1, -(g1 * a3))
-    b3 = fma(g1, a2, -(g2 * a1))
-    r = 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3))
-    return r, (b1 + fma(b2, a3, -(b3 * a2)), b2 + fma(b3, a1, -(b1 * a3)), b3 + fma(b1, a2, -(b2 * a1)))
+    b1, b2, b3 = cross(g1, g2, g3, a1, a2, a3)
+    c1, c2, c3 = cross(b1, b2, b3, a1, a2, a3)
+    return 2.0 / (fma(a1, a1, 1.0) + fma(a2, a2, a3 * a3)), (b1 + c1, b2 + c2, b3 + c3)
 
 
 def cayley_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
@@ -91,14 +94,9 @@ def rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g
     at a = 0, is not needed.
     """
     sinc, cosc = sinc_cosc(a1 * a1 + fma(a2, a2, a3 * a3))
-    b1 = fma(g2, a3, -(g3 * a2))
-    b2 = fma(g3, a1, -(g1 * a3))
-    b3 = fma(g1, a2, -(g2 * a1))
-    return (
-        sinc * b1 + cosc * fma(b2, a3, -(b3 * a2)),
-        sinc * b2 + cosc * fma(b3, a1, -(b1 * a3)),
-        sinc * b3 + cosc * fma(b1, a2, -(b2 * a1)),
-    )
+    b1, b2, b3 = cross(g1, g2, g3, a1, a2, a3)
+    c1, c2, c3 = cross(b1, b2, b3, a1, a2, a3)
+    return (sinc * b1 + cosc * c1, sinc * b2 + cosc * c2, sinc * b3 + cosc * c3)
 
 
 def orthogonal_rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g2: float, g3: float) -> Vector:
@@ -112,12 +110,8 @@ def orthogonal_rodrigues_increment(a1: float, a2: float, a3: float, g1: float, g
     u, ss = t * cosc, sinc * sinc
     half = 0.5 * (fma(cosc, u, fma(-2.0, cosc, ss)) + fma(sinc, sinc, -ss))
     b_low, c_low = -half * (t * sinc), fma(-half, u, half)
-    b1 = fma(g2, a3, -(g3 * a2))
-    b2 = fma(g3, a1, -(g1 * a3))
-    b3 = fma(g1, a2, -(g2 * a1))
-    c1 = fma(b2, a3, -(b3 * a2))
-    c2 = fma(b3, a1, -(b1 * a3))
-    c3 = fma(b1, a2, -(b2 * a1))
+    b1, b2, b3 = cross(g1, g2, g3, a1, a2, a3)
+    c1, c2, c3 = cross(b1, b2, b3, a1, a2, a3)
     return (
         fma(sinc, b1, fma(cosc, c1, fma(c_low, c1, b_low * b1))),
         fma(sinc, b2, fma(cosc, c2, fma(c_low, c2, b_low * b2))),

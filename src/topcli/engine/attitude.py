@@ -35,7 +35,7 @@ from topcli.arithmetic.quaternions import (
     product,
     rotate,
     turn_upright,
-    turned,
+    turned_by,
     unit_turn,
     upright,
 )
@@ -83,10 +83,10 @@ def carry(
     written = 0
     for i in range(steps):
         k = 3 * i
-        q = turned(q, product(q, unit_turn(moved[k], moved[k + 1], moved[k + 2])))
+        q = turned_by(q, product(q, unit_turn(moved[k], moved[k + 1], moved[k + 2])))
         v = (fixed[k], fixed[k + 1], fixed[k + 2])
         if v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0:
-            q = turned(q, product(turn_upright(rotate(q, v)), q))
+            q = turned_by(q, product(turn_upright(rotate(q, v)), q))
         until -= 1
         if until == 0:
             until = every

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.fused import double_of, fma, is_cap, power_of
+from topcli.arithmetic.fused import FOLLOWING, double_of, fma
 from topcli.arithmetic.vectors import sinc_cosc_polynomials
 from topcli.contracts import Scheme, StepFunction, Stepper, Top, check_stop
 from topcli.engine.loops import Loop, interpreted
@@ -160,19 +160,19 @@ class Numbers:
         """Copy of a function that refers to copies."""
         values = references(plain)
         code = self._code(plain.__code__, any(value is math for value in values.values()))
-        new = {name: self._referred(plain.__module__, name, value, done) for name, value in values.items()}
+        new = {name: self._referred(name, value, done) for name, value in values.items()}
         cells = tuple(types.CellType(new[name]) for name in code.co_freevars)
         defaults = self.rebuilt(plain.__defaults__, done)
         return types.FunctionType(code, {**plain.__globals__, **new}, plain.__name__, defaults, cells)
 
-    def _referred(self, module: str, name: str, value: Any, done: dict[Any, Any]) -> Any:
+    def _referred(self, name: str, value: Any, done: dict[Any, Any]) -> Any:
         """Form of a global or closed-over variable; tolerances and numbers of iterations follow the precision."""
         bits = self.bits or DOUBLE_BITS
-        if isinstance(value, int) and is_cap(module, name, value):
+        if not isinstance(value, int | float) or (name, value) not in FOLLOWING:
+            return self.rebuilt(value, done)
+        if (power := FOLLOWING[name, value]) is None:
             return math.ceil(value * bits / DOUBLE_BITS)
-        if isinstance(value, float) and (power := power_of(module, name, value)) is not None:
-            return self.number(Fraction(repr(value)) / 2 ** round((bits - DOUBLE_BITS) * power))
-        return self.rebuilt(value, done)
+        return self.number(Fraction(repr(value)) / 2 ** round((bits - DOUBLE_BITS) * power))
 
     def _code(self, code: types.CodeType, uses_math: bool) -> types.CodeType:
         """Code with its constants, and those of inner functions, in these numbers."""

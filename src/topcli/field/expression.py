@@ -146,9 +146,7 @@ def _reason(node: ast.expr, names: tuple[str, ...]) -> str:
     match node:
         case ast.Name(id=name) | ast.Call(func=ast.Name(id=name)) if name in FUNCTIONS:
             return f"{name} is a function; write {name}({'y, x' if ARITY[name] == 2 else 'x'})"
-        case ast.Call(func=ast.Name(id=name)) if name not in names:
-            return f"unknown function {quoted(name)}; {nearest(name, FUNCTIONS)}"
-        case ast.Name(id=name):
+        case ast.Name(id=name) | ast.Call(func=ast.Name(id=name)) if name not in names:
             hint = nearest(name, (*names, *FUNCTIONS))
             return f"unknown name {quoted(name)}; " + (hint if hint[:3] == "did" else f"known: {', '.join(names)}")
     allowed = f"numbers, names, + - * / **, parentheses and {', '.join(FUNCTIONS)}"

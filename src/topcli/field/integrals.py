@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -81,36 +82,46 @@ def exact_rate(field: Field, invariants: Sequence[Invariant], invariant: Invaria
 
 _STATES = 12
 """Random states that test an integral that is not a polynomial; the majority decides, because it may have poles."""
-_REACH = 1e-3
-"""Length of the change of such a state along the field, relative to the state."""
-_CONSERVED = 1e-8
-"""Change of an integral over that distance, relative to its terms, that finite differences may leave."""
+RATE = 1e-6
+"""Rate of change of an integral that differences may leave, relative to its gradient and the field."""
+
+
+def slopes(top: Top, states: Array) -> Array:
+    """Right-hand sides of the equations of motion at ``states`` (m, d); nan where they have no value."""
+    rows, p = np.full(states.shape, math.nan), top.constants()
+    for row, y in zip(rows, states.tolist(), strict=True):
+        with suppress(ArithmeticError, ValueError):
+            row[:] = top.field(tuple(y), p)
+    return rows
+
+
+def rates_along(top: Top, value: Callable[[Array], Array], states: Array) -> tuple[Array, Array]:
+    """Rates of change (n,) of a function of the state along the field at ``states`` (n, d), by differences.
+
+    And their sizes relative to the length of the gradient times that of the field: the cosine of the angle between
+    them. Differences of order four with steps of 1e-3 have errors of about 1e-11; a function that is not an integral
+    has rates of size one at most states. nan where the field or the function has no value.
+    """
+    fields, gradients = slopes(top, states), np.empty(states.shape)
+    with np.errstate(all="ignore"):
+        for row, y in zip(gradients, states, strict=True):
+            step = 1e-3 * max(1.0, float(np.abs(y).max()))
+            moved = [value(y + k * step * np.eye(len(y))) for k in (-2, -1, 1, 2)]
+            row[:] = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * step)
+        rates = (gradients * fields).sum(axis=1)
+        sizes = np.linalg.norm(gradients, axis=1) * np.linalg.norm(fields, axis=1)
+        return rates, np.abs(rates) / np.where(sizes == 0.0, 1.0, sizes)
 
 
 def measured_change(top: Top, invariant: Invariant) -> str:
-    """Return a text with the rate of change of an invariant at a random state; empty if it does not change.
-
-    States at which the field or the invariant has no value are left out.
-    """
-    random, p = np.random.default_rng(0), top.constants()
-    changes: list[str] = []
-    judged = 0
-    for y in random.normal(size=(_STATES, len(top.components))):
-        try:
-            rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
-        except (ArithmeticError, ValueError):
-            continue
-        with np.errstate(all="ignore"):
-            s = _REACH * np.abs(y).max() / np.abs(rates).max()
-            left2, left, here, right, right2 = invariant.value(y + s * np.outer([-2.0, -1.0, 0.0, 1.0, 2.0], rates))
-            change = (left2 - right2 + 8.0 * (right - left)) / 12.0
-            size = float(invariant.scale(y[None, :])[0])
-        if np.isfinite([change, here, size]).all():
-            judged += 1
-            if abs(change) > _CONSERVED * size:
-                at = ", ".join(f"{value:.3g}" for value in y)
-                changes.append(f"its rate of change is {change / s:.3g} at ({at})")
-    return changes[0] if 2 * len(changes) > max(judged, 3) else ""
+    """Return a text with the rate of change of an invariant at a random state; empty if it does not change."""
+    states = np.random.default_rng(0).normal(size=(_STATES, len(top.components)))
+    rates, sizes = rates_along(top, invariant.value, states)
+    changing = np.flatnonzero(sizes > RATE)
+    if 2 * len(changing) <= max(np.isfinite(sizes).sum(), 3):
+        return ""
+    at = ", ".join(f"{value:.3g}" for value in states[changing[0]])
+    return f"its rate of change is {rates[changing[0]]:.3g} at ({at})"
 
 
 def broken_integral(top: Top) -> str:

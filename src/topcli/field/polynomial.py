@@ -100,22 +100,19 @@ class Polynomial(Operators):
             if exponent < 0:
                 return Polynomial.of(1) / self**-exponent
             if not self.degree:
-                return Polynomial.of(self._constant("") ** exponent)
+                return Polynomial.of(self.constant() ** exponent)
             if exponent == int(exponent):
                 return math.prod([self] * int(exponent), start=Polynomial.of(1))
         raise NotPolynomialError(f"takes the power {exponent} of the state")
 
-    def constant(self) -> Fraction:
-        """Value of a constant. Raises NotPolynomialError for a function of the state."""
-        return self._constant("calls a function of the state that is not a polynomial")
-
-    def _constant(self, otherwise: str) -> Fraction:
+    def constant(self, otherwise: str = "calls a function of the state that is not a polynomial") -> Fraction:
+        """Value of a constant. Raises NotPolynomialError with the reason ``otherwise`` for a function of the state."""
         if self.degree > 0:
             raise NotPolynomialError(otherwise)
         return self.terms.get((), Fraction(0))
 
     def __bool__(self) -> bool:
-        return bool(self._constant(DECIDES))
+        return bool(self.constant(DECIDES))
 
     def __float__(self) -> float:
         return float(self.constant())
@@ -127,7 +124,7 @@ class Polynomial(Operators):
         return hash(frozenset(self.terms.items()))
 
     def __abs__(self) -> Polynomial:
-        return Polynomial.of(abs(self._constant(DECIDES)))
+        return Polynomial.of(abs(self.constant(DECIDES)))
 
     @property
     def degree(self) -> int:

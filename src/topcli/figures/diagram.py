@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.motion.diagram import REGIONS, branches, regions
+from topcli.analysis.motion.kowalevski import TORI, branches, regions
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
@@ -58,12 +58,12 @@ def draw_diagram(axes: Any, window: Window, curves: Mapping[str, Array], place: 
     codes = regions(E[None, :], up[:, None], 0.5 * place[2], 1.0)
     extent = (*window[0], *window[1])
     axes.imshow(codes, extent=extent, origin="lower", aspect="auto", cmap=ListedColormap(TINTS), vmin=-0.5, vmax=5.5)
-    third = codes == list(REGIONS).index("III") + 1  # II becomes III without a bifurcation
+    third = codes == list(TORI).index("III") + 1  # II becomes III without a bifurcation
     axes.contour(E, up, third, levels=[0.5], colors="0.5", linewidths=0.5, zorder=2)
     for kind, (x, y) in curves.items():
         axes.plot(x, y, label=_KINDS[kind][0], zorder=4, **_KINDS[kind][1])
-    for region, tint in zip(REGIONS.values(), TINTS[1:], strict=True):
-        label = f"{region.name}: {region.tori} {'tori' if region.tori > 1 else 'torus'}"
+    for (region, tori), tint in zip(TORI.items(), TINTS[1:], strict=True):
+        label = f"{region}: {tori} {'tori' if tori > 1 else 'torus'}"
         axes.plot([], [], "s", color=tint, markersize=8.0, markeredgecolor="0.6", label=label)
     look = {"color": "0.05", "markersize": 5.0, "markeredgecolor": "white", "zorder": 6}
     axes.plot(*place[:2], "o", label="motion", **look)

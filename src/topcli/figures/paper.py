@@ -152,7 +152,7 @@ def period() -> Columns:
     columns["swings"] = minima_times(*runs[MOTIONS[0]])
     for name, exponents in LADDERS.items():
         sizes = [TIME / round(TIME / 10.0**k) for k in exponents]
-        spacings = [first_swing_spacing(*_gamma1(name, h)) for h in sizes]
+        spacings = [first_swing_spacing(minima_times(*_gamma1(name, h))) for h in sizes]
         columns[f"h:{name}"] = np.array(sizes)
         columns[f"spacing:{name}"] = np.array([np.nan if s is None else s for s in spacings])
     return columns

@@ -517,7 +517,7 @@ def other_period(scenes: Sequence[str]) -> Measured:
     """Smallest relative deviation of the time between two swings from that of the exact motion."""
     runs = [run_of(scene) for scene in scenes]
     law = float(spacing_law(runs[0]["gamma3"][:1])[0])
-    spacings = {run.scheme: first_swing_spacing(run.t, run["gamma1"]) or math.nan for run in runs}
+    spacings = {run.scheme: first_swing_spacing(minima_times(run.t, run["gamma1"])) or math.nan for run in runs}
     figure = min(abs(spacing / law - 1.0) for spacing in spacings.values())
     listed = ", ".join(f"{name} {spacing:.4f}" for name, spacing in spacings.items())
     note = f"time between swings: {listed}; exact motion {law:.4f}"

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from topcli.analysis.crossings import CrossingSearch
-from topcli.analysis.section_rows import SectionRows
+from topcli.analysis.crossings import CrossingSearch, SectionRows
 from topcli.analysis.tally import Tally
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.models import Experiment

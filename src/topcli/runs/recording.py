@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.section_rows import SectionRows
+from topcli.analysis.crossings import SectionRows
 from topcli.analysis.tally import Tally, summary, trajectory_columns
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome

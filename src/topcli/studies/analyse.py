@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from topcli.analysis.reference import reference_states
-from topcli.analysis.series_report import invariant_report, uneven_report
-from topcli.analysis.swings import minima_times
-from topcli.analysis.verdict import NEEDS_EVEN_TIMES, InvariantRow
+from topcli.analysis.swings import first_swing_spacing, swing_times
+from topcli.analysis.tally import invariant_report
+from topcli.analysis.verdict import InvariantRow
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, counted, nearest, quoted, shortened
-from topcli.runs.report import invariant_table
+from topcli.runs.report import invariant_table, open_lines
 from topcli.studies import SILENT, Watch
 from topcli.studies.report import Report, Table
 from topcli.table import ten_digits
@@ -99,7 +99,7 @@ def analyse(
         taken, origin = int(n[-1] - n[0]), "column n"
     watch.begin("analyse", experiment)
     invariants, left, kind = _judged(experiment, t, states, n, taken)
-    notes = [f"no drifts: {NEEDS_EVEN_TIMES}"] if kind == "uneven" else []
+    notes = open_lines([(row.symbol, row.as_dict()) for row in invariants])
     if left is not None:
         notes.append(f"warning: {path}: far off its energy surface at row {left + 1} (t = {t[left]:.6g})")
 
@@ -121,10 +121,14 @@ def analyse(
             values = invariant.value(states)
             columns[f"deviation of {invariant.symbol}"] = np.abs(values - values[0])
 
-    place = top.components.index(top.swing)
-    spacing = _spacing(t, states[:, place])
-    if reference is not None:
-        spacing += f" (reference {_spacing(t, reference[:, place])})"
+    swings = due = np.empty(0)
+    try:
+        swings = swing_times(top, t, states)
+        due = due if reference is None else swing_times(top, t, reference)
+    except UsageError as failure:
+        notes.append(f"warning: no minima: {failure.lines[0]}")
+    spacing = ten_digits(first_swing_spacing(swings))
+    spacing += "" if reference is None else f" (reference {ten_digits(first_swing_spacing(due))})"
     summary = {
         "rows": len(t),
         "times": f"{ten_digits(float(t[0]))} to {ten_digits(float(t[-1]))}, {kind}",
@@ -150,12 +154,6 @@ def analyse(
     ]
     title = f"{path}: {top.title}"
     return Report("analyse", title, "", tables, notes, config=experiment.resolved(), columns=columns, draw=draw)
-
-
-def _spacing(t: Array, values: Array) -> str:
-    """Time from the first deep minimum to the second, which the drift of a method changes least."""
-    times = minima_times(t, values)
-    return ten_digits(abs(float(times[1] - times[0])) if len(times) > 1 else None)
 
 
 def read_frame(path: Path) -> pd.DataFrame:
@@ -271,6 +269,7 @@ def _judged(
         invariants = (*invariants, *experiment.modified)
     rounding = 4.0 * np.finfo(np.float64).eps * np.abs(t).max()
     if np.abs(t - (t[0] + np.arange(len(t)) * spacing)).max() > _EVEN * abs(spacing) + rounding:
-        return *uneven_report(top, invariants, states, steps, float(t[-1] - t[0])), "uneven"
+        rows = np.arange(len(t))
+        return *invariant_report(top, invariants, rows, 1.0, states, steps, float(t[-1] - t[0])), "uneven"
     report, step = invariant_report(top, invariants, numbers, h, states, steps)
     return report, None if step is None else int(np.searchsorted(numbers, step)), kind

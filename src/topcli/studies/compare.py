@@ -11,14 +11,14 @@ import numpy as np
 
 from topcli.analysis.order import probe_rows, reversal
 from topcli.analysis.reference import distances
-from topcli.analysis.swings import first_swing_spacing
+from topcli.analysis.swings import first_swing_spacing, swing_times
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Method, Outcome
+from topcli.contracts import Array, Method, Outcome, Top
 from topcli.engine.numbers import MAX_DIGITS
 from topcli.engine.timing import nanoseconds_per_step
-from topcli.errors import ExitCode, SchemeCodeError
+from topcli.errors import ExitCode, SchemeCodeError, UsageError
 from topcli.runs.plans import precise_of, trajectory_of
 from topcli.runs.references import METHODS, reference_of
 from topcli.runs.report import deviation_text, drift_text, open_lines
@@ -108,11 +108,13 @@ def compare(
     probes = expected[first.h][probe_rows(len(expected[first.h]))]
     t, swing = np.arange(0, first.N + 1, strides[next(iter(asked))]) * first.h, top.components.index(top.swing)
     rows, invariants, columns = [], {}, {"t": t, "swing:reference": expected[first.h][:, swing]}
+    coarse: dict[str, None] = {}
     for (label, (experiment, method, run)), nanoseconds in zip(
         runs.items(), _step_times(list(runs.values())), strict=True
     ):
         error = distances(run.states, expected[experiment.h][: len(run.states)])
-        rows.append(_row(label, experiment, method, run, error, probes, nanoseconds))
+        spacing = first_swing_spacing(_swings(top, run.t, run.states, coarse))
+        rows.append(_row(label, experiment, method, run, error, probes, spacing, nanoseconds))
         invariants[label] = [row.as_dict() for row in run.invariant_rows()]
         for name, values in (("error", error), ("swing", run[top.swing])):
             columns[f"{name}:{label}"] = np.append(values, np.full(len(t) - len(values), np.nan))
@@ -128,10 +130,10 @@ def compare(
     of_top = {label: each[: len(top.invariants())] for label, each in invariants.items()}
     tables = [Table("Errors, reversal and speed", rows, formats, hidden), *_invariant_tables(of_top, invariants)]
     speeds = ", ".join(f"{row['scheme']} {row['ns_per_step']:.1f}" for row in rows if row["ns_per_step"] is not None)
-    notes = [*open_lines([(label, row) for label, each in of_top.items() for row in each])]
-    notes += [f"ns per step: {speeds}"] if speeds else []
-    spacing = first_swing_spacing(t, columns["swing:reference"])
+    spacing = first_swing_spacing(_swings(top, t, expected[first.h], coarse))
     swings = "" if spacing is None else f" The first swing spacing of {top.swing} in the reference is {spacing:.4f}."
+    notes = [*open_lines([(label, row) for label, each in of_top.items() for row in each]), *coarse]
+    notes += [f"ns per step: {speeds}"] if speeds else []
     notes.append(f"Errors are norms of the difference of states from the reference, a {METHODS[reference]}.{swings}")
     code = ExitCode.PARTLY_FAILED if broken else ExitCode.FAILED if ended else ExitCode.SUCCESS
     draw = partial(_draw, list(runs), columns, base.name)
@@ -139,17 +141,24 @@ def compare(
 
 
 def _row(
-    label: str, experiment: Experiment, method: Method, run: Trajectory, error: Array, probes: Array, nanoseconds: float
+    label: str,
+    experiment: Experiment,
+    method: Method,
+    run: Trajectory,
+    error: Array,
+    probes: Array,
+    spacing: float | None,
+    nanoseconds: float,
 ) -> Row:
     """Row of an entry; its reversal is tried at the states ``probes`` of the reference."""
     precise = precise_of(experiment.model_copy(update={"max_digits": max(experiment.max_digits, MAX_DIGITS)}))
-    back = reversal(experiment.top, method, probes, experiment.h, precise)
+    defect, its_order = reversal(experiment.top, method, probes, experiment.h, precise)
     complete = run.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION)
     return {
         "scheme": label, "h": experiment.h, "N": experiment.N, "outcome": run.outcome.value,
         "max_error": float(error.max()), "final_error": float(error[-1]) if complete else None,
-        "reversal_defect": back.defect, "its_order": back.order,
-        "first_swing_spacing": first_swing_spacing(run.t, run[experiment.top.swing]),
+        "reversal_defect": defect, "its_order": its_order,
+        "first_swing_spacing": spacing,
         "ns_per_step": nanoseconds if complete else None,
     }  # fmt: skip
 
@@ -181,6 +190,15 @@ def _draw(labels: Sequence[str], columns: Mapping[str, Array], title: str, axes:
     later = np.concatenate([columns[f"error:{label}"][1 + len(columns["t"]) // 100 :] for label in labels])
     if (later > 0.0).any():
         axes.set_ylim(bottom=0.5 * np.nanmin(later[later > 0.0]))
+
+
+def _swings(top: Top, t: Array, states: Array, coarse: dict[str, None]) -> Array:
+    """Times of the swings in the rows; none if these are too few to show them, which is added to ``coarse``."""
+    try:
+        return swing_times(top, t, states)
+    except UsageError as failure:
+        coarse[f"no swing spacing: {failure.lines[0]}"] = None
+        return np.empty(0)
 
 
 def _recorded(experiment: Experiment, stride: int) -> Trajectory:

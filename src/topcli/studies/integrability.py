@@ -132,10 +132,9 @@ def integrability(
         {"n": n, "degree": degree, "repeated": repeated, "bits": size}
         for n, (degree, repeated, size) in enumerate(zip_longest(first, again, bits[1:]), start=1)
     ]
-    law = growth.as_dict()
     conclusion = {
         "verdict": verdict,
-        **{key: law[key] for key in ("law", "power", "factor", "entropy")},
+        **{key: getattr(growth, key) for key in ("law", "power", "factor", "entropy")},
         "integrals": integrals,
         "needed": needed_integrals(d),
         "density_degree": measure and measure.degree,

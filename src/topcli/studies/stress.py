@@ -99,7 +99,7 @@ class Trial:
             return Finding(BROKE, ending.message, step)
         for invariant in self.claimed(h):
             with np.errstate(all="ignore"):
-                off = deviation(run.states, [invariant], max(last, 1))
+                off = deviation(run.states, invariant, max(last, 1))
             if 1.0 < off < math.inf:  # terms beyond the range of a double cannot be judged
                 return Finding(BROKE, f"{invariant.symbol} is off by {off:.1e} times what round-off explains", last)
         return None

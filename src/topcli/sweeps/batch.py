@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from topcli.analysis.lyapunov import Growth, growth_of
 from topcli.analysis.order import PROBES as PROBE_STATES
 from topcli.analysis.order import probe_rows
+from topcli.analysis.swings import swing_times
 from topcli.analysis.tally import BLOCKS, Tally
 from topcli.config.models import Experiment
 from topcli.contracts import Array, Outcome, StopAsked, check_stop
@@ -103,6 +104,11 @@ class Batch:
         return growth_of(
             experiment.top, experiment.scheme, experiment.method(), experiment.h, experiment.N, self.initial
         )
+
+    @cached_property
+    def swings(self) -> list[Array]:
+        """Times of the swings of each run. Raises UsageError if the rows are too few to show them."""
+        return [swing_times(self.experiment.top, self.t, states) for states in self.states]
 
     @property
     def whole(self) -> NDArray[np.bool_]:

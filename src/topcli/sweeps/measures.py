@@ -19,8 +19,7 @@ from pydantic import BaseModel
 import topcli
 from topcli.analysis.frequencies import agreement_digits, strongest_line
 from topcli.analysis.lyapunov import LEAST_STEPS, shares_of_chaos
-from topcli.analysis.swings import first_swing_spacing as first_spacing_of
-from topcli.analysis.swings import minima_times
+from topcli.analysis.swings import first_swing_spacing
 from topcli.analysis.tally import OF_INVARIANT
 from topcli.contracts import Array, Sampler, Scheme, Top
 from topcli.engine.tangent import tangent_obstacle
@@ -32,10 +31,10 @@ from topcli.schemes.registry import schemes_of
 if TYPE_CHECKING:
     from topcli.sweeps.batch import Batch
 
-STATES, SWING, PROBES = "states", "swing", "probes"
+STATES, PROBES = "states", "probes"
 ERROR, FINAL_ERROR = "error", "final_error"
 COLUMN, FIGURE = "column", "figure"
-RECORDED = (STATES, SWING, PROBES, ERROR, FINAL_ERROR)
+RECORDED = (STATES, PROBES, ERROR, FINAL_ERROR)
 """Words that ``needs`` may hold beside the names of columns. A family may also need ``COLUMN``, the column of its name,
 or ``FIGURE``, the figure of an invariant that the measure is."""
 _TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output", "sample"}
@@ -124,9 +123,8 @@ def measure(
         Unit in words, such as ``"inverse time"``; the numbers themselves are dimensionless.
     needs : iterable of str, optional
         Data that the runs must record for the measure: names of columns (components and invariants),
-        ``"states"`` for all components, ``"swing"`` for the component whose minima mark the swings of the top (each
-        fall and rise), ``"error"`` and ``"final_error"`` for the distance from the reference solution, or ``"probes"``
-        for a few states along the run.
+        ``"states"`` for all components, ``"error"`` and ``"final_error"`` for the distance from the reference solution,
+        or ``"probes"`` for a few states along the run.
     names : callable, optional
         For a family of measures: ``names(top, scheme, options)`` returns the names of its members.
     obstacle : callable, optional
@@ -246,7 +244,7 @@ def resolve_measures(
         measure = _measure_called(name, top, scheme, options, quantities)
         if reason := measure.misfit(columns, top, scheme):
             raise UsageError(f"measure {quoted(name)} does not fit: {reason}")
-        resolved.append(replace(measure, needs=tuple(top.swing if need == SWING else need for need in measure.needs)))
+        resolved.append(measure)
     return tuple(resolved)
 
 
@@ -301,30 +299,27 @@ for _name, _word, _function in (("min", "smallest", np.min), ("max", "largest", 
         return function(batch.columns[column], axis=1)
 
 
-def _of_swings(batch: Batch, figure: Callable[[Array], float]) -> Array:
-    """``figure`` of the times of the swings of each run (runs,)."""
-    values = batch.columns[batch.experiment.top.swing]
-    return np.array([figure(minima_times(batch.t, of_one)) for of_one in values])
+def _of_swings(batch: Batch, figure: Callable[[Array], float | None]) -> Array:
+    """``figure`` of the times of the swings of each run (runs,); nan where it is None. Raises UsageError."""
+    return np.array([figure(times) for times in batch.swings], dtype=np.float64)
 
 
-@measure("swings", "number of swings, which are deep minima of one component of the state", NUMBER, needs=[SWING])
+@measure("swings", "number of swings, which are deep minima of one component of the state", NUMBER, needs=[STATES])
 def swings(batch: Batch) -> Array:
     """Number of deep minima within the recorded rows."""
     return _of_swings(batch, len)
 
 
-@measure("median_swing_spacing", "median time from one swing to the next", TIME, needs=[SWING])
+@measure("median_swing_spacing", "median time from one swing to the next", TIME, needs=[STATES])
 def median_swing_spacing(batch: Batch) -> Array:
     """Median distance of neighbouring deep minima; nan for fewer than two."""
-    return _of_swings(batch, lambda times: float(np.median(np.abs(np.diff(times)))) if len(times) > 1 else np.nan)
+    return _of_swings(batch, lambda times: float(np.median(np.abs(np.diff(times)))) if len(times) > 1 else None)
 
 
-@measure("first_swing_spacing", "time from the first swing to the second", TIME, needs=[SWING])
+@measure("first_swing_spacing", "time from the first swing to the second", TIME, needs=[STATES])
 def first_spacing(batch: Batch) -> Array:
     """Distance of the first two deep minima; nan for fewer than two."""
-    values = batch.columns[batch.experiment.top.swing]
-    spacings = [first_spacing_of(batch.t, of_one) for of_one in values]
-    return np.array([np.nan if spacing is None else spacing for spacing in spacings])
+    return _of_swings(batch, first_swing_spacing)
 
 
 @measure(

@@ -213,8 +213,6 @@ def _curve(nutation: Nutation, low: Real, high: Real) -> tuple[str, str]:
     poles = [name for name, at in (("upright", 1 - high), ("hanging", 1 + low)) if at <= _NOTHING]
     if poles:
         return "through the pole", f"nutation through the {' and the '.join(poles)} position"
-    if not ba:
-        return "waves", "spherical pendulum: no momentum about the axis, precession in one sense"
     ends = [nutation.turn(c) for c in (low, high)]
     scale = CUSP * (abs(bv) + abs(ba))
     if any(abs(value) <= scale for value in ends):
