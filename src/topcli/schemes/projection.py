@@ -157,8 +157,7 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
     """``method`` with a projection onto the initial values of all integrals of ``top`` after every ``every`` steps.
 
     The working state is that of ``method`` up to its status, the targets, the number of steps to the next projection,
-    the status and the counters. If the working state of ``method`` does not begin with the physical state, it is made
-    again from the projected state.
+    the status and the counters. It is made again from each projected state.
 
     Raises UsageError for a method with its own time loop, for a top without integrals, or with an integral that is not
     a polynomial.
@@ -172,7 +171,7 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
     tail = method.width - len(method.counters)
     carried, targets = tail - method.iterative, tail - method.iterative + used.count
     after = targets + 1  # behind the number of steps
-    others = after + (not method.iterative)  # what follows the first ``own`` slots in the state of the method
+    others = after + (not method.iterative)  # the status and the counters of the method
 
     def status_of(new: Floats) -> float:
         return new[carried]
@@ -182,18 +181,12 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
 
     status = status_of if method.iterative else settled
 
-    def in_place(new: Floats, t: Floats, h: float, p: Floats) -> Floats:
-        z = project(new[:d], t, p)
-        return (*z[:d], *new[d:carried], z[d])
-
-    def entered(new: Floats, t: Floats, h: float, p: Floats) -> Floats:
+    def restored(new: Floats, t: Floats, h: float, p: Floats) -> Floats:
         z = project(leave(new, h, p[:before]), t, p)
         return (*enter(z[:d], h, p[:before])[:carried], z[d])
 
     def unchanged(new: Floats) -> Floats:
         return (*new[:carried], 0.0)
-
-    restored = in_place if _begins_with_state(method, top) else entered
 
     def each(s: Floats, h: float, p: Floats) -> Floats:
         new = inner((*s[:carried], *s[others:]), h, p[:before])
@@ -229,11 +222,3 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
         source=lambda: (method.source() if method.source else "") + used.text,
         tangent=None,
     )
-
-
-def _begins_with_state(method: Stepper, top: Top) -> bool:
-    """True if the working state of ``method`` begins with the physical state, tried at one state."""
-    if method.enter is None:
-        return True
-    y = tuple(0.5 * math.cos(j + 1.0) for j in range(len(top.components)))
-    return method.enter(y, 0.01, tuple(map(float, method.parameters(top))))[: len(y)] == y
