@@ -167,11 +167,11 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
     d, before = len(top.components), len(method.parameters(top))  # numbers of constants before those of the projection
     used = projection(cast(Any, top), before)
     inner, values, project, period = method.step, used.values, used.project, float(every)
+    always = every == 1  # known to the compiler, unlike the number of steps
     enter, leave = method.enter or same_state, method.leave or same_state
     tail = method.width - len(method.counters)
     carried, targets = tail - method.iterative, tail - method.iterative + used.count
-    after = targets + 1  # behind the number of steps
-    others = after + (not method.iterative)  # the status and the counters of the method
+    others = targets + 1 + (not method.iterative)  # the status and the counters of the method
 
     def status_of(new: Floats) -> float:
         return new[carried]
@@ -188,16 +188,11 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
     def unchanged(new: Floats) -> Floats:
         return (*new[:carried], 0.0)
 
-    def each(s: Floats, h: float, p: Floats) -> Floats:
-        new = inner((*s[:carried], *s[others:]), h, p[:before])
-        w = restored(new, s[carried:targets], h, p)
-        return (*w[:carried], *s[carried:after], w[carried] + status(new), *new[tail:])
-
-    def now_and_then(s: Floats, h: float, p: Floats) -> Floats:
+    def step(s: Floats, h: float, p: Floats) -> Floats:
         new = inner((*s[:carried], *s[others:]), h, p[:before])
         left = s[targets] - 1.0
         w = unchanged(new)
-        if left <= 0.0:
+        if always or left <= 0.0:
             left = period
             w = restored(new, s[carried:targets], h, p)
         return (*w[:carried], *s[carried:targets], left, w[carried] + status(new), *new[tail:])
@@ -211,7 +206,7 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
 
     return replace(
         method,
-        step=each if every == 1 else now_and_then,
+        step=step,
         width=method.width + (others - carried),
         enter=begin,
         leave=state,
