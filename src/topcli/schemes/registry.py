@@ -9,12 +9,13 @@ order, compensated sums, a symmetric composition and a projection onto the integ
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any, TypeVar
 
@@ -22,11 +23,13 @@ from pydantic import BaseModel, Field, ValidationError, create_model
 
 from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.field.integrals import polynomial_value
+from topcli.field.polynomial import NotPolynomialError
 from topcli.schemes.compose import Composition, compose, composition_obstacle, find_composition
 from topcli.schemes.plugins import line_of, origin_of, plugin_failures, require_plugin, users_error
 from topcli.schemes.projection import projected
 from topcli.schemes.steppers import compensated
-from topcli.tops import BUILT_IN, TOPS
+from topcli.tops import BUILT_IN, CATALOGUE, TOPS
 
 Build = Callable[[Any, Any], Method]
 B = TypeVar("B", bound=Build)
@@ -37,10 +40,9 @@ MODULES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("bohlin-a", "bohlin-b", "bohlin-c"), ("kowalevski.bohlin",)),
     **dict.fromkeys(("hybrid", "hybrid-sym"), ("kowalevski.hybrid",)),
     "backlund": ("kowalevski.backlund",),
-    "bs": ("euler.bs", "lagrange.bs"),
-    "bs-implicit": ("euler.bs",),
-    "exact": ("euler.exact", "lagrange.exact", "kowalevski.exact"),
-    "hk-exact": ("euler.hk_exact",),
+    **dict.fromkeys(("bs", "bs-implicit"), ("classical.bs",)),
+    "exact": ("classical.euler", "classical.lagrange", "kowalevski.exact"),
+    "hk-exact": ("classical.euler",),
 }
 """Modules in which the schemes of topcli are registered, by name."""
 _SUCCESSORS = {
@@ -339,6 +341,43 @@ def projectable(scheme: Scheme) -> Scheme:
     return replace(
         _with_key(scheme, "project", (int, PROJECT), projected), modified=modified if scheme.modified else None
     )
+
+
+# what schemes declare
+
+
+def has_own_cases(top: Top) -> bool:
+    """True for the tops of the paper, which have hard cases of their own besides those of every top."""
+    return top.form in BUILT_IN and top.form not in CATALOGUE
+
+
+def polynomial_invariants(top: Top, degree: float = math.inf) -> tuple[str, ...]:
+    """Return the names of the invariants of ``top`` that are polynomials of the state of at most ``degree``.
+
+    One that only some motions conserve is left out, unless it is linear and its own level is the condition: then the
+    motion remains on a hyperplane, and so do the stages of a method.
+    """
+    names = []
+    for invariant in top.invariants():
+        if invariant.on.keys() <= {invariant.name}:
+            try:
+                power = polynomial_value(invariant.value, len(top.components)).degree
+            except NotPolynomialError:
+                continue
+            if power <= (1 if invariant.on else degree):
+                names.append(invariant.name)
+    return tuple(names)
+
+
+linear_invariants = partial(polynomial_invariants, degree=1)
+"""Names of the invariants of a top that every Runge-Kutta method conserves."""
+quadratic_invariants = partial(polynomial_invariants, degree=2)
+"""Names of the invariants of a top that the implicit midpoint rule conserves (Cooper 1987)."""
+
+
+def all_invariants(top: Top) -> tuple[str, ...]:
+    """Names of all invariants of ``top``."""
+    return tuple(invariant.name for invariant in top.invariants())
 
 
 # look-up

@@ -13,8 +13,7 @@ import topcli
 ROOMS = ("contracts", "arithmetic", "field", "tops", "schemes", "engine")
 """Packages of topcli, and a module, whose code makes the numbers of a run."""
 NO_NUMBERS = frozenset(
-    f"topcli.{name}"
-    for name in ("schemes.display", "schemes.limits", "schemes.own_tops", "schemes.plugins", "engine.code_store")
+    f"topcli.{name}" for name in ("schemes.display", "schemes.own_tops", "schemes.plugins", "engine.code_store")
 )
 """Modules there that do not."""
 _ROOT = Path(topcli.__file__).parent

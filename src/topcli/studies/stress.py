@@ -40,10 +40,9 @@ from topcli.errors import (
 )
 from topcli.field.polynomial import field_of
 from topcli.runs.references import REFERENCES, Reference
-from topcli.schemes.limits import has_own_cases
 from topcli.schemes.own_tops import forms
 from topcli.schemes.plugins import reason_of, users_error
-from topcli.schemes.registry import find_scheme, names_for, schemes_of
+from topcli.schemes.registry import find_scheme, has_own_cases, names_for, schemes_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import code_failures, entry_named
 from topcli.studies.report import Report, Table

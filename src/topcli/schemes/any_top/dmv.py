@@ -26,8 +26,7 @@ from topcli.arithmetic.fused import fma, follow_precision, unlikely
 from topcli.arithmetic.vectors import VECTOR_VARIANTS, Matrix, Vector, cayley_increment, solve3
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.any_top.splitting import KEPT, kicked
-from topcli.schemes.limits import all_invariants
-from topcli.schemes.registry import scheme
+from topcli.schemes.registry import all_invariants, scheme
 from topcli.tops.bodies import checked_equations
 
 NEEDED_BY = "scheme 'dmv'"

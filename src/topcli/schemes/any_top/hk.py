@@ -14,8 +14,8 @@ from topcli.contracts import Floats, Invariant, NoOptions, StepFunction, Stepper
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import required_field
 from topcli.field.straight_line import compiled_function
-from topcli.schemes.limits import has_own_cases, linear_invariants
-from topcli.schemes.registry import scheme
+from topcli.schemes.any_top.hk_integrals import euler_hk_integrals, lagrange_hk_integrals
+from topcli.schemes.registry import has_own_cases, linear_invariants, scheme
 from topcli.schemes.steppers import first
 
 _NEEDED_BY = "scheme 'hk'"
@@ -58,12 +58,8 @@ def counted(step: StepFunction, change: StepFunction, determinants: StepFunction
 def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
     """Integrals of the map, as far as they are known."""
     if top.form in ("euler", "euler+gamma"):
-        from topcli.schemes.euler.hk_integrals import euler_hk_integrals
-
         return euler_hk_integrals(top, h)
     if top.form in ("lagrange", "lagrange-gyrostat"):
-        from topcli.schemes.lagrange.hk_integrals import lagrange_hk_integrals
-
         return lagrange_hk_integrals(top, h)
     return top.modified_invariants("hk", h)
 

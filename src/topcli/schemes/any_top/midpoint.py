@@ -17,8 +17,7 @@ from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
 from topcli.field.implicit import MidpointTangent, NewtonStep, generated
 from topcli.field.polynomial import Field, required_field, strongly_connected
 from topcli.field.straight_line import compiled_function
-from topcli.schemes.limits import quadratic_invariants
-from topcli.schemes.registry import scheme
+from topcli.schemes.registry import quadratic_invariants, scheme
 from topcli.schemes.steppers import first, stepper
 
 _NEEDED_BY = "scheme 'midpoint'"

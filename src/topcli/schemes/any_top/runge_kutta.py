@@ -11,8 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from topcli.arithmetic.fused import defined
 from topcli.contracts import Array, Floats, NoOptions, StepFunction, Stepper, Top, check_stop
-from topcli.schemes.limits import has_own_cases, linear_invariants
-from topcli.schemes.registry import scheme
+from topcli.schemes.registry import has_own_cases, linear_invariants, scheme
 
 VectorField = Callable[[Floats, Floats], Floats]
 Axpy = Callable[[Floats, float, Floats], Floats]

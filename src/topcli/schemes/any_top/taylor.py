@@ -26,8 +26,7 @@ from topcli.field.polynomial import required_field, variational
 from topcli.field.units import NaturalUnits
 from topcli.schemes.any_top.taylor_series import Arrangement, arrangement_of, expand, taylor_increment
 from topcli.schemes.any_top.taylor_vectors import DECLARATIONS, IRWriter, literal, vector_two_sum
-from topcli.schemes.limits import linear_invariants
-from topcli.schemes.registry import scheme
+from topcli.schemes.registry import linear_invariants, scheme
 
 STEP, FRACTION, LAG, TIME, LOG2_TOL, UNITS = range(6)
 """Slots of the working state after the two vectors of the expansion point: see ``series_loop``."""

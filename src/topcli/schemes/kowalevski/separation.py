@@ -32,8 +32,7 @@ from topcli.arithmetic.elliptic import phase
 from topcli.arithmetic.multiprecision import DIGITS, Real, digits, mp, real
 from topcli.contracts import Array
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.curve import Curve, Integrals, separated, series_step
-from topcli.schemes.kowalevski.oval import REFUSED, Integers, Oval, Place
+from topcli.schemes.kowalevski.curve import REFUSED, Curve, Integers, Integrals, Oval, Place, separated
 
 Phase = tuple[Integers, Array]
 """Quarter turns of an angle: whole numbers (m,), and rests (m,) in [-1/2, 1/2]."""
@@ -307,6 +306,27 @@ def _solved(equation: Callable[..., tuple[Array, Array, Array]], count: int, bou
         if not len(left):
             break
     return x
+
+
+def series_step(y: Sequence[Any], c: Any, t: Any, order: int) -> list[Any]:
+    """State after the time ``t`` by a Taylor series; the components may be numbers of any kind or arrays."""
+
+    def product(a: list[Any], b: list[Any]) -> Any:
+        return sum(u * v for u, v in zip(a, reversed(b), strict=True))
+
+    columns = w1, w2, w3, g1, g2, g3 = [[v] for v in y]
+    for m in range(1, order + 1):
+        rates = (
+            product(w2, w3) / 2,
+            (c * g3[-1] - product(w3, w1)) / 2,
+            -c * g2[-1],
+            product(g2, w3) - product(g3, w2),
+            product(g3, w1) - product(g1, w3),
+            product(g1, w2) - product(g2, w1),
+        )
+        for column, rate in zip(columns, rates, strict=True):
+            column.append(rate / m)
+    return [sum(v * t**m for m, v in enumerate(column)) for column in columns]
 
 
 def separated_motion(y: Sequence[Fraction], c: float) -> Separated:

@@ -29,8 +29,7 @@ from topcli.arithmetic.elliptic import Argument, phase
 from topcli.arithmetic.multiprecision import Real, cubic_roots, digits, mp, real
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.limits import all_invariants
-from topcli.schemes.registry import scheme
+from topcli.schemes.registry import all_invariants, scheme
 
 MAX_SAMPLES = 1 << 15
 _NOTHING = 1e-30
