@@ -112,8 +112,8 @@ def scheme(
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
     its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
     the underlined sections ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
-    delimiters, separated by empty lines) and ``Limits`` (names of conditions, each with the reason below it). The
-    arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
+    delimiters, separated by empty lines) and ``Limits`` (names of conditions, each with the reason below it). Limits in the
+    docstring of the module are those of all its schemes. The arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
     ----------
@@ -194,7 +194,8 @@ def scheme(
         _require_declaration(key, forms, options, build)
         parts = sections_of(build.__doc__ or "")
         first, _, rest = parts["Description"].partition("\n\n")
-        reasons = _reasons(parts["Limits"])
+        shared = sections_of(sys.modules[build.__module__].__doc__ or "")["Limits"]  # by all schemes of the module
+        reasons = _reasons(f"{shared}\n{parts['Limits']}")
 
         def limits_of(top: Top) -> Mapping[str, str]:
             names = limits(top) if limits else reasons

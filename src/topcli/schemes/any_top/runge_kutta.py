@@ -1,4 +1,11 @@
-"""Runge-Kutta methods for every top, as baselines: `rk2`, `rk4`, and SciPy's adaptive `dop853`."""
+"""Runge-Kutta methods for every top, as baselines: `rk2`, `rk4`, and SciPy's adaptive `dop853`.
+
+Limits
+------
+resonance, singular-step
+    The method is explicit and does not conserve the energy. If h is about the time of one revolution of the body,
+    the state grows without bound within a few steps.
+"""
 
 from __future__ import annotations
 
@@ -85,9 +92,6 @@ def build_rk2(top: Top, options: NoOptions) -> Stepper:
 
     Limits
     ------
-    resonance, singular-step
-        The method is explicit and does not conserve the energy. If h is about the time of one revolution of the
-        body, the state grows without bound within a few steps.
     long runs
         The energy grows steadily, at a rate of about h³. With h = 0.1 the run ends as `blew_up` after about 1e4
         steps, and the linear integral is lost as well.
@@ -117,12 +121,6 @@ def build_rk4(top: Top, options: NoOptions) -> Stepper:
     -------
     y' = y + \tfrac h6\,(k_1 + 2k_2 + 2k_3 + k_4), \qquad
     k_1 = f(y), \quad k_2 = f(y + \tfrac h2 k_1), \quad k_3 = f(y + \tfrac h2 k_2), \quad k_4 = f(y + h k_3)
-
-    Limits
-    ------
-    resonance, singular-step
-        The method is explicit and does not conserve the energy. If h is about the time of one revolution of the
-        body, the state grows without bound within a few steps.
     """
     return Stepper(rk4_step(top.field, *vector_operations(len(top.components))), len(top.components))
 
