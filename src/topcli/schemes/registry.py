@@ -112,8 +112,9 @@ def scheme(
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
     its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
     the underlined sections ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
-    delimiters, separated by empty lines) and ``Limits`` (names of conditions, each with the reason below it). Limits in the
-    docstring of the module are those of all its schemes. The arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
+    delimiters, separated by empty lines) and ``Limits`` (names of conditions, each with the reason below it). Limits in
+    the docstring of the module are those of all its schemes. The arguments declare properties of the scheme, which
+    ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
     ----------

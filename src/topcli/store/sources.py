@@ -46,13 +46,13 @@ def _imported(text: str) -> list[str]:
 
 @cache
 def _module(name: str) -> str:
-    """Text of a module of the ``ROOMS``, for the tops with those that formulas declare; empty for any other name."""
+    """Text of a module of the ``ROOMS`` with that of its files in other languages; empty for any other name."""
     room, path = name.split(".")[1:2], _ROOT.parent / name.replace(".", "/")
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     if not room or room[0] not in ROOMS or name in NO_NUMBERS or not path.is_file():
         return ""
-    declared = sorted(path.parent.glob("catalogue/*.yaml")) if name == "topcli.tops.declared" else []
-    return "\0".join(file.read_text(encoding="utf-8") for file in (path, *declared))
+    beside = sorted(path.parent.glob("catalogue/*.yaml" if name == "topcli.tops.declared" else f"{path.stem}.ll"))
+    return "\0".join(file.read_text(encoding="utf-8") for file in (path, *beside))
 
 
 @cache
