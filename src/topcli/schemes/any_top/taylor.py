@@ -41,7 +41,7 @@ EXACT_REACH = 256.0
 position of the next expansion point is exact."""
 
 
-def series_loop(a: Arrangement, order: int, extended_precision: bool) -> str:
+def series_loop(a: Arrangement, order: int) -> str:
     """Return the time loop of a Taylor series, a module with the function ``advance``.
 
     Arguments and result are those of the loop in ``engine.loops``. ``work`` contains, in this order: the state at the
@@ -59,8 +59,7 @@ def series_loop(a: Arrangement, order: int, extended_precision: bool) -> str:
         return IRWriter(a.lanes, names)
 
     expansion, writing, moving = text(), text(), text()
-    y0 = "%hi", "%lo" if extended_precision else None
-    natural, late, missed = expand(expansion, a, order, y0, "%slevel")
+    natural, late, missed = expand(expansion, a, order, ("%hi", "%lo"), "%slevel")
     written, written_rest = taylor_increment(writing, order, "%sd", missed)
     main, rest = taylor_increment(moving, order, "%sm", missed)
     new, lost = vector_two_sum(moving, "%hi", main)
@@ -129,16 +128,6 @@ def order_for(tol: float) -> int:
     return min(max(4 * round((1.5 * digits + 5.0) / 4.0), ORDERS[0]), ORDERS[1])
 
 
-def extended_precision(order: int) -> bool:
-    """True if the first coefficient is needed in more than double precision: at the tolerance of round-off."""
-    return order == ORDERS[1]
-
-
-def log2_tolerance(tol: float) -> float:
-    """Base-2 logarithm of the tolerance, at least that of round-off."""
-    return math.log2(max(tol, ROUND_OFF))
-
-
 @scheme(
     "taylor",
     top=None,
@@ -183,7 +172,7 @@ def build_taylor(top: Top, options: Tolerance) -> Block:
 def series_block(field: VectorField, tol: float) -> Block:
     """Taylor series of any polynomial field to a tolerance; its tangent map is that of the variational field."""
     a = arrangement_of(tuple(tuple(sorted(rate.terms)) for rate in field))
-    order, level = order_for(tol), log2_tolerance(tol)
+    order, level = order_for(tol), math.log2(max(tol, ROUND_OFF))
     natural, base, d = NaturalUnits(field, order), 2 * a.lanes, len(field)
     tables: dict[tuple[int, ...], Array] = {}
 
@@ -202,7 +191,7 @@ def series_block(field: VectorField, tol: float) -> Block:
         return 0
 
     return Block(
-        lambda: series_loop(a, order, extended_precision(order)),
+        lambda: series_loop(a, order),
         enter,
         series_width(a),
         ("expansions",),
