@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from topcli.arithmetic.fused import defined
-from topcli.contracts import Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
+from topcli.contracts import Method, Scheme, StepFunction, Stepper, Top, same_state
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.tops import TOPS
 
@@ -159,7 +159,7 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
     def build(top: Any, options: Any) -> Method:
         method = base.build(top, options)
         reason = _method_obstacle(method, top)
-        if reason or not isinstance(method, Stepper):
+        if reason:
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
         tangent = method.tangent and partial(_composed_tangent, method.tangent, weights)
         return replace(
@@ -220,10 +220,8 @@ def composition_obstacle(base: Scheme) -> str:
 
 def _method_obstacle(method: Method, top: Top) -> str:
     """Reason why ``method`` cannot be composed; empty if it can."""
-    if isinstance(method, Sampler):
-        return "is a solution in closed form, which has no steps"
-    if isinstance(method, Block):
-        return "advances many steps per call, but a composition needs single steps"
+    if not isinstance(method, Stepper):
+        return "has no single steps, as a solution in closed form or with a time loop of its own"
     if _depends_on_h(method, top):
         return "works on a form of the state that depends on h, but the stages have different step sizes"
     return ""

@@ -72,17 +72,10 @@ def jacobian(c: Vector, k: Vector, r: Vector) -> Matrix:
     """Derivative of ``residual``, in row-major order."""
     c1, c2, c3 = c
     t1, t2, t3 = 2.0 * c1, 2.0 * c2, 2.0 * c3
-    return (
-        fma(-k[0], t1, 1.0),
-        fma(-k[0], t2, r[0] * c3),
-        fma(-k[0], t3, r[0] * c2),
-        fma(-k[1], t1, r[1] * c3),
-        fma(-k[1], t2, 1.0),
-        fma(-k[1], t3, r[1] * c1),
-        fma(-k[2], t1, r[2] * c2),
-        fma(-k[2], t2, r[2] * c1),
-        fma(-k[2], t3, 1.0),
-    )
+    row1 = (fma(-k[0], t1, 1.0), fma(-k[0], t2, r[0] * c3), fma(-k[0], t3, r[0] * c2))
+    row2 = (fma(-k[1], t1, r[1] * c3), fma(-k[1], t2, 1.0), fma(-k[1], t3, r[1] * c1))
+    row3 = (fma(-k[2], t1, r[2] * c2), fma(-k[2], t2, r[2] * c1), fma(-k[2], t3, 1.0))
+    return (*row1, *row2, *row3)
 
 
 def size(x: Vector) -> float:

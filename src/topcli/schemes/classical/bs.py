@@ -71,22 +71,10 @@ def new_change(w: Vector, d: float, p: Floats) -> Floats:
         r1 = (c1 * (y2 * y3 + w2 * w3) - x1) + e1 * (m2 * x3 - m3 * x2)
         r2 = (c2 * (y3 * y1 + w3 * w1) - x2) + e2 * (m3 * x1 - m1 * x3)
         r3 = (c3 * (y1 * y2 + w1 * w2) - x3) + e3 * (m1 * x2 - m2 * x1)
-        d1, d2, d3 = solve3(
-            (
-                1.0,
-                e1 * m3 - c1 * y3,
-                -e1 * m2 - c1 * y2,
-                -e2 * m3 - c2 * y3,
-                1.0,
-                e2 * m1 - c2 * y1,
-                e3 * m2 - c3 * y2,
-                -e3 * m1 - c3 * y1,
-                1.0,
-            ),
-            r1,
-            r2,
-            r3,
-        )
+        row1 = (1.0, e1 * m3 - c1 * y3, -e1 * m2 - c1 * y2)
+        row2 = (-e2 * m3 - c2 * y3, 1.0, e2 * m1 - c2 * y1)
+        row3 = (e3 * m2 - c3 * y2, -e3 * m1 - c3 * y1, 1.0)
+        d1, d2, d3 = solve3((*row1, *row2, *row3), r1, r2, r3)
         x1, x2, x3 = x1 + d1, x2 + d2, x3 + d3
         if norm_sq((d1, d2, d3)) <= SETTLED * norm_sq((x1, x2, x3)) + STEADY * norm_sq(w):
             status = 0.0

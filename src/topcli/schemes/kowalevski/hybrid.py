@@ -163,22 +163,10 @@ def newton_correction(y: Floats, x1: float, x2: float, h: float, c: float, v: Fl
     n1, n2 = 4.0 * (w1 + 2.0 * v[0]), 4.0 * (w2 + 2.0 * v[1])
     c2 = 2.0 * c
     k = h * c
-    return solve3(
-        (
-            n1 - c2 * s11,
-            -n2 - c2 * s12,
-            -c2 * s13 - h * (x2 + t2),
-            n2 - c2 * s21,
-            n1 - c2 * s22,
-            -c2 * s23 + h * (x1 + t1),
-            k * s21,
-            k * s22,
-            2.0 + k * s23,
-        ),
-        -f[0],
-        -f[1],
-        -f[2],
-    )
+    row1 = (n1 - c2 * s11, -n2 - c2 * s12, -c2 * s13 - h * (x2 + t2))
+    row2 = (n2 - c2 * s21, n1 - c2 * s22, -c2 * s23 + h * (x1 + t1))
+    row3 = (k * s21, k * s22, 2.0 + k * s23)
+    return solve3((*row1, *row2, *row3), -f[0], -f[1], -f[2])
 
 
 def hybrid_sym_change(hk: StepFunction) -> StepFunction:
