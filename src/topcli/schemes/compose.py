@@ -159,7 +159,7 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
     def build(top: Any, options: Any) -> Method:
         method = base.build(top, options)
         reason = _method_obstacle(method, top)
-        if reason:
+        if reason or not isinstance(method, Stepper):
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
         tangent = method.tangent and partial(_composed_tangent, method.tangent, weights)
         return replace(

@@ -32,6 +32,7 @@ from topcli.contracts import Floats, Integral, Invariant, Top, invariant_of, of_
 _LONGEST = 2.0**511
 """Steps from here on have squares that are no double."""
 _AXES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+_PAIRS = ((1, 2), (2, 3), (3, 1))
 
 
 def euler_hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
@@ -44,65 +45,56 @@ def euler_hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
     square, p = ((0.5 * h) ** 2 if abs(h) < _LONGEST else math.inf), top.constants()
     moments, alpha = p[:3], p[3:]
 
-    def K(y: Floats) -> list[Any]:
-        return [1.0 - square * alpha[j] * alpha[k] * y[i] ** 2 for i, j, k in _AXES]
-
-    def mean(y: Floats) -> Any:
-        a, b, c = K(y)
-        return (a + b + c) / 3.0
-
-    def q(y: Floats) -> list[Any]:
-        return [alpha[j] * y[k] ** 2 - alpha[k] * y[j] ** 2 for _, j, k in _AXES]
+    def parts(y: Floats) -> tuple[Any, Any, Any]:
+        k = [1.0 - square * alpha[j] * alpha[n] * y[i] ** 2 for i, j, n in _AXES]
+        return k, [alpha[j] * y[n] ** 2 - alpha[n] * y[j] ** 2 for _, j, n in _AXES], (k[0] + k[1] + k[2]) / 3.0
 
     def modified_m_sq(y: Floats, p: Floats) -> Any:
         """m² divided by the mean of K1, K2, K3."""
-        return sum((m * w) ** 2 for m, w in zip(moments, y[:3], strict=True)) / mean(y)
+        return sum((m * w) ** 2 for m, w in zip(moments, y[:3], strict=True)) / parts(y)[2]
 
     def modified_m_omega(y: Floats, p: Floats) -> Any:
         """m·ω divided by the mean of K1, K2, K3."""
-        return sum(m * w**2 for m, w in zip(moments, y[:3], strict=True)) / mean(y)
+        return sum(m * w**2 for m, w in zip(moments, y[:3], strict=True)) / parts(y)[2]
 
-    def ratio(i: int, j: int) -> Integral:
+    def ratio(i: int, j: int, n: int) -> Integral:
         def integral(y: Floats, p: Floats) -> Any:
-            return (alpha[i] * y[j] ** 2 - alpha[j] * y[i] ** 2) / K(y)[j]
+            k, x, _ = parts(y)
+            return x[n] / k[j]
 
-        integral.__doc__ = f"(K{i + 1}/K{j + 1} - 1)/((h/2)² α{4 - i - j})"
+        integral.__doc__ = f"(K{i + 1}/K{j + 1} - 1)/((h/2)² α{n + 1})"
         return integral
 
     def modified_m_gamma(y: Floats, p: Floats) -> Any:
         """m·γ, modified so that the HK map conserves it."""
-        k, x = K(y), q(y)
+        k, x, mean = parts(y)
         total: Any = 0.0
         for i, j, n in _AXES:
             even = 0.5 * (moments[n] * k[j] + moments[j] * k[n]) * x[i]
             odd = moments[i] * (k[j] + k[n]) - square * (moments[j] + moments[n]) * x[i]
             rho = moments[i] * k[j] * k[n] + square * (even + 0.25 * odd * (alpha[n] * x[n] - alpha[j] * x[j]))
             total = total + rho * y[i] * y[3 + i]
-        return total / mean(y) ** 3
+        return total / mean**3
 
     def modified_gamma_sq(y: Floats, p: Floats) -> Any:
         """γ², modified so that the HK map conserves it."""
-        k, x = K(y), q(y)
+        k, x, mean = parts(y)
         R = [k[j] * k[n] - (square * x[j]) * (square * x[n]) for _, j, n in _AXES]
         along = sum((1.0 + square * x[i] / k[i]) * y[i] * y[3 + i] for i in range(3))
         squares = sum(R[j] * R[n] / k[i] * y[3 + i] ** 2 for i, j, n in _AXES)
-        return (squares + square * k[0] * k[1] * k[2] * along**2) / mean(y) ** 4
+        return (squares + square * k[0] * k[1] * k[2] * along**2) / mean**4
 
     # without gravity there are five; gamma adds two
     gamma, m, omega = r"\boldsymbol{\gamma}", r"\boldsymbol{m}", r"\boldsymbol{\omega}"
-    integrals: dict[str, tuple[Integral, str, str]] = {
-        "modified_m_sq": (modified_m_sq, "m²/K", rf"{m}^2/K"),
-        "modified_m_omega": (modified_m_omega, "m·ω/K", rf"{m}\cdot{omega}/K"),
-        "modified_k12": (ratio(0, 1), "κ12", r"\kappa_{12}"),
-        "modified_k23": (ratio(1, 2), "κ23", r"\kappa_{23}"),
-        "modified_k31": (ratio(2, 0), "κ31", r"\kappa_{31}"),
-        "modified_m_gamma": (modified_m_gamma, "J", rf"J({m}\cdot{gamma})"),
-        "modified_gamma_sq": (modified_gamma_sq, "G", rf"G({gamma}^2)"),
-    }
+    integrals: list[tuple[str, Integral, str, str]] = [
+        ("modified_m_sq", modified_m_sq, "m²/K", rf"{m}^2/K"),
+        ("modified_m_omega", modified_m_omega, "m·ω/K", rf"{m}\cdot{omega}/K"),
+        *((f"modified_k{i}{j}", ratio(i - 1, j - 1, 5 - i - j), f"κ{i}{j}", rf"\kappa_{{{i}{j}}}") for i, j in _PAIRS),
+        ("modified_m_gamma", modified_m_gamma, "J", rf"J({m}\cdot{gamma})"),
+        ("modified_gamma_sq", modified_gamma_sq, "G", rf"G({gamma}^2)"),
+    ]
     count = 5 if len(top.components) == 3 else 7
-    return tuple(
-        invariant_of(name, integral, p, (symbol, tex)) for name, (integral, symbol, tex) in [*integrals.items()][:count]
-    )
+    return tuple(invariant_of(name, integral, p, (symbol, tex)) for name, integral, symbol, tex in integrals[:count])
 
 
 def hk_corrections(A: Any, nu: Any, k: Any, h: Any, y: Any) -> tuple[Any, Any, Any]:
