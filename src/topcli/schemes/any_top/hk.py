@@ -16,7 +16,7 @@ from topcli.field.polynomial import required_field
 from topcli.field.straight_line import compiled_function
 from topcli.schemes.any_top.hk_integrals import euler_hk_integrals, lagrange_hk_integrals
 from topcli.schemes.registry import has_own_cases, linear_invariants, scheme
-from topcli.schemes.steppers import first
+from topcli.schemes.steppers import stepper
 
 _NEEDED_BY = "scheme 'hk'"
 NEAR_SINGULAR = "near_singular_solves"
@@ -32,27 +32,17 @@ def _tangent(top: Top) -> Stepper:
 
 
 @lru_cache(maxsize=256)  # steppers that share the functions share their machine code
-def counted(step: StepFunction, change: StepFunction, determinants: StepFunction, d: int) -> Stepper:
+def counted(change: StepFunction, determinants: StepFunction, d: int) -> Stepper:
     """Stepper of d components that counts steps with a small determinant."""
 
-    def small(y: Floats, h: float, p: Floats) -> float:
-        count = 0.0
+    def counting(y: Floats, h: float, p: Floats) -> Floats:
+        small = 0.0
         for determinant in determinants(y, h, p):
             if abs(determinant) < SMALL:
-                count = 1.0
-        return count
+                small = 1.0
+        return (*change(y, h, p), small)
 
-    def counting(s: Floats, h: float, p: Floats) -> Floats:
-        y = s[:d]
-        return (*step(y, h, p), s[d] + small(y, h, p))
-
-    def counting_change(s: Floats, h: float, p: Floats) -> Floats:
-        return (*change(s, h, p), small(s, h, p))
-
-    def enter(y: Floats, h: float, p: Floats) -> Floats:
-        return (*y, 0.0)
-
-    return Stepper(counting, d + 1, enter, first(d), (NEAR_SINGULAR,), change=counting_change)
+    return stepper(counting, d, counters=(NEAR_SINGULAR,))
 
 
 def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
@@ -127,9 +117,9 @@ def build_hk(top: Top, options: NoOptions) -> Stepper:
     field, d = required_field(top, _NEEDED_BY, 2), len(top.components)
     code = generated(KahanStep, field, len(top.constants()))
     of = partial(compiled_function, code.graph)
-    step, change = of("step", code.outputs), of("change", code.changes())
+    change = of("change", code.changes())
     if any(invariant.name == top.energy for invariant in top.invariants()) or not code.determinants:
-        plain = Stepper(step, d, change=change)
+        plain = Stepper(of("step", code.outputs), d, change=change)
     else:
-        plain = counted(step, change, of("determinants", code.determinants), d)
+        plain = counted(change, of("determinants", code.determinants), d)
     return replace(plain, constants=code.constants, source=partial(code.source, "step"), tangent=partial(_tangent, top))

@@ -117,21 +117,13 @@ class Separated:
             raise RunError(REFUSED.format("no choice of the signs of the square roots gives the initial state"))
         return best.rounded()
 
-    def phases(self, n: NDArray[Any], h: float) -> tuple[Phase, Phase]:
-        """Phases after ``n`` (m,) steps of ``h``, which may be fractions."""
+    def states(self, n: NDArray[Any], h: float) -> Array:
+        """States (m, 6) after ``n`` (m,) steps of ``h``, which may be fractions."""
+        states = np.empty((len(n), 6))
         with digits(DIGITS):
             first, second = (phase(x, rate * real(h), n) for x, rate in zip(self.starts, self.rates, strict=True))
-        return first, second
-
-    def states(self, n: NDArray[Any], h: float) -> Array:
-        """States (m, 6) after ``n`` (m,) steps of ``h``."""
-        return self.at_phases(*self.phases(n, h))
-
-    def at_phases(self, first: Phase, second: Phase) -> Array:
-        """States (m, 6) at phases."""
-        states = np.empty((len(first[0]), 6))
         with np.errstate(all="ignore"):
-            for begin in range(0, len(states), _CHUNK):
+            for begin in range(0, len(n), _CHUNK):
                 part = slice(begin, begin + _CHUNK)
                 here, there = ((whole[part], rest[part]) for whole, rest in (first, second))
                 states[part] = self.at(*self.places(here, there))
