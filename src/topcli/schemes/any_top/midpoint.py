@@ -15,7 +15,7 @@ from functools import lru_cache, partial
 from topcli.arithmetic.fused import defined, follow_precision
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
 from topcli.field.implicit import MidpointTangent, NewtonStep, generated
-from topcli.field.polynomial import Field, required_field, strongly_connected
+from topcli.field.polynomial import required_field, strongly_connected
 from topcli.field.straight_line import compiled_function
 from topcli.schemes.registry import quadratic_invariants, scheme
 from topcli.schemes.steppers import first, stepper
@@ -102,9 +102,10 @@ def step(s, h, p):
 
 
 @lru_cache(maxsize=256)
-def _tangent_stepper(newton: NewtonStep, tangent: MidpointTangent) -> Stepper:
-    """The rule with its tangent map; the last slot is the status."""
+def _with_tangent(newton: NewtonStep, count: int) -> Stepper:
+    """The rule with its tangent map, for a top with ``count`` constants; the last slot is the status."""
     d = len(newton.field)
+    tangent = generated(MidpointTangent, newton.field, count + len(newton.constants))
     parts = {"state": "s[{i}]", "half": "0.5 * x[{i}]", "vector": "s[{v}]", "new": "s[{i}] + x[{i}]", "image": "w[{i}]"}
     functions = {
         "change": _change(newton),
@@ -119,12 +120,6 @@ def _tangent_stepper(newton: NewtonStep, tangent: MidpointTangent) -> Stepper:
     step = defined(text, f"tangent map of the midpoint rule {d}", **functions)["step"]
     constants = (*newton.constants, *tangent.constants)
     return Stepper(step, 2 * d + 1, enter, first(2 * d), iterative=True, constants=constants)
-
-
-def _midpoint_tangent(field: Field, top: Top, newton: NewtonStep) -> Stepper:
-    """The midpoint rule with its tangent map."""
-    tangent = generated(MidpointTangent, field, len(top.constants()) + len(newton.constants))
-    return _tangent_stepper(newton, tangent)
 
 
 @scheme(
@@ -166,12 +161,11 @@ def build_midpoint(top: Top, options: NoOptions) -> Stepper:
         If h is the time of one revolution of the body or longer, Newton's method may find no solution. The run then
         ends as `no_convergence`.
     """
-    d = len(top.components)
-    field = required_field(top, _NEEDED_BY)
-    newton = generated(NewtonStep, field, len(top.constants()))
+    count = len(top.constants())
+    newton = generated(NewtonStep, required_field(top, _NEEDED_BY), count)
     return replace(
-        stepper(_change(newton), d, counters=("iterations",), iterative=True),
+        stepper(_change(newton), len(top.components), counters=("iterations",), iterative=True),
         constants=newton.constants,
         source=partial(newton.source, "newton"),
-        tangent=partial(_midpoint_tangent, field, top, newton),
+        tangent=partial(_with_tangent, newton, count),
     )

@@ -320,7 +320,7 @@ class Oval:
         middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
         offset = middle + half * nodes
         beyond = _beyond(self.turns[2], self.turns[3], self.direction, np.cos(offset), np.sin(offset))
-        densities = self._densities(self.at(beyond, slice(None)), float(self.scale), "unit", "gap", "rest")
+        densities = self._densities(self.at(beyond, np.arange(len(self.panels))), float(self.scale), "unit", "gap", "rest")
         A, p, excess = (integral @ (values @ f) * half for f in densities)
         self.tables = [values @ (middle + half * _inverse(A, nodes))]
         x = _inverse(p, nodes)
@@ -333,9 +333,9 @@ class Oval:
         meet = (start + over)[:-1]
         self.meet = np.array([*(meet - self.half), *meet]).astype(float).T
 
-    def at(self, beyond: Array, panel: Any) -> dict[Any, Any]:
+    def at(self, beyond: Array, panel: Integers) -> dict[Any, Any]:
         """Values of the forms."""
-        return {i: values[panel] + slope * beyond for i, (values, slope) in self.by_panel.items()}
+        return {i: values.take(panel) + slope * beyond for i, (values, slope) in self.by_panel.items()}
 
     def place(self, quarter: Integers, x: Array, of: int) -> tuple[Place, Array]:
         """Place where A (``of`` = 0) or p (1) is ``x`` beyond ``quarter`` half periods, and the excess for p."""
@@ -364,10 +364,8 @@ class Oval:
 
     def factors(self, at: Place) -> list[Any]:
         """sqrt(s - e_i), i = 1..5, times cos theta if unbounded; smooth in the signed sine and cosine."""
-        forms = {i: values.take(at.panel) + slope * at.beyond for i, (values, slope) in self.by_panel.items()}
-        return self._factors(
-            {i: np.sqrt(form) for i, form in forms.items() if i in range(5)}, at.S, at.C, float(self.length) ** 0.5
-        )
+        roots = {i: np.sqrt(form) for i, form in self.at(at.beyond, at.panel).items() if i in range(5)}
+        return self._factors(roots, at.S, at.C, float(self.length) ** 0.5)
 
     def factors_at(self, theta: Real, way: int) -> list[Any]:
         """Factors at one angle in [0, pi/2], which grows or falls, in multiprecision."""
