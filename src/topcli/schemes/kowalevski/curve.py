@@ -320,7 +320,8 @@ class Oval:
         middle, half = 0.5 * (begin + end), 0.5 * (end - begin)
         offset = middle + half * nodes
         beyond = _beyond(self.turns[2], self.turns[3], self.direction, np.cos(offset), np.sin(offset))
-        densities = self._densities(self.at(beyond, np.arange(len(self.panels))), float(self.scale), "unit", "gap", "rest")
+        forms = self.at(beyond, np.arange(len(self.panels)))
+        densities = self._densities(forms, float(self.scale), "unit", "gap", "rest")
         A, p, excess = (integral @ (values @ f) * half for f in densities)
         self.tables = [values @ (middle + half * _inverse(A, nodes))]
         x = _inverse(p, nodes)
