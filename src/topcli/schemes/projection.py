@@ -173,6 +173,7 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
     carried, targets = tail - method.iterative, tail - method.iterative + used.count
     others = targets + 1 + (not method.iterative)  # the status and the counters of the method
 
+    # a step fails if the scheme or its projection does: both statuses are 0.0 or nan, and are added
     def status_of(new: Floats) -> float:
         return new[carried]
 
@@ -197,6 +198,7 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
             w = restored(new, s[carried:targets], h, p)
         return (*w[:carried], *s[carried:targets], left, w[carried] + status(new), *new[tail:])
 
+    # states enter with the targets, and leave without them
     def begin(y: Floats, h: float, p: Floats) -> Floats:
         s = enter(y, h, p[:before])
         return (*s[:carried], *values(y, h, p), period, status(s), *s[tail:])

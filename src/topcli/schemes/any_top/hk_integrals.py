@@ -49,6 +49,7 @@ def euler_hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
         k = [1.0 - square * alpha[j] * alpha[n] * y[i] ** 2 for i, j, n in _AXES]
         return k, [alpha[j] * y[n] ** 2 - alpha[n] * y[j] ** 2 for _, j, n in _AXES], (k[0] + k[1] + k[2]) / 3.0
 
+    # integrals of the map of omega
     def modified_m_sq(y: Floats, p: Floats) -> Any:
         """m² divided by the mean of K1, K2, K3."""
         return sum((m * w) ** 2 for m, w in zip(moments, y[:3], strict=True)) / parts(y)[2]
@@ -65,6 +66,7 @@ def euler_hk_integrals(top: Top, h: float) -> tuple[Invariant, ...]:
         integral.__doc__ = f"(K{i + 1}/K{j + 1} - 1)/((h/2)² α{n + 1})"
         return integral
 
+    # and two of the map of omega and gamma
     def modified_m_gamma(y: Floats, p: Floats) -> Any:
         """m·γ, modified so that the HK map conserves it."""
         k, x, mean = parts(y)

@@ -237,6 +237,7 @@ def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) 
         auxiliary = _first(o, a, stage, y0)
         mask = o.constant(tuple(float(of != level) for of in a.level))
         y0 = o.fma(y0[0], mask, auxiliary[0]), o.fma(y0[1], mask, auxiliary[1])
+    # what all coefficients need: columns of the Jacobian, and coefficient 1
     at = _store(o, a, 0, y0[0])
     columns = [_jacobian(o, stage, at) for stage in a.stages]
     y, missed = _first(o, a, a.stages[0], y0)
@@ -249,6 +250,7 @@ def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) 
         if m == order - STEP_SIZE_LEAD:
             step = step_size(o, order, log2_tol)
         y = _slope(a.stages[0], columns[0], o, at, sums.earlier(m, a.stages[0]))
+        # divided by m + 1; products for later coefficients follow, behind the critical path
         inverse = 1.0 / (m + 1)
         missing = float(Fraction(1, m + 1) - Fraction(inverse))
         if missing != 0.0 and m < EXACTLY_DIVIDED:

@@ -202,13 +202,14 @@ class Formula(NamedTuple):
         h, k = ([f[i] * tau + sign * g[i] for i in range(3)] for sign in (-1.0, 1.0))
         if close:
             k, h = map(list, zip(*(_both(*both, D) for both in zip(k, h, strict=True)), strict=True))
-        # tau (h_i - k_j), h_i + k_j and h_j + k_i of the cyclic pairs
+        # tau (h_i - k_j), h_i + k_j and h_j + k_i of the cyclic pairs, whose products are the denominators
         mixed = [self._mixed(f, g, tau, pair) for pair in range(3)]
         if close:
             mixed = [_improved(mixed[pair], h, k, tau, *CYCLIC[pair]) for pair in range(3)]
         minus, plus, cross = zip(*mixed, strict=True)
         everything, squared = h[0] * h[1] * h[2], D * D
         La = 8.0 * squared / (math.prod(minus) * math.prod(plus))
+        # N by that of its three forms with the smallest second term
         n = min(range(3), key=lambda i: abs(self.centred[i]))
         pair = (n + 1) % 3
         i, j = CYCLIC[pair]
@@ -216,6 +217,7 @@ class Formula(NamedTuple):
         below, m, slope = N - 2.0 * tau, N - tau, self.r1 * La / N
         x = self.x0 + slope
         A, B = self.A * f4 * f5, self.B * g4 * g5
+        # F and F', from products of h and k where s1 and s2 are close
         if close:
             sums = k[0] * k[1] * k[2]
             F, G = 0.5 * (sums + everything) / tau, 0.5 * (sums - everything)
