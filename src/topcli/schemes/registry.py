@@ -29,14 +29,14 @@ from topcli.schemes.compose import Composition, compose, composition_obstacle, f
 from topcli.schemes.plugins import line_of, origin_of, plugin_failures, require_plugin, users_error
 from topcli.schemes.projection import projected
 from topcli.schemes.steppers import compensated
-from topcli.tops import BUILT_IN, CATALOGUE, TOPS
+from topcli.tops import BUILT_IN, TOPS
 
 Build = Callable[[Any, Any], Method]
 B = TypeVar("B", bound=Build)
 
 MODULES: dict[str, tuple[str, ...]] = {
-    **{name: (f"any_top.{name}",) for name in ("hk", "midpoint", "taylor", "splitting", "dmv")},
-    **dict.fromkeys(("rk2", "rk4", "dop853"), ("any_top.runge_kutta",)),
+    **{name: (f"any_top.{name}",) for name in ("hk", "midpoint", "taylor", "splitting", "dmv", "dop853")},
+    **dict.fromkeys(("rk2", "rk4"), ("any_top.runge_kutta",)),
     **dict.fromkeys(("bohlin-a", "bohlin-b", "bohlin-c"), ("kowalevski.bohlin",)),
     **dict.fromkeys(("hybrid", "hybrid-sym"), ("kowalevski.hybrid",)),
     "backlund": ("kowalevski.backlund",),
@@ -101,7 +101,6 @@ def scheme(
     options: type[BaseModel] = NoOptions,
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
     adaptive: bool = False,
-    limits: Callable[[Top], Iterable[str]] | None = None,
     longest_step: Callable[[Any, Floats, Any], float] | None = None,
     order_with: Callable[[Any], int | None] | None = None,
     requires: Callable[[Top], object] | None = None,
@@ -112,9 +111,10 @@ def scheme(
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
     its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
     the underlined sections ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
-    delimiters, separated by empty lines) and ``Limits`` (names of conditions, each with the reason below it). Limits in
-    the docstring of the module are those of all its schemes. The arguments declare properties of the scheme, which
-    ``topcli check`` tests. Times and states are dimensionless.
+    delimiters, separated by empty lines) and ``Limits``: names of conditions, separated by commas, with the reason
+    below them. A name may be that of a hard case; ``topcli stress`` then tests that the scheme fails it. Forms of tops
+    in parentheses restrict a limit to these tops. Limits in the docstring of the module are those of all its schemes.
+    The arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
     ----------
@@ -146,9 +146,6 @@ def scheme(
         ``Invariant``. Their functions map states, shape (n, d), to values, shape (n,).
     adaptive : bool, optional
         True if the method divides each h into internal steps, controlled by a tolerance.
-    limits : callable, optional
-        ``limits(top)`` returns the names of the conditions in the section ``Limits`` under which the scheme fails for a
-        top; by default all. A name may be that of a hard case; ``topcli stress`` then tests that the scheme fails it.
     longest_step : callable, optional
         ``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from ``y0``. A
         single run with a larger step size is refused before it starts. In an ensemble, ``step`` of the ``Stepper`` must
@@ -195,13 +192,7 @@ def scheme(
         _require_declaration(key, forms, options, build)
         parts = sections_of(build.__doc__ or "")
         first, _, rest = parts["Description"].partition("\n\n")
-        shared = sections_of(sys.modules[build.__module__].__doc__ or "")["Limits"]  # by all schemes of the module
-        reasons = _reasons(f"{shared}\n{parts['Limits']}")
-
-        def limits_of(top: Top) -> Mapping[str, str]:
-            names = limits(top) if limits else reasons
-            return {name: reasons.get(name, name) for name in names}  # python -OO removes docstrings
-
+        shared = sections_of(getattr(build, "__globals__", {}).get("__doc__") or "")["Limits"]
         traits = {
             "title": title or first.rstrip(".") or key,
             "order": order,
@@ -215,7 +206,7 @@ def scheme(
             "options": options,
             "modified": modified,
             "adaptive": adaptive,
-            "limits": limits_of,
+            "limits": f"{shared}\n{parts['Limits']}",
             "longest_step": longest_step,
             "doc": (parts["Description"] if title else rest) or title or first,
             "origin": origin,
@@ -235,10 +226,14 @@ def sections_of(doc: str) -> dict[str, str]:
     return {name: text.strip() for name, text in {"Description": head, **texts}.items()}
 
 
-def _reasons(text: str) -> dict[str, str]:
-    """Reasons in the section ``Limits`` by name; several names may share one."""
-    limits = re.findall(r"^(\S.*)\n((?:    .*\n?)+)", text, re.MULTILINE)
-    return {name: " ".join(reason.split()) for names, reason in limits for name in names.split(", ")}
+def _limits(text: str, form: str) -> dict[str, str]:
+    """Reasons in the section ``Limits`` by name, of the limits that concern a form of a top."""
+    limits = {}
+    for names, reason in re.findall(r"^(\S.*)\n((?:    .*\n?)+)", text, re.MULTILINE):
+        for name, forms in re.findall(r"([^,()]+?)(?: \((.*?)\))?(?:, |$)", names):
+            if not forms or form in forms.split(", "):
+                limits[name] = " ".join(reason.split())
+    return limits
 
 
 def _require_declaration(name: str, forms: tuple[str, ...] | None, options: type[BaseModel], build: Build) -> None:
@@ -295,7 +290,7 @@ def _bound(declaration: Declaration, cls: type[Top], composition: Composition | 
     conserves: Any = traits["conserves"]
     names: Any = conserves(top) if callable(conserves) else conserves
     traits["conserves"] = tuple(names)
-    traits["limits"] = traits["limits"](top)
+    traits["limits"] = _limits(traits["limits"], cls.form)
     if traits["origin"] != "topcli":
         names = [invariant.name for invariant in top.invariants()]
         for conserved in traits["conserves"]:
@@ -346,11 +341,6 @@ def projectable(scheme: Scheme) -> Scheme:
 
 
 # what schemes declare
-
-
-def has_own_cases(top: Top) -> bool:
-    """True for the tops of the paper, which have hard cases of their own besides those of every top."""
-    return top.form in BUILT_IN and top.form not in CATALOGUE
 
 
 def polynomial_invariants(top: Top, degree: float = math.inf) -> tuple[str, ...]:

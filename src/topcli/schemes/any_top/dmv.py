@@ -34,11 +34,6 @@ CORRECTIONS = 3.0
 """Corrections of every step."""
 NEWTON_LIMIT = 30
 """Maximum number of Newton corrections beyond them; four to six are typical."""
-LONG_STEPS = {
-    **dict.fromkeys(("euler", "euler+gamma", "heavy", "kowalevski", "lagrange"), ("resonance", "singular-step")),
-    "lagrange/inertial": ("resonance",),
-}
-"""Hard cases of the paper's tops in which the steps are too long."""
 LAST_BIT = 2.0**-50
 """Correction relative to c that is round-off."""
 follow_precision(__name__, caps=("NEWTON_LIMIT",), LAST_BIT=1)
@@ -152,7 +147,6 @@ def free(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vec
     explicit=False,
     self_adjoint=True,
     conserves=lambda top: all_invariants(top) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ()),
-    limits=lambda top: LONG_STEPS.get(top.form, ("long steps",)),
 )
 def build_dmv(top: Top, options: NoOptions) -> Stepper:
     r"""Discrete Moser-Veselov scheme (RATTLE).
@@ -186,7 +180,10 @@ def build_dmv(top: Top, options: NoOptions) -> Stepper:
 
     Limits
     ------
-    resonance, singular-step, long steps
+    resonance (euler, euler+gamma, heavy, kowalevski, lagrange, lagrange/inertial)
+        If h is longer than about 1/|omega|, the equation for the rotation of the body in a step has no solution.
+        The run then ends as `no_convergence`.
+    singular-step (euler, euler+gamma, heavy, kowalevski, lagrange), long steps (goryachev-chaplygin, hess-appelrot)
         If h is longer than about 1/|omega|, the equation for the rotation of the body in a step has no solution.
         The run then ends as `no_convergence`.
     """

@@ -15,7 +15,7 @@ from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import required_field
 from topcli.field.straight_line import compiled_function
 from topcli.schemes.any_top.hk_integrals import euler_hk_integrals, lagrange_hk_integrals
-from topcli.schemes.registry import has_own_cases, linear_invariants, scheme
+from topcli.schemes.registry import linear_invariants, scheme
 from topcli.schemes.steppers import stepper
 
 _NEEDED_BY = "scheme 'hk'"
@@ -54,12 +54,6 @@ def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
     return top.modified_invariants("hk", h)
 
 
-def hk_limits(top: Top) -> tuple[str, ...]:
-    """Hard cases of the tops of the paper in which steps are too long."""
-    far = has_own_cases(top) and top.form != "lagrange/inertial"  # whose determinant does not vanish
-    return ("singular-step", "resonance") if far else ()
-
-
 @scheme(
     "hk",
     top=None,
@@ -69,7 +63,6 @@ def hk_limits(top: Top) -> tuple[str, ...]:
     self_adjoint=True,
     conserves=linear_invariants,
     modified=modified,
-    limits=hk_limits,
     changes=True,
 )
 def build_hk(top: Top, options: NoOptions) -> Stepper:
@@ -102,11 +95,11 @@ def build_hk(top: Top, options: NoOptions) -> Stepper:
 
     Limits
     ------
-    singular-step
+    singular-step (kowalevski, lagrange, heavy, euler, euler+gamma)
         For certain step sizes of the order of 1/|omega| and larger, the determinant of HK's linear system vanishes,
         and the state jumps far away: the run ends as `left_motion` or `blew_up`. Choose h such that |h| |omega| is
         well below 1.
-    resonance
+    resonance (kowalevski, lagrange, heavy, euler, euler+gamma)
         If h is about the time of one revolution of the body, the determinant of HK's linear system changes sign
         along the motion. The state jumps far away whenever the determinant is close to zero. For the Euler top,
         terms of the linear system that are much larger than the change cancel, and the modified integrals deviate

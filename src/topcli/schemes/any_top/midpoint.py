@@ -31,12 +31,6 @@ FAR = 2.0**-10
 square of that, and a correction as large as the state would be small beside them."""
 follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=0.5)
 
-LONG_STEPS = {
-    **dict.fromkeys(("euler", "euler+gamma", "heavy"), ("resonance", "singular-step")),
-    **dict.fromkeys(("kowalevski", "lagrange"), ("singular-step",)),
-}
-"""Hard cases of the tops of the paper in which Newton's method finds no solution."""
-
 _CHANGE = """
 def change(s, h, p):
     zero = ({zeros})  # numba refuses more than 30 items for a variable with several values
@@ -130,7 +124,6 @@ def _with_tangent(newton: NewtonStep, count: int) -> Stepper:
     explicit=False,
     self_adjoint=True,
     conserves=quadratic_invariants,
-    limits=lambda top: LONG_STEPS.get(top.form, ()),
     changes=True,
 )
 def build_midpoint(top: Top, options: NoOptions) -> Stepper:
@@ -157,7 +150,7 @@ def build_midpoint(top: Top, options: NoOptions) -> Stepper:
 
     Limits
     ------
-    resonance, singular-step
+    resonance (euler, euler+gamma, heavy), singular-step (euler, euler+gamma, heavy, kowalevski, lagrange)
         If h is the time of one revolution of the body or longer, Newton's method may find no solution. The run then
         ends as `no_convergence`.
     """

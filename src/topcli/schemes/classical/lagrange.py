@@ -265,7 +265,6 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     explicit=True,
     self_adjoint=True,
     conserves=all_invariants,
-    limits=lambda top: ("huge", "sleeping-threshold") if top.form == "lagrange" else ("huge",),
 )
 def build_lagrange(top: Top, options: NoOptions) -> Sampler:
     r"""Closed form by elliptic functions.
@@ -299,7 +298,7 @@ def build_lagrange(top: Top, options: NoOptions) -> Sampler:
     huge
         The nutation of a body that rotates very fast is too small to be resolved. The motion is refused, and the
         message names the scheme `taylor`.
-    sleeping-threshold
+    sleeping-threshold (lagrange)
         The scheme refuses motions that tend to the upright position, because their period is infinite. At the stability
         limit of the upright top it also refuses motions within 1e-6 of the upright position, because their period is
         too long to resolve.
