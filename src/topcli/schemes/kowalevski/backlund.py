@@ -259,8 +259,10 @@ def length_step(y: Floats, c: float, k: float, scale: float, error: float, tau: 
     z = (k * y[0], k * y[1], (0.5 * k) * y[2], y[3], y[4], y[5])
     x1, x2, x3, y1, y2, y3, r, q = numerators(z, (0.5 * c) * (k * k), tau)
     x1, x2, x3 = x1 * r, x2 * r, 2.0 * (x3 * r)
-    w1, w2, w3 = fma(x1, scale, x1 * error), fma(x2, scale, x2 * error), fma(x3, scale, x3 * error)
-    return (y[0] + w1, y[1] + w2, y[2] + w3, fma(y1, q, y[3]), fma(y2, q, y[4]), fma(y3, q, y[5]))
+    w1 = y[0] + fma(x1, scale, x1 * error)
+    w2 = y[1] + fma(x2, scale, x2 * error)
+    w3 = y[2] + fma(x3, scale, x3 * error)
+    return (w1, w2, w3, fma(y1, q, y[3]), fma(y2, q, y[4]), fma(y3, q, y[5]))
 
 
 def nodes_step(s: Floats, h: float, p: Floats) -> Floats:
