@@ -157,7 +157,8 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
     """``method`` with a projection onto the initial values of all integrals of ``top`` after every ``every`` steps.
 
     The working state is that of ``method`` up to its status, the targets, the number of steps to the next projection,
-    the status and the counters. It is made again from each projected state.
+    the status and the counters. If the working state of ``method`` does not begin with the physical state, it is made
+    again from the projected state.
 
     Raises UsageError for a method with its own time loop, for a top without integrals, or with an integral that is not
     a polynomial.
@@ -182,12 +183,18 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
 
     status = status_of if method.iterative else settled
 
-    def restored(new: Floats, t: Floats, h: float, p: Floats) -> Floats:
+    def in_place(new: Floats, t: Floats, h: float, p: Floats) -> Floats:
+        z = project(new[:d], t, p)
+        return (*z[:d], *new[d:carried], z[d])
+
+    def entered(new: Floats, t: Floats, h: float, p: Floats) -> Floats:
         z = project(leave(new, h, p[:before]), t, p)
         return (*enter(z[:d], h, p[:before])[:carried], z[d])
 
     def unchanged(new: Floats) -> Floats:
         return (*new[:carried], 0.0)
+
+    restored = in_place if _begins_with_state(method, top) else entered
 
     def step(s: Floats, h: float, p: Floats) -> Floats:
         new = inner((*s[:carried], *s[others:]), h, p[:before])
@@ -219,3 +226,14 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
         source=lambda: (method.source() if method.source else "") + used.text,
         tangent=None,
     )
+
+
+def _begins_with_state(method: Stepper, top: Top) -> bool:
+    """True if the working state of ``method`` begins with the physical state, tried at one state.
+
+    What follows there, such as the lengths of exact nodes, is set up once and may not be compilable.
+    """
+    if method.enter is None:
+        return True
+    y = tuple(0.5 * math.cos(j + 1.0) for j in range(len(top.components)))
+    return method.enter(y, 0.01, tuple(map(float, method.parameters(top))))[: len(y)] == y
