@@ -51,7 +51,7 @@ class Projection:
     text: str
 
 
-class Formula(Operators):
+class TracedSum(Operators):
     """Formula of a polynomial as operations of a graph.
 
     A sum of terms is kept as it is written: expanded, the integral ((w1 - w2)(w1 + w2) - c g1)² + ... would lose its
@@ -62,25 +62,25 @@ class Formula(Operators):
         self.graph, self.terms = graph, terms
 
     def _of(self, other: Any) -> Sum:
-        if isinstance(other, Formula):
+        if isinstance(other, TracedSum):
             return other.terms
         c = decimal(other)
         return ((c, ()),) if c else ()
 
-    def __add__(self, other: Any) -> Formula:
-        return Formula(self.graph, self.terms + self._of(other))
+    def __add__(self, other: Any) -> TracedSum:
+        return TracedSum(self.graph, self.terms + self._of(other))
 
-    def __mul__(self, other: Any) -> Formula:
-        return Formula(self.graph, self.graph.times(self.terms, self._of(other)))
+    def __mul__(self, other: Any) -> TracedSum:
+        return TracedSum(self.graph, self.graph.times(self.terms, self._of(other)))
 
-    def __neg__(self) -> Formula:
-        return Formula(self.graph, minus(self.terms))
+    def __neg__(self) -> TracedSum:
+        return TracedSum(self.graph, minus(self.terms))
 
-    def __truediv__(self, divisor: Any) -> Formula:
+    def __truediv__(self, divisor: Any) -> TracedSum:
         return self * (1 / decimal(divisor))
 
-    def __pow__(self, exponent: Any) -> Formula:
-        return math.prod([self] * int(exponent), start=Formula(self.graph, ONE))
+    def __pow__(self, exponent: Any) -> TracedSum:
+        return math.prod([self] * int(exponent), start=TracedSum(self.graph, ONE))
 
 
 @lru_cache(maxsize=256)
@@ -91,7 +91,7 @@ def projection(top: Top, first: int) -> Projection:
     """
     graph, d = Graph(first), len(top.components)
     y = [graph.input(f"s[{j}]") for j in range(d)]
-    formulas: Any = np.array([[Formula(graph, ((Fraction(1), (node,)),)) for node in y]], dtype=object)
+    formulas: Any = np.array([[TracedSum(graph, ((Fraction(1), (node,)),)) for node in y]], dtype=object)
 
     def node(polynomial: Polynomial) -> int:
         terms = sorted(polynomial.terms.items())
