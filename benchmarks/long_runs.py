@@ -45,7 +45,7 @@ def overhead(steps: int) -> float:
     work, out = np.zeros(loop.width), np.zeros(6)
     loop.enter(np.array(experiment.y0), work, p, experiment.h)
     marks = [time.perf_counter()]
-    assert loop.drive(work, out, p, experiment.h, steps, steps + 1, steps + 1) == steps
+    assert loop.take_steps(work, out, p, experiment.h, steps, steps + 1, steps + 1) == steps
     marks.append(time.perf_counter())
     for each in (experiment, brief):
         with tempfile.TemporaryDirectory() as folder:

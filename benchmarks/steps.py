@@ -79,7 +79,7 @@ def stepping(top: Top, method: Method) -> Callable[[], float]:
     def measured() -> float:
         work = start.copy()
         begin = time.thread_time_ns()
-        if loop.drive(work, out, p, H, STEPS, STEPS + 1, STEPS + 1) != STEPS:
+        if loop.take_steps(work, out, p, H, STEPS, STEPS + 1, STEPS + 1) != STEPS:
             raise RuntimeError(f"{top.form}: a step failed")
         return (time.thread_time_ns() - begin) / STEPS
 

@@ -23,7 +23,6 @@ from topcli.errors import StepTooLongError
 from topcli.schemes.kowalevski.backlund import (
     constants_at,
     length_step,
-    lengths,
     longest_composition,
     longest_step,
     numerators,
@@ -284,20 +283,3 @@ def test_long_runs_of_every_kind_of_motion(family: str) -> None:
             states, ending = ran(method, y, fraction * min(most, 20.0), N, 20, top)
             assert ending.outcome is Outcome.COMPLETED, ending.message
             assert family in DECLARED or max(deviations(states, top).values()) < bound * math.sqrt(N)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [3, 4])
-def test_lengths_up_to_the_longest(count: int) -> None:
-    """The step back is shorter than the longest one, and reaches it with the longest composition."""
-    for y in map(tuple, random_states(20, seed=84)):
-        constants = constants_at(y, 1.0)
-        most = longest(y, count=count)
-        for fraction in (0.01, 0.5, 0.98, 0.999999):
-            a, b = lengths(fraction * most, count, constants)
-            assert 0.0 < a < -b <= longest_step(constants)
-            assert lengths(-fraction * most, count, constants) == (-a, -b)
-        assert b == pytest.approx(-longest_step(constants), rel=1e-4)
-        root = count ** (1.0 / 3.0)
-        a, b = lengths(1e-3, count, constants)
-        assert (a, b) == (pytest.approx(1e-3 / (count - root), rel=1e-5), pytest.approx(-root * a, rel=1e-5))

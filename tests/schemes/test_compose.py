@@ -91,7 +91,7 @@ def rescaled(s, h, p):
     [
         ({"self_adjoint": False}, "is not self-adjoint"),
         ({"order": 4}, "has order 4, but compositions need order 2"),
-        ({"build": lambda *_: Sampler(lambda y0, h, n, p: y0)}, "closed form"),
+        ({"build": lambda *_: Sampler(lambda y0, h, n, p: y0)}, "has no single steps"),
         ({"build": lambda *_: replace(KICK_TURN, enter=scaled)}, "depends on h"),
         ({"build": lambda *_: replace(KICK_TURN, enter=floored)}, "depends on h"),
         ({"build": lambda *_: replace(KICK_TURN, leave=rescaled)}, "depends on h"),

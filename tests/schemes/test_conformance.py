@@ -12,17 +12,14 @@ import pytest
 
 from conformance import (
     Subject,
-    choices,
     compositions_of,
-    named,
     subjects,
 )
 from declared import SCHEMES, TRIALS, by_name, gen
 from kick_turn import SPLIT
 from stepping import states_of
-from topcli.analysis.conformance import deviation, reversal_defect
-from topcli.contracts import Invariant, Scheme, Stepper
-from topcli.engine.drive import orbit
+from topcli.analysis.conformance import reversal_defect
+from topcli.contracts import Scheme, Stepper
 from topcli.schemes.registry import find_scheme
 from topcli.testing import check_scheme
 from topcli.tops import TOPS
@@ -68,18 +65,6 @@ def test_declared_traits_hold(subject: Subject) -> None:
         assert irregular or not trait.trait.startswith("order") or abs(trait.measured) < 0.1, trait
 
 
-def test_traits_of_hk_hold() -> None:
-    traits = {trait.trait: trait for trait in check_scheme("hk", "euler")}
-    assert all(trait.holds for trait in traits.values())
-    assert list(traits) == [
-        "order 2",
-        "self-adjoint",
-        "modified invariants",
-        "ensembles equal single runs",
-        "machine code equals Python",
-    ]
-
-
 def overflowing(s: Any, h: float, p: Any) -> Any:
     """A step with a whole number beyond 2^63, which machine code has not."""
     k = 3_037_000_500
@@ -110,34 +95,6 @@ def test_a_false_declaration_is_found_by_its_value(name: str) -> None:
 def test_other_schemes_are_visibly_not_self_adjoint(subject: Subject) -> None:
     states = states_of(subject.top, 8, seed=3)
     assert reversal_defect(subject.top, subject.method, 0.1, states) > 1e-8
-
-
-CONSERVING = [
-    Subject(scheme, top, options)
-    for scheme in SCHEMES
-    if scheme.conserves or scheme.modified
-    for top in TRIALS[scheme.top]
-    for options in (choices(scheme, top) if top is TRIALS[scheme.top][0] else [scheme.options()])
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("subject", CONSERVING, ids=str)
-def test_declared_invariants_are_exact(subject: Subject) -> None:
-    """Round-off and no more, the modified ones of the scheme too, on several tops, states and step sizes."""
-    scheme, top, method = subject.scheme, subject.top, subject.method
-    N = 500 if isinstance(method, Stepper) and method.plain else 20_000
-    sizes = (0.1, 0.5 if scheme.modified else 0.05, 0.01, 0.002)
-    for y0, h in zip([gen(top), *states_of(top, 3, seed=11)], sizes, strict=True):
-        states = orbit(top, method, y0, h, N, 10).states
-        for invariant in watched(subject, h):
-            assert deviation(states, invariant, N) < 1.0
-
-
-def watched(subject: Subject, h: float) -> list[Invariant]:
-    """Invariants that the scheme declares to be exact."""
-    modified = subject.scheme.modified(subject.top, h, subject.options) if subject.scheme.modified else ()
-    return [*named(subject.top, *subject.scheme.conserves), *modified]
 
 
 @pytest.mark.parametrize("scheme", [scheme for scheme in SCHEMES if scheme.modified], ids=lambda s: f"{s.name}/{s.top}")

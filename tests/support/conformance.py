@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from steppers import physical
-from topcli.contracts import Invariant, Method, Scheme, Stepper, Top
+from topcli.contracts import Method, Scheme, Stepper, Top
 from topcli.engine.numbers import Numbers, precise_top, rationals
 from topcli.errors import UsageError
 from topcli.schemes.compose import COMPOSITIONS, compose, composition_obstacle
@@ -67,11 +67,6 @@ def subjects(scheme: Scheme, tops: Sequence[Top], compositions: Sequence[str] = 
     """The scheme with all choices of its options on these tops, and composed, on the first one."""
     alone = [Subject(scheme, top, options) for top in tops for options in choices(scheme, top)]
     return alone + [Subject(compose(scheme, COMPOSITIONS[name]), tops[0], scheme.options()) for name in compositions]
-
-
-def named(top: Top, *names: str) -> list[Invariant]:
-    """Invariants of the top with these names."""
-    return [invariant for invariant in top.invariants() if invariant.name in names]
 
 
 def plain_step(subject: Subject, y: np.ndarray, h: float) -> np.ndarray:

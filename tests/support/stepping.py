@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from conftest import random_states
-from topcli.analysis.reference import reference_states
 from topcli.contracts import Ending, Outcome, Stepper, Top
 from topcli.engine.drive import orbit
 from topcli.engine.machine import Machine
@@ -67,10 +66,3 @@ def gradients(top: Top, y) -> np.ndarray:
     """Gradients (d, count) of the integrals of a top, by complex steps: right to the last bit."""
     moved = np.asarray(y) + 1e-30j * np.eye(len(y))
     return np.array([invariant.value(moved).imag / 1e-30 for invariant in top.invariants()]).T
-
-
-def error_at(method: Stepper, y0, h: float, t: float) -> float:
-    """Largest error of a run of the Kowalevski top at the time ``t``."""
-    N = round(t / h)
-    states, _ = ran(method, y0, h, N, N)
-    return float(np.abs(states[-1] - reference_states(Kowalevski(), y0, np.array([t]))[0]).max())

@@ -18,14 +18,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from topcli.arithmetic.fused import defined
-from topcli.contracts import Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
+from topcli.contracts import Method, Scheme, StepFunction, Stepper, Top, same_state
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.tops import TOPS
 
@@ -153,7 +153,6 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
     """
     if reason := composition_obstacle(base):
         raise UsageError(f"scheme {base.name!r} cannot be composed: it {reason}")
-    order_with, weights = base.order_with, composition.weights
 
     # whether a step may be composed can depend on the options, which are known only here
     def build(top: Any, options: Any) -> Method:
@@ -161,14 +160,7 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
         reason = _method_obstacle(method, top)
         if reason or not isinstance(method, Stepper):
             raise UsageError(f"scheme {base.name!r} cannot be composed with these options: it {reason}")
-        tangent = method.tangent and partial(_composed_tangent, method.tangent, weights)
-        return replace(
-            method,
-            step=composed_step(method.step, weights, method.width),
-            stages=(method.step, weights),
-            change=None,
-            tangent=tangent,
-        )
+        return replace(_composed(method, composition.weights), stages=(method.step, composition.weights))
 
     stages = f"{composition.stages} steps of {base.name} with different step sizes: {composition.title}"
     return replace(
@@ -176,26 +168,19 @@ def compose(base: Scheme, composition: Composition) -> Scheme:
         name=f"{base.name}+{composition.name}",
         title=f"{base.title}, composed to order {composition.order}",
         order=composition.order,
-        order_with=order_with and (lambda options: max(composition.order, order_with(options) or 0)),
+        order_with=None,
         citation=f"{composition.citation}; {base.citation}",
         build=build,
         modified=None,
         longest_step=None,
-        doc=f"{stages} ({composition.citation}).\n\n{_CONSERVED}\n\n{base.name}: {base.doc}",
+        doc=f"{stages} ({composition.citation}).\n\n{base.name}: {base.doc}",
     )
 
 
-def _composed_tangent(tangent: Callable[[], Stepper], weights: tuple[float, ...]) -> Stepper:
-    """The tangent map of a composition: the composition of that of its base scheme."""
-    base = tangent()
-    return replace(base, step=composed_step(base.step, weights, base.width))
-
-
-_CONSERVED = (
-    "Self-adjoint, like the base scheme. Invariants that the base scheme conserves for every step size are conserved. "
-    "Its modified integrals depend on the step size and are lost: they deviate by their difference from the integrals "
-    "of the top, which are conserved to the new order."
-)
+def _composed(method: Stepper, weights: tuple[float, ...]) -> Stepper:
+    """Composition of the steps of ``method``, and of its tangent map."""
+    tangent, step = method.tangent, composed_step(method.step, weights, method.width)
+    return replace(method, step=step, change=None, tangent=tangent and (lambda: _composed(tangent(), weights)))
 
 
 def composition_obstacle(base: Scheme) -> str:
@@ -220,10 +205,8 @@ def composition_obstacle(base: Scheme) -> str:
 
 def _method_obstacle(method: Method, top: Top) -> str:
     """Reason why ``method`` cannot be composed; empty if it can."""
-    if isinstance(method, Sampler):
-        return "is a solution in closed form, which has no steps"
-    if isinstance(method, Block):
-        return "advances many steps per call, but a composition needs single steps"
+    if not isinstance(method, Stepper):
+        return "has no single steps, as a solution in closed form or with a time loop of its own"
     if _depends_on_h(method, top):
         return "works on a form of the state that depends on h, but the stages have different step sizes"
     return ""

@@ -13,9 +13,6 @@ FAMILIES: tuple[dict[str, str], ...] = (
         "exact": "exact",
         "backlund:nodes=exact": "Bäcklund, exact nodes",
         "backlund": "Bäcklund",
-        "backlund+suzuki4": "Bäcklund + Suzuki 4",
-        "backlund+kahan-li6": "Bäcklund + Kahan-Li 6",
-        "backlund+kahan-li8": "Bäcklund + Kahan-Li 8",
     },
 )
 """Name in configs and display name of each scheme and of variants that figures compare; a family has one colour."""
@@ -43,8 +40,8 @@ def display_name(label: str) -> str:
     --------
     >>> display_name("bohlin-a")
     'Bohlin A'
-    >>> display_name("backlund+suzuki4:h=0.1,N=20")
-    'Bäcklund + Suzuki 4 (h=0.1, N=20)'
+    >>> display_name("hk+suzuki4:h=0.1,N=20")
+    'HK + Suzuki 4 (h=0.1, N=20)'
     >>> display_name("my-scheme:h=0.1")
     'my-scheme:h=0.1'
     """

@@ -51,7 +51,7 @@ class Projection:
     text: str
 
 
-class Formula(Operators):
+class TracedSum(Operators):
     """Formula of a polynomial as operations of a graph.
 
     A sum of terms is kept as it is written: expanded, the integral ((w1 - w2)(w1 + w2) - c g1)² + ... would lose its
@@ -62,25 +62,25 @@ class Formula(Operators):
         self.graph, self.terms = graph, terms
 
     def _of(self, other: Any) -> Sum:
-        if isinstance(other, Formula):
+        if isinstance(other, TracedSum):
             return other.terms
         c = decimal(other)
         return ((c, ()),) if c else ()
 
-    def __add__(self, other: Any) -> Formula:
-        return Formula(self.graph, self.terms + self._of(other))
+    def __add__(self, other: Any) -> TracedSum:
+        return TracedSum(self.graph, self.terms + self._of(other))
 
-    def __mul__(self, other: Any) -> Formula:
-        return Formula(self.graph, self.graph.times(self.terms, self._of(other)))
+    def __mul__(self, other: Any) -> TracedSum:
+        return TracedSum(self.graph, self.graph.times(self.terms, self._of(other)))
 
-    def __neg__(self) -> Formula:
-        return Formula(self.graph, minus(self.terms))
+    def __neg__(self) -> TracedSum:
+        return TracedSum(self.graph, minus(self.terms))
 
-    def __truediv__(self, divisor: Any) -> Formula:
+    def __truediv__(self, divisor: Any) -> TracedSum:
         return self * (1 / decimal(divisor))
 
-    def __pow__(self, exponent: Any) -> Formula:
-        return math.prod([self] * int(exponent), start=Formula(self.graph, ONE))
+    def __pow__(self, exponent: Any) -> TracedSum:
+        return math.prod([self] * int(exponent), start=TracedSum(self.graph, ONE))
 
 
 @lru_cache(maxsize=256)
@@ -91,7 +91,7 @@ def projection(top: Top, first: int) -> Projection:
     """
     graph, d = Graph(first), len(top.components)
     y = [graph.input(f"s[{j}]") for j in range(d)]
-    formulas: Any = np.array([[Formula(graph, ((Fraction(1), (node,)),)) for node in y]], dtype=object)
+    formulas: Any = np.array([[TracedSum(graph, ((Fraction(1), (node,)),)) for node in y]], dtype=object)
 
     def node(polynomial: Polynomial) -> int:
         terms = sorted(polynomial.terms.items())
@@ -168,12 +168,13 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
     d, before = len(top.components), len(method.parameters(top))  # numbers of constants before those of the projection
     used = projection(cast(Any, top), before)
     inner, values, project, period = method.step, used.values, used.project, float(every)
+    always = every == 1  # known to the compiler, unlike the number of steps
     enter, leave = method.enter or same_state, method.leave or same_state
     tail = method.width - len(method.counters)
     carried, targets = tail - method.iterative, tail - method.iterative + used.count
-    after = targets + 1  # behind the number of steps
-    others = after + (not method.iterative)  # what follows the first ``own`` slots in the state of the method
+    others = targets + 1 + (not method.iterative)  # the status and the counters of the method
 
+    # a step fails if the scheme or its projection does: both statuses are 0.0 or nan, and are added
     def status_of(new: Floats) -> float:
         return new[carried]
 
@@ -195,20 +196,16 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
 
     restored = in_place if _begins_with_state(method, top) else entered
 
-    def each(s: Floats, h: float, p: Floats) -> Floats:
-        new = inner((*s[:carried], *s[others:]), h, p[:before])
-        w = restored(new, s[carried:targets], h, p)
-        return (*w[:carried], *s[carried:after], w[carried] + status(new), *new[tail:])
-
-    def now_and_then(s: Floats, h: float, p: Floats) -> Floats:
+    def step(s: Floats, h: float, p: Floats) -> Floats:
         new = inner((*s[:carried], *s[others:]), h, p[:before])
         left = s[targets] - 1.0
         w = unchanged(new)
-        if left <= 0.0:
+        if always or left <= 0.0:
             left = period
             w = restored(new, s[carried:targets], h, p)
         return (*w[:carried], *s[carried:targets], left, w[carried] + status(new), *new[tail:])
 
+    # states enter with the targets, and leave without them
     def begin(y: Floats, h: float, p: Floats) -> Floats:
         s = enter(y, h, p[:before])
         return (*s[:carried], *values(y, h, p), period, status(s), *s[tail:])
@@ -218,7 +215,7 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
 
     return replace(
         method,
-        step=each if every == 1 else now_and_then,
+        step=step,
         width=method.width + (others - carried),
         enter=begin,
         leave=state,
@@ -232,7 +229,10 @@ def projected(method: Method, top: Top, every: int) -> Stepper:
 
 
 def _begins_with_state(method: Stepper, top: Top) -> bool:
-    """True if the working state of ``method`` begins with the physical state, tried at one state."""
+    """True if the working state of ``method`` begins with the physical state, tried at one state.
+
+    What follows there, such as the lengths of exact nodes, is set up once and may not be compilable.
+    """
     if method.enter is None:
         return True
     y = tuple(0.5 * math.cos(j + 1.0) for j in range(len(top.components)))

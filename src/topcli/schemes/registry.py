@@ -9,12 +9,13 @@ order, compensated sums, a symmetric composition and a projection onto the integ
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any, TypeVar
 
@@ -22,6 +23,8 @@ from pydantic import BaseModel, Field, ValidationError, create_model
 
 from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.field.integrals import polynomial_value
+from topcli.field.polynomial import NotPolynomialError
 from topcli.plugins import line_of, origin_of, plugin_failures, require_plugin, users_error
 from topcli.schemes.compose import Composition, compose, composition_obstacle, find_composition
 from topcli.schemes.projection import projected
@@ -32,15 +35,14 @@ Build = Callable[[Any, Any], Method]
 B = TypeVar("B", bound=Build)
 
 MODULES: dict[str, tuple[str, ...]] = {
-    **{name: (f"any_top.{name}",) for name in ("hk", "midpoint", "taylor", "splitting", "dmv")},
-    **dict.fromkeys(("rk2", "rk4", "dop853"), ("any_top.runge_kutta",)),
+    **{name: (f"any_top.{name}",) for name in ("hk", "midpoint", "taylor", "splitting", "dmv", "dop853")},
+    **dict.fromkeys(("rk2", "rk4"), ("any_top.runge_kutta",)),
     **dict.fromkeys(("bohlin-a", "bohlin-b", "bohlin-c"), ("kowalevski.bohlin",)),
     **dict.fromkeys(("hybrid", "hybrid-sym"), ("kowalevski.hybrid",)),
     "backlund": ("kowalevski.backlund",),
-    "bs": ("euler.bs", "lagrange.bs"),
-    "bs-implicit": ("euler.bs",),
-    "exact": ("euler.exact", "lagrange.exact", "kowalevski.exact"),
-    "hk-exact": ("euler.hk_exact",),
+    **dict.fromkeys(("bs", "bs-implicit"), ("classical.bs",)),
+    "exact": ("classical.euler", "classical.lagrange", "kowalevski.exact"),
+    "hk-exact": ("classical.euler",),
 }
 """Modules in which the schemes of topcli are registered, by name."""
 _SUCCESSORS = {
@@ -99,7 +101,6 @@ def scheme(
     options: type[BaseModel] = NoOptions,
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
     adaptive: bool = False,
-    limits: Callable[[Top], Iterable[str]] | None = None,
     longest_step: Callable[[Any, Floats, Any], float] | None = None,
     order_with: Callable[[Any], int | None] | None = None,
     requires: Callable[[Top], object] | None = None,
@@ -110,8 +111,10 @@ def scheme(
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
     its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
     the underlined sections ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
-    delimiters, separated by empty lines) and ``Limits`` (names of conditions, each with the reason below it). The
-    arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
+    delimiters, separated by empty lines) and ``Limits``: names of conditions, separated by commas, with the reason
+    below them. A name may be that of a hard case; ``topcli stress`` then tests that the scheme fails it. Forms of tops
+    in parentheses restrict a limit to these tops. Limits in the docstring of the module are those of all its schemes.
+    The arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
     ----------
@@ -143,9 +146,6 @@ def scheme(
         ``Invariant``. Their functions map states, shape (n, d), to values, shape (n,).
     adaptive : bool, optional
         True if the method divides each h into internal steps, controlled by a tolerance.
-    limits : callable, optional
-        ``limits(top)`` returns the names of the conditions in the section ``Limits`` under which the scheme fails for a
-        top; by default all. A name may be that of a hard case; ``topcli stress`` then tests that the scheme fails it.
     longest_step : callable, optional
         ``longest_step(top, y0, options)`` returns the largest ``abs(h)`` with which the scheme can start from ``y0``. A
         single run with a larger step size is refused before it starts. In an ensemble, ``step`` of the ``Stepper`` must
@@ -192,12 +192,7 @@ def scheme(
         _require_declaration(key, forms, options, build)
         parts = sections_of(build.__doc__ or "")
         first, _, rest = parts["Description"].partition("\n\n")
-        reasons = _reasons(parts["Limits"])
-
-        def limits_of(top: Top) -> Mapping[str, str]:
-            names = limits(top) if limits else reasons
-            return {name: reasons.get(name, name) for name in names}  # python -OO removes docstrings
-
+        shared = sections_of(getattr(build, "__globals__", {}).get("__doc__") or "")["Limits"]
         traits = {
             "title": title or first.rstrip(".") or key,
             "order": order,
@@ -211,7 +206,7 @@ def scheme(
             "options": options,
             "modified": modified,
             "adaptive": adaptive,
-            "limits": limits_of,
+            "limits": f"{shared}\n{parts['Limits']}",
             "longest_step": longest_step,
             "doc": (parts["Description"] if title else rest) or title or first,
             "origin": origin,
@@ -231,10 +226,14 @@ def sections_of(doc: str) -> dict[str, str]:
     return {name: text.strip() for name, text in {"Description": head, **texts}.items()}
 
 
-def _reasons(text: str) -> dict[str, str]:
-    """Reasons in the section ``Limits`` by name; several names may share one."""
-    limits = re.findall(r"^(\S.*)\n((?:    .*\n?)+)", text, re.MULTILINE)
-    return {name: " ".join(reason.split()) for names, reason in limits for name in names.split(", ")}
+def _limits(text: str, form: str) -> dict[str, str]:
+    """Reasons in the section ``Limits`` by name, of the limits that concern a form of a top."""
+    limits = {}
+    for names, reason in re.findall(r"^(\S.*)\n((?:    .*\n?)+)", text, re.MULTILINE):
+        for name, forms in re.findall(r"([^,()]+?)(?: \((.*?)\))?(?:, |$)", names):
+            if not forms or form in forms.split(", "):
+                limits[name] = " ".join(reason.split())
+    return limits
 
 
 def _require_declaration(name: str, forms: tuple[str, ...] | None, options: type[BaseModel], build: Build) -> None:
@@ -291,7 +290,7 @@ def _bound(declaration: Declaration, cls: type[Top], composition: Composition | 
     conserves: Any = traits["conserves"]
     names: Any = conserves(top) if callable(conserves) else conserves
     traits["conserves"] = tuple(names)
-    traits["limits"] = traits["limits"](top)
+    traits["limits"] = _limits(traits["limits"], cls.form)
     if traits["origin"] != "topcli":
         names = [invariant.name for invariant in top.invariants()]
         for conserved in traits["conserves"]:
@@ -339,6 +338,38 @@ def projectable(scheme: Scheme) -> Scheme:
     return replace(
         _with_key(scheme, "project", (int, PROJECT), projected), modified=modified if scheme.modified else None
     )
+
+
+# what schemes declare
+
+
+def polynomial_invariants(top: Top, degree: float = math.inf) -> tuple[str, ...]:
+    """Return the names of the invariants of ``top`` that are polynomials of the state of at most ``degree``.
+
+    One that only some motions conserve is left out, unless it is linear and its own level is the condition: then the
+    motion remains on a hyperplane, and so do the stages of a method.
+    """
+    names = []
+    for invariant in top.invariants():
+        if invariant.on.keys() <= {invariant.name}:
+            try:
+                power = polynomial_value(invariant.value, len(top.components)).degree
+            except NotPolynomialError:
+                continue
+            if power <= (1 if invariant.on else degree):
+                names.append(invariant.name)
+    return tuple(names)
+
+
+linear_invariants = partial(polynomial_invariants, degree=1)
+"""Names of the invariants of a top that every Runge-Kutta method conserves."""
+quadratic_invariants = partial(polynomial_invariants, degree=2)
+"""Names of the invariants of a top that the implicit midpoint rule conserves (Cooper 1987)."""
+
+
+def all_invariants(top: Top) -> tuple[str, ...]:
+    """Names of all invariants of ``top``."""
+    return tuple(invariant.name for invariant in top.invariants())
 
 
 # look-up

@@ -12,9 +12,7 @@ import topcli
 
 ROOMS = ("contracts", "arithmetic", "field", "tops", "schemes", "engine")
 """Packages of topcli, and a module, whose code makes the numbers of a run."""
-NO_NUMBERS = frozenset(
-    f"topcli.{name}" for name in ("schemes.display", "schemes.limits", "tops.own", "engine.code_store")
-)
+NO_NUMBERS = frozenset(f"topcli.{name}" for name in ("schemes.display", "tops.own", "engine.code_store"))
 """Modules there that do not."""
 _ROOT = Path(topcli.__file__).parent
 _IMPORT = re.compile(r"^ *(?:from (topcli[\w.]*) import (\([^)]*\)|.*)|import (topcli[\w.]*))", re.MULTILINE)
@@ -46,13 +44,13 @@ def _imported(text: str) -> list[str]:
 
 @cache
 def _module(name: str) -> str:
-    """Text of a module of the ``ROOMS``, for the tops with those that formulas declare; empty for any other name."""
+    """Text of a module of the ``ROOMS`` with that of its files in other languages; empty for any other name."""
     room, path = name.split(".")[1:2], _ROOT.parent / name.replace(".", "/")
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     if not room or room[0] not in ROOMS or name in NO_NUMBERS or not path.is_file():
         return ""
-    declared = sorted(path.parent.glob("catalogue/*.yaml")) if name == "topcli.tops.declared" else []
-    return "\0".join(file.read_text(encoding="utf-8") for file in (path, *declared))
+    beside = sorted(path.parent.glob("catalogue/*.yaml" if name == "topcli.tops.declared" else f"{path.stem}.ll"))
+    return "\0".join(file.read_text(encoding="utf-8") for file in (path, *beside))
 
 
 @cache

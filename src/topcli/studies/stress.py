@@ -41,12 +41,11 @@ from topcli.errors import (
 from topcli.field.polynomial import field_of
 from topcli.plugins import reason_of, users_error
 from topcli.runs.references import REFERENCES, Reference
-from topcli.schemes.limits import has_own_cases
 from topcli.schemes.registry import schemes_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import code_failures, entry_named, schemes_called
 from topcli.studies.report import Report, Table
-from topcli.tops import CATALOGUE, TOPS, forms, gentle_scene
+from topcli.tops import BUILT_IN, CATALOGUE, TOPS, forms, gentle_scene
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 
@@ -301,6 +300,11 @@ CASES: dict[str, dict[str, Case]] = {
     },
 }
 """Cases of single tops by form and name, besides ``general_cases``."""
+
+
+def has_own_cases(top: Top) -> bool:
+    """True for the tops of the paper, which have cases of their own besides those of every top."""
+    return top.form in BUILT_IN and top.form not in CATALOGUE
 
 
 def general_cases(top: Top, state: Floats, regular: Floats) -> dict[str, Case]:

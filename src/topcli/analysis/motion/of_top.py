@@ -24,8 +24,8 @@ from topcli.arithmetic.elliptic import third_kind
 from topcli.arithmetic.multiprecision import Real, digits, mp, real
 from topcli.contracts import Floats, Top
 from topcli.errors import UsageError
-from topcli.schemes.euler.exact import free_motion
-from topcli.schemes.lagrange.exact import ROOT_DIGITS, AsymptoticError, oscillation
+from topcli.schemes.classical.euler import free_motion
+from topcli.schemes.classical.lagrange import ROOT_DIGITS, AsymptoticError, oscillation
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

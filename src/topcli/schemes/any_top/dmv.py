@@ -26,8 +26,7 @@ from topcli.arithmetic.fused import fma, follow_precision, unlikely
 from topcli.arithmetic.vectors import VECTOR_VARIANTS, Matrix, Vector, cayley_increment, solve3
 from topcli.contracts import Floats, NoOptions, Stepper, Top
 from topcli.schemes.any_top.splitting import KEPT, kicked
-from topcli.schemes.limits import all_invariants
-from topcli.schemes.registry import scheme
+from topcli.schemes.registry import all_invariants, scheme
 from topcli.tops.bodies import checked_equations
 
 NEEDED_BY = "scheme 'dmv'"
@@ -35,11 +34,6 @@ CORRECTIONS = 3.0
 """Corrections of every step."""
 NEWTON_LIMIT = 30
 """Maximum number of Newton corrections beyond them; four to six are typical."""
-LONG_STEPS = {
-    **dict.fromkeys(("euler", "euler+gamma", "heavy", "kowalevski", "lagrange"), ("resonance", "singular-step")),
-    "lagrange/inertial": ("resonance",),
-}
-"""Hard cases of the paper's tops in which the steps are too long."""
 LAST_BIT = 2.0**-50
 """Correction relative to c that is round-off."""
 follow_precision(__name__, caps=("NEWTON_LIMIT",), LAST_BIT=1)
@@ -73,17 +67,10 @@ def jacobian(c: Vector, k: Vector, r: Vector) -> Matrix:
     """Derivative of ``residual``, in row-major order."""
     c1, c2, c3 = c
     t1, t2, t3 = 2.0 * c1, 2.0 * c2, 2.0 * c3
-    return (
-        fma(-k[0], t1, 1.0),
-        fma(-k[0], t2, r[0] * c3),
-        fma(-k[0], t3, r[0] * c2),
-        fma(-k[1], t1, r[1] * c3),
-        fma(-k[1], t2, 1.0),
-        fma(-k[1], t3, r[1] * c1),
-        fma(-k[2], t1, r[2] * c2),
-        fma(-k[2], t2, r[2] * c1),
-        fma(-k[2], t3, 1.0),
-    )
+    row1 = (fma(-k[0], t1, 1.0), fma(-k[0], t2, r[0] * c3), fma(-k[0], t3, r[0] * c2))
+    row2 = (fma(-k[1], t1, r[1] * c3), fma(-k[1], t2, 1.0), fma(-k[1], t3, r[1] * c1))
+    row3 = (fma(-k[2], t1, r[2] * c2), fma(-k[2], t2, r[2] * c1), fma(-k[2], t3, 1.0))
+    return (*row1, *row2, *row3)
 
 
 def size(x: Vector) -> float:
@@ -160,7 +147,6 @@ def free(m: Vector, g: Vector, c: Floats, h: float) -> tuple[Vector, Vector, Vec
     explicit=False,
     self_adjoint=True,
     conserves=lambda top: all_invariants(top) if top.form in ("euler", "euler+gamma") else KEPT.get(top.form, ()),
-    limits=lambda top: LONG_STEPS.get(top.form, ("long steps",)),
 )
 def build_dmv(top: Top, options: NoOptions) -> Stepper:
     r"""Discrete Moser-Veselov scheme (RATTLE).
@@ -194,7 +180,10 @@ def build_dmv(top: Top, options: NoOptions) -> Stepper:
 
     Limits
     ------
-    resonance, singular-step, long steps
+    resonance (euler, euler+gamma, heavy, kowalevski, lagrange, lagrange/inertial)
+        If h is longer than about 1/|omega|, the equation for the rotation of the body in a step has no solution.
+        The run then ends as `no_convergence`.
+    singular-step (euler, euler+gamma, heavy, kowalevski, lagrange), long steps (goryachev-chaplygin, hess-appelrot)
         If h is longer than about 1/|omega|, the equation for the rotation of the body in a step has no solution.
         The run then ends as `no_convergence`.
     """

@@ -14,9 +14,9 @@ from topcli.contracts import Floats, Invariant, NoOptions, StepFunction, Stepper
 from topcli.field.implicit import KahanStep, KahanTangent, generated
 from topcli.field.polynomial import required_field
 from topcli.field.straight_line import compiled_function
-from topcli.schemes.limits import has_own_cases, linear_invariants
-from topcli.schemes.registry import scheme
-from topcli.schemes.steppers import first
+from topcli.schemes.any_top.hk_integrals import euler_hk_integrals, lagrange_hk_integrals
+from topcli.schemes.registry import linear_invariants, scheme
+from topcli.schemes.steppers import stepper
 
 _NEEDED_BY = "scheme 'hk'"
 NEAR_SINGULAR = "near_singular_solves"
@@ -32,46 +32,26 @@ def _tangent(top: Top) -> Stepper:
 
 
 @lru_cache(maxsize=256)  # steppers that share the functions share their machine code
-def counted(step: StepFunction, change: StepFunction, determinants: StepFunction, d: int) -> Stepper:
+def counted(change: StepFunction, determinants: StepFunction, d: int) -> Stepper:
     """Stepper of d components that counts steps with a small determinant."""
 
-    def small(y: Floats, h: float, p: Floats) -> float:
-        count = 0.0
+    def counting(y: Floats, h: float, p: Floats) -> Floats:
+        small = 0.0
         for determinant in determinants(y, h, p):
             if abs(determinant) < SMALL:
-                count = 1.0
-        return count
+                small = 1.0
+        return (*change(y, h, p), small)
 
-    def counting(s: Floats, h: float, p: Floats) -> Floats:
-        y = s[:d]
-        return (*step(y, h, p), s[d] + small(y, h, p))
-
-    def counting_change(s: Floats, h: float, p: Floats) -> Floats:
-        return (*change(s, h, p), small(s, h, p))
-
-    def enter(y: Floats, h: float, p: Floats) -> Floats:
-        return (*y, 0.0)
-
-    return Stepper(counting, d + 1, enter, first(d), (NEAR_SINGULAR,), change=counting_change)
+    return stepper(counting, d, counters=(NEAR_SINGULAR,))
 
 
 def modified(top: Top, h: float, options: NoOptions) -> tuple[Invariant, ...]:
     """Integrals of the map, as far as they are known."""
     if top.form in ("euler", "euler+gamma"):
-        from topcli.schemes.euler.hk_integrals import euler_hk_integrals
-
         return euler_hk_integrals(top, h)
     if top.form in ("lagrange", "lagrange-gyrostat"):
-        from topcli.schemes.lagrange.hk_integrals import lagrange_hk_integrals
-
         return lagrange_hk_integrals(top, h)
     return top.modified_invariants("hk", h)
-
-
-def hk_limits(top: Top) -> tuple[str, ...]:
-    """Hard cases of the tops of the paper in which steps are too long."""
-    far = has_own_cases(top) and top.form != "lagrange/inertial"  # whose determinant does not vanish
-    return ("singular-step", "resonance") if far else ()
 
 
 @scheme(
@@ -83,7 +63,6 @@ def hk_limits(top: Top) -> tuple[str, ...]:
     self_adjoint=True,
     conserves=linear_invariants,
     modified=modified,
-    limits=hk_limits,
     changes=True,
 )
 def build_hk(top: Top, options: NoOptions) -> Stepper:
@@ -116,11 +95,11 @@ def build_hk(top: Top, options: NoOptions) -> Stepper:
 
     Limits
     ------
-    singular-step
+    singular-step (kowalevski, lagrange, heavy, euler, euler+gamma)
         For certain step sizes of the order of 1/|omega| and larger, the determinant of HK's linear system vanishes,
         and the state jumps far away: the run ends as `left_motion` or `blew_up`. Choose h such that |h| |omega| is
         well below 1.
-    resonance
+    resonance (kowalevski, lagrange, heavy, euler, euler+gamma)
         If h is about the time of one revolution of the body, the determinant of HK's linear system changes sign
         along the motion. The state jumps far away whenever the determinant is close to zero. For the Euler top,
         terms of the linear system that are much larger than the change cancel, and the modified integrals deviate
@@ -131,9 +110,9 @@ def build_hk(top: Top, options: NoOptions) -> Stepper:
     field, d = required_field(top, _NEEDED_BY, 2), len(top.components)
     code = generated(KahanStep, field, len(top.constants()))
     of = partial(compiled_function, code.graph)
-    step, change = of("step", code.outputs), of("change", code.changes())
+    change = of("change", code.changes())
     if any(invariant.name == top.energy for invariant in top.invariants()) or not code.determinants:
-        plain = Stepper(step, d, change=change)
+        plain = Stepper(of("step", code.outputs), d, change=change)
     else:
-        plain = counted(step, change, of("determinants", code.determinants), d)
+        plain = counted(change, of("determinants", code.determinants), d)
     return replace(plain, constants=code.constants, source=partial(code.source, "step"), tangent=partial(_tangent, top))

@@ -168,7 +168,6 @@ def kicked(
     explicit=True,
     self_adjoint=True,
     conserves=lambda top: KEPT.get(top.form, ()),
-    limits=lambda top: ("singular-step",) if top.form in ("kowalevski", "lagrange", "heavy") else (),
 )
 def build_splitting(top: Top, options: NoOptions) -> Stepper:
     r"""Splitting into kicks and rotations.
@@ -202,7 +201,7 @@ def build_splitting(top: Top, options: NoOptions) -> Stepper:
 
     Limits
     ------
-    singular-step
+    singular-step (kowalevski, lagrange, heavy)
         If the body turns by several radians in a step, the kicks and rotations no longer approximate the exact
         motion: the energy deviates by several times its first value.
     """

@@ -13,7 +13,7 @@ share one vector:
 - the coefficients of the field are vectors too, the ``tables``: fields with the same products share the machine code;
 - the step size is chosen from coefficients before the last ones, while those are computed.
 
-The state has more than double precision, and at the largest order so has the first coefficient. The other coefficients,
+The state and the first coefficient have more than double precision. The other coefficients,
 with their rounding errors, are multiplied by powers of a step well below one.
 
 The algorithm is written in terms of the methods of ``taylor_vectors.IRWriter``, which append instructions in LLVM IR.
@@ -228,17 +228,16 @@ EXACTLY_DIVIDED = 7
 the same in every step, and its effect would accumulate systematically."""
 
 
-def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) -> tuple[Scalar, Scalar, Vector | None]:
+def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) -> tuple[Scalar, Scalar, Vector]:
     """Store the coefficients 0..order of the solution through ``y0`` as the array ``y``.
 
-    ``y0`` is the state and its low part, or None for the low part. Returns the two results of ``step_size`` and the low
-    part of coefficient 1, which is None if ``y0`` has no low part; coefficient 1 then has double precision only.
+    ``y0`` is the state and its low part. Returns the two results of ``step_size`` and the low part of coefficient 1.
     """
     for level, stage in enumerate(a.stages[1:], start=1):  # these lanes hold the series of the last step
         auxiliary = _first(o, a, stage, y0)
         mask = o.constant(tuple(float(of != level) for of in a.level))
-        low = None if y0[1] is None or auxiliary[1] is None else o.fma(y0[1], mask, auxiliary[1])
-        y0 = o.fma(y0[0], mask, auxiliary[0]), low
+        y0 = o.fma(y0[0], mask, auxiliary[0]), o.fma(y0[1], mask, auxiliary[1])
+    # what all coefficients need: columns of the Jacobian, and coefficient 1
     at = _store(o, a, 0, y0[0])
     columns = [_jacobian(o, stage, at) for stage in a.stages]
     y, missed = _first(o, a, a.stages[0], y0)
@@ -251,6 +250,7 @@ def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) 
         if m == order - STEP_SIZE_LEAD:
             step = step_size(o, order, log2_tol)
         y = _slope(a.stages[0], columns[0], o, at, sums.earlier(m, a.stages[0]))
+        # divided by m + 1; products for later coefficients follow, behind the critical path
         inverse = 1.0 / (m + 1)
         missing = float(Fraction(1, m + 1) - Fraction(inverse))
         if missing != 0.0 and m < EXACTLY_DIVIDED:
@@ -289,18 +289,18 @@ def _store(o: IRWriter, a: Arrangement, m: int, y: Vector) -> Permuted:
 
 
 def _first(o: IRWriter, a: Arrangement, stage: Stage, y0: Pair) -> Pair:
-    """Terms of a stage at y_0, to more than double precision if y_0 has a low part."""
+    """Terms of a stage at y_0."""
 
     def at(lanes: Lanes, of: Pair = y0) -> Pair:
-        return of if lanes == a.identity else tuple(part and o.permute(part, lanes) for part in of)  # type: ignore[return-value]
+        return of if lanes == a.identity else (o.permute(of[0], lanes), o.permute(of[1], lanes))
 
     products = [pair_mul(o, at(left), at(right)) for left, right in a.products]
     terms = [pair_scale(o, o.table(table), at(lanes, products[v])) for v, lanes, table in stage.sums]
     terms += [pair_scale(o, o.table(table), at(lanes)) for lanes, table in stage.linear]
     zero = o.constant((0.0,) * a.lanes)
     if stage.constant is not None:
-        terms.append((o.table(stage.constant), None if y0[1] is None else zero))
-    total = terms[0] if terms else (zero, None if y0[1] is None else zero)
+        terms.append((o.table(stage.constant), zero))
+    total = terms[0] if terms else (zero, zero)
     for term in terms[1:]:
         total = pair_add(o, total, term)
     return total
@@ -387,7 +387,7 @@ class _ProductSums:
         return total
 
 
-def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: Vector | None) -> tuple[Vector, Vector]:
+def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: Vector) -> tuple[Vector, Vector]:
     """Return the sum of y_m d^m over m = 1..order as y_1 d rounded, and the rest; ``missed`` is the low part of y_1.
 
     The rest is summed by pairs, pairs of pairs and so on (Estrin's scheme), for a short dependency chain.
@@ -401,8 +401,7 @@ def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: Vector | None) 
         power = o.mul(power, power)
     first = o.load("y", 1)
     main = o.mul(first, z)
-    rest = o.mul(terms[0], z) if missed is None else o.fma(terms[0], z, missed)
-    return main, o.fma(rest, z, o.fma(first, z, o.negative(main)))
+    return main, o.fma(o.fma(terms[0], z, missed), z, o.fma(first, z, o.negative(main)))
 
 
 MAX_STEP, SAFE_STEP = 4.0, 0.25

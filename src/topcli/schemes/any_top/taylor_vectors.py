@@ -13,8 +13,8 @@ Vector = Any
 Scalar = Any
 
 
-Pair = tuple[Vector, Vector | None]
-"""Vector in more than double precision: high and low part; in double precision if the low part is None."""
+Pair = tuple[Vector, Vector]
+"""Vector in more than double precision: high and low part."""
 
 
 def vector_two_sum(o: IRWriter, x: Vector, z: Vector) -> tuple[Vector, Vector]:
@@ -26,8 +26,6 @@ def vector_two_sum(o: IRWriter, x: Vector, z: Vector) -> tuple[Vector, Vector]:
 
 def pair_add(o: IRWriter, x: Pair, z: Pair) -> Pair:
     """Return the sum of two pairs."""
-    if x[1] is None or z[1] is None:
-        return o.add(x[0], z[0]), None
     rounded, missing = vector_two_sum(o, x[0], z[0])
     return rounded, o.add(missing, o.add(x[1], z[1]))
 
@@ -35,14 +33,12 @@ def pair_add(o: IRWriter, x: Pair, z: Pair) -> Pair:
 def pair_mul(o: IRWriter, x: Pair, z: Pair) -> Pair:
     """Return the product of two pairs."""
     rounded, missing = pair_scale(o, x[0], z)
-    return rounded, None if missing is None or x[1] is None else o.fma(x[1], z[0], missing)
+    return rounded, o.fma(x[1], z[0], missing)
 
 
 def pair_scale(o: IRWriter, factor: Vector, x: Pair) -> Pair:
     """Return the product of an exact vector and a pair."""
     rounded = o.mul(factor, x[0])
-    if x[1] is None:
-        return rounded, None
     return rounded, o.fma(factor, x[1], o.fma(factor, x[0], o.negative(rounded)))
 
 

@@ -151,16 +151,8 @@ def rounded_tau(tau: float, size: float) -> float:
 def plain_step(s: Floats, h: float, p: Floats) -> Floats:
     """One step: (a, b, n), gamma; tau; the status."""
     x1, x2, x3, y1, y2, y3, r, q = numerators((s[0], s[1], s[2], s[3], s[4], s[5]), (0.125 * p[0]) * (h * h), s[6])
-    return (
-        fma(x1, r, s[0]),
-        fma(x2, r, s[1]),
-        fma(x3, r, s[2]),
-        fma(y1, q, s[3]),
-        fma(y2, q, s[4]),
-        fma(y3, q, s[5]),
-        s[6],
-        s[7],
-    )
+    m = (fma(x1, r, s[0]), fma(x2, r, s[1]), fma(x3, r, s[2]))
+    return (*m, fma(y1, q, s[3]), fma(y2, q, s[4]), fma(y3, q, s[5]), s[6], s[7])
 
 
 def enter(y: Floats, h: float, p: Floats) -> Floats:
@@ -264,18 +256,13 @@ def length_step(y: Floats, c: float, k: float, scale: float, error: float, tau: 
     The scale of omega, 1/k, is not a floating-point number. Its rounding ``error``, the same in every step, would make
     the integrals drift. The state stays physical, because a change of scale between two lengths would do the same.
     """
-    x1, x2, x3, y1, y2, y3, r, q = numerators(
-        (k * y[0], k * y[1], (0.5 * k) * y[2], y[3], y[4], y[5]), (0.5 * c) * (k * k), tau
-    )
+    z = (k * y[0], k * y[1], (0.5 * k) * y[2], y[3], y[4], y[5])
+    x1, x2, x3, y1, y2, y3, r, q = numerators(z, (0.5 * c) * (k * k), tau)
     x1, x2, x3 = x1 * r, x2 * r, 2.0 * (x3 * r)
-    return (
-        y[0] + fma(x1, scale, x1 * error),
-        y[1] + fma(x2, scale, x2 * error),
-        y[2] + fma(x3, scale, x3 * error),
-        fma(y1, q, y[3]),
-        fma(y2, q, y[4]),
-        fma(y3, q, y[5]),
-    )
+    w1 = y[0] + fma(x1, scale, x1 * error)
+    w2 = y[1] + fma(x2, scale, x2 * error)
+    w3 = y[2] + fma(x3, scale, x3 * error)
+    return (w1, w2, w3, fma(y1, q, y[3]), fma(y2, q, y[4]), fma(y3, q, y[5]))
 
 
 def nodes_step(s: Floats, h: float, p: Floats) -> Floats:

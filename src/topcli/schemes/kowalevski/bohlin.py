@@ -4,6 +4,19 @@ Performance:
 - omega1 and omega2 come last, from a square root; all terms in the old gamma and omega3 are computed before;
 - the angle follows directly from gamma', without omega3'; small angles need polynomials with fused sums, not libm;
 - the square root is algebraic; its division and the choice of its sign overlap with the square root instruction.
+
+Limits
+------
+homoclinic-spacing
+    The motion of this case is close to the homoclinic orbit. The error of a method of order 1 acts like a
+    larger distance from this orbit and shortens the time between two swings (falls and rises) of the top. In
+    the paper's Figure 2 this time is 15.3 instead of 28.17.
+rest-on-axis, delone-sleeping
+    If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state
+    is a fixed point of the map: the state never changes.
+huge
+    |xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega
+    has a moderate size.
 """
 
 from __future__ import annotations
@@ -139,19 +152,6 @@ def build_a(top: Top, options: BranchOptions) -> Stepper:
     \omega_3' - \omega_3 = -h c\,\bar\gamma_2, \qquad
     (\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2'), \qquad
     \xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)
-
-    Limits
-    ------
-    homoclinic-spacing
-        The motion of this case is close to the homoclinic orbit. The error of a method of order 1 acts like a
-        larger distance from this orbit and shortens the time between two swings (falls and rises) of the top. In
-        the paper's Figure 2 this time is 15.3 instead of 28.17.
-    rest-on-axis, delone-sleeping
-        If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state
-        is a fixed point of the map: the state never changes.
-    huge
-        |xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega
-        has a moderate size.
     """
     return Stepper(bohlin_step(method_a, ROOTS[options.branch]), 6)
 
@@ -180,16 +180,6 @@ def build_b(top: Top, options: BranchOptions) -> Stepper:
 
     Limits
     ------
-    homoclinic-spacing
-        The motion of this case is close to the homoclinic orbit. The error of a method of order 1 acts like a larger
-        distance from this orbit and shortens the time between two swings (falls and rises) of the top. In the paper's
-        Figure 2 this time is 15.3 instead of 28.17.
-    rest-on-axis, delone-sleeping
-        If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state is a
-        fixed point of the map: the state never changes.
-    huge
-        |xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega has a
-        moderate size.
     pole, there-and-back
         The coordinate z of gamma is infinite at gamma3 = -1. Where gamma comes close to this direction, Euler's rule
         for z has a large error, and the new gamma may be rounded to (0, 0, -1): the run then ends as `blew_up`.
@@ -223,16 +213,6 @@ def build_c(top: Top, options: BranchOptions) -> Stepper:
 
     Limits
     ------
-    homoclinic-spacing
-        The motion of this case is close to the homoclinic orbit. The error of a method of order 1 acts like a larger
-        distance from this orbit and shortens the time between two swings (falls and rises) of the top. In the paper's
-        Figure 2 this time is 15.3 instead of 28.17.
-    rest-on-axis, delone-sleeping
-        If gamma lies along the third axis and the body rests or rotates about this axis, then xi = 0. Such a state is a
-        fixed point of the map: the state never changes.
-    huge
-        |xi|² grows as |omega|⁴ and overflows if |omega| exceeds about 1e77. Choose a unit of time in which omega has a
-        moderate size.
     long runs
         The scheme does not conserve the energy. In this case, with h = 0.1, the energy rises from 2.1 to more than 200
         within t = 6500, and the run ends as `left_motion`; gamma² and k² stay constant.

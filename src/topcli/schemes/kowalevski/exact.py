@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.curve import Integrals
-from topcli.schemes.kowalevski.oval import REFUSED
+from topcli.schemes.kowalevski.curve import REFUSED, Integrals
 from topcli.schemes.kowalevski.separation import EPS, Separated, separated_motion
 from topcli.schemes.registry import scheme
 
@@ -106,7 +105,7 @@ def kowalevski_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> A
     if _at_rest(y, c):
         return np.tile(np.array(y), (len(n), 1))
     if c == 0.0 or not any(y[3:]):
-        from topcli.schemes.euler.exact import euler_states as free_states
+        from topcli.schemes.classical.euler import euler_states as free_states
 
         return free_states(np.array(y), h, n, (2.0, 2.0, 1.0))  # the free symmetric top
     off = EPS * sum(v * v for v in y[:3]) / abs(c)

@@ -163,22 +163,10 @@ def newton_correction(y: Floats, x1: float, x2: float, h: float, c: float, v: Fl
     n1, n2 = 4.0 * (w1 + 2.0 * v[0]), 4.0 * (w2 + 2.0 * v[1])
     c2 = 2.0 * c
     k = h * c
-    return solve3(
-        (
-            n1 - c2 * s11,
-            -n2 - c2 * s12,
-            -c2 * s13 - h * (x2 + t2),
-            n2 - c2 * s21,
-            n1 - c2 * s22,
-            -c2 * s23 + h * (x1 + t1),
-            k * s21,
-            k * s22,
-            2.0 + k * s23,
-        ),
-        -f[0],
-        -f[1],
-        -f[2],
-    )
+    row1 = (n1 - c2 * s11, -n2 - c2 * s12, -c2 * s13 - h * (x2 + t2))
+    row2 = (n2 - c2 * s21, n1 - c2 * s22, -c2 * s23 + h * (x1 + t1))
+    row3 = (k * s21, k * s22, 2.0 + k * s23)
+    return solve3((*row1, *row2, *row3), -f[0], -f[1], -f[2])
 
 
 def hybrid_sym_change(hk: StepFunction) -> StepFunction:
@@ -189,6 +177,7 @@ def hybrid_sym_change(hk: StepFunction) -> StepFunction:
         c = p[0]
         y = (w1, w2, w3, g1, g2, g3)
         iterations = 0.0
+        # carried numbers: xi, its difference from that of omega and gamma, and corrections of two lengths
         x1, x2 = k * u1, k * u2
         z1 = ((w1 - w2) * (w1 + w2) - c * g1) - x1
         z2 = (2.0 * w1 * w2 - c * g2) - x2
@@ -215,6 +204,7 @@ def hybrid_sym_change(hk: StepFunction) -> StepFunction:
                 n1, n2, n3 = v1 + e1, v2 + e2, v3 + e3
                 f1, f2, f3, b1, b2, b3, off = residuals(y, xi, h, c, n1, n2, n3)
             v1, v2, v3 = n1, n2, n3
+        # u turns like xi
         d1, d2 = rotation_increment(h * (w3 + v3), u1, u2)
         to_u1, to_u2 = d1 + to_u * u1, d2 + to_u * u2
         return (2.0 * v1, 2.0 * v2, 2.0 * v3, b1, b2, b3, to_u1, to_u2, status, iterations)

@@ -32,8 +32,7 @@ from topcli.arithmetic.elliptic import phase
 from topcli.arithmetic.multiprecision import DIGITS, Real, digits, mp, real
 from topcli.contracts import Array
 from topcli.errors import RunError
-from topcli.schemes.kowalevski.curve import Curve, Integrals, separated, series_step
-from topcli.schemes.kowalevski.oval import REFUSED, Integers, Oval, Place
+from topcli.schemes.kowalevski.curve import REFUSED, Curve, Integers, Integrals, Oval, Place, separated
 
 Phase = tuple[Integers, Array]
 """Quarter turns of an angle: whole numbers (m,), and rests (m,) in [-1/2, 1/2]."""
@@ -118,21 +117,13 @@ class Separated:
             raise RunError(REFUSED.format("no choice of the signs of the square roots gives the initial state"))
         return best.rounded()
 
-    def phases(self, n: NDArray[Any], h: float) -> tuple[Phase, Phase]:
-        """Phases after ``n`` (m,) steps of ``h``, which may be fractions."""
+    def states(self, n: NDArray[Any], h: float) -> Array:
+        """States (m, 6) after ``n`` (m,) steps of ``h``, which may be fractions."""
+        states = np.empty((len(n), 6))
         with digits(DIGITS):
             first, second = (phase(x, rate * real(h), n) for x, rate in zip(self.starts, self.rates, strict=True))
-        return first, second
-
-    def states(self, n: NDArray[Any], h: float) -> Array:
-        """States (m, 6) after ``n`` (m,) steps of ``h``."""
-        return self.at_phases(*self.phases(n, h))
-
-    def at_phases(self, first: Phase, second: Phase) -> Array:
-        """States (m, 6) at phases."""
-        states = np.empty((len(first[0]), 6))
         with np.errstate(all="ignore"):
-            for begin in range(0, len(states), _CHUNK):
+            for begin in range(0, len(n), _CHUNK):
                 part = slice(begin, begin + _CHUNK)
                 here, there = ((whole[part], rest[part]) for whole, rest in (first, second))
                 states[part] = self.at(*self.places(here, there))
@@ -211,13 +202,14 @@ class Formula(NamedTuple):
         h, k = ([f[i] * tau + sign * g[i] for i in range(3)] for sign in (-1.0, 1.0))
         if close:
             k, h = map(list, zip(*(_both(*both, D) for both in zip(k, h, strict=True)), strict=True))
-        # tau (h_i - k_j), h_i + k_j and h_j + k_i of the cyclic pairs
+        # tau (h_i - k_j), h_i + k_j and h_j + k_i of the cyclic pairs, whose products are the denominators
         mixed = [self._mixed(f, g, tau, pair) for pair in range(3)]
         if close:
             mixed = [_improved(mixed[pair], h, k, tau, *CYCLIC[pair]) for pair in range(3)]
         minus, plus, cross = zip(*mixed, strict=True)
         everything, squared = h[0] * h[1] * h[2], D * D
         La = 8.0 * squared / (math.prod(minus) * math.prod(plus))
+        # N by that of its three forms with the smallest second term
         n = min(range(3), key=lambda i: abs(self.centred[i]))
         pair = (n + 1) % 3
         i, j = CYCLIC[pair]
@@ -225,6 +217,7 @@ class Formula(NamedTuple):
         below, m, slope = N - 2.0 * tau, N - tau, self.r1 * La / N
         x = self.x0 + slope
         A, B = self.A * f4 * f5, self.B * g4 * g5
+        # F and F', from products of h and k where s1 and s2 are close
         if close:
             sums = k[0] * k[1] * k[2]
             F, G = 0.5 * (sums + everything) / tau, 0.5 * (sums - everything)
@@ -307,6 +300,27 @@ def _solved(equation: Callable[..., tuple[Array, Array, Array]], count: int, bou
         if not len(left):
             break
     return x
+
+
+def series_step(y: Sequence[Any], c: Any, t: Any, order: int) -> list[Any]:
+    """State after the time ``t`` by a Taylor series; the components may be numbers of any kind or arrays."""
+
+    def product(a: list[Any], b: list[Any]) -> Any:
+        return sum(u * v for u, v in zip(a, reversed(b), strict=True))
+
+    columns = w1, w2, w3, g1, g2, g3 = [[v] for v in y]
+    for m in range(1, order + 1):
+        rates = (
+            product(w2, w3) / 2,
+            (c * g3[-1] - product(w3, w1)) / 2,
+            -c * g2[-1],
+            product(g2, w3) - product(g3, w2),
+            product(g3, w1) - product(g1, w3),
+            product(g1, w2) - product(g2, w1),
+        )
+        for column, rate in zip(columns, rates, strict=True):
+            column.append(rate / m)
+    return [sum(v * t**m for m, v in enumerate(column)) for column in columns]
 
 
 def separated_motion(y: Sequence[Fraction], c: float) -> Separated:

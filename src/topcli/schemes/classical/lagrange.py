@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -29,8 +28,7 @@ from topcli.arithmetic.elliptic import Argument, phase
 from topcli.arithmetic.multiprecision import Real, cubic_roots, digits, mp, real
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.limits import all_invariants
-from topcli.schemes.registry import scheme
+from topcli.schemes.registry import all_invariants, scheme
 
 MAX_SAMPLES = 1 << 15
 _NOTHING = 1e-30
@@ -115,8 +113,7 @@ def _least(squares: Sequence[Real], vanishes: bool) -> float:
     return float(small / large) if large > 0 and not (vanishes and small <= large * _NOTHING) else 0.0
 
 
-@dataclass(frozen=True)
-class _Constants:
+class _Constants(NamedTuple):
     """Constants of one motion, rounded once; pairs are the values at the minimum and the maximum of u."""
 
     nutation: Oscillation
@@ -166,26 +163,17 @@ def _constants(y0: Floats, nu: float) -> _Constants:
         up, down = ([max(root + sign * u, mp.mpf(0)) for u in ends] for sign in (-1, 1))
         momentum = [max(real(2 * E - P * P) - real(2 * g) * u, mp.mpf(0)) for u in ends]
         P, S, N = (real(v) for v in (P, S, N))
-        axis_turn, momentum_turn = ([float(x - y * u) for u in ends] for x, y in ((N * P, S), (S, P)))
-        return _Constants(
-            nutation=nutation,
-            nu=nu,
-            P=float(P),
-            S=float(S),
-            lower=float(ends[0]),
-            upper=float(ends[1]),
-            down=float(down[0]),
-            up=float(up[1]),
-            momentum=float(min(momentum)),
-            axis_turn=(axis_turn[0], axis_turn[1]),
-            momentum_turn=(momentum_turn[0], momentum_turn[1]),
-            axis_least=_least([x * y for x, y in zip(up, down, strict=True)], upright),
-            momentum_least=_least(momentum, spins),
-        )
+
+        def pair(x: Real, y: Real) -> tuple[float, float]:
+            return float(x - y * ends[0]), float(x - y * ends[1])
+
+        axis_least = _least([x * y for x, y in zip(up, down, strict=True)], upright)
+        heights = float(ends[0]), float(ends[1]), float(down[0]), float(up[1]), float(min(momentum))
+        angles = pair(N * P, S), pair(S, P), axis_least, _least(momentum, spins)
+        return _Constants(nutation, nu, float(P), float(S), *heights, *angles)
 
 
-@dataclass(frozen=True)
-class _Angle:
+class _Angle(NamedTuple):
     """Angle whose rate has the period of the nutation: mean rate, and Fourier series of the periodic part."""
 
     mean: float
@@ -277,7 +265,6 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     explicit=True,
     self_adjoint=True,
     conserves=all_invariants,
-    limits=lambda top: ("huge", "sleeping-threshold") if top.form == "lagrange" else ("huge",),
 )
 def build_lagrange(top: Top, options: NoOptions) -> Sampler:
     r"""Closed form by elliptic functions.
@@ -311,7 +298,7 @@ def build_lagrange(top: Top, options: NoOptions) -> Sampler:
     huge
         The nutation of a body that rotates very fast is too small to be resolved. The motion is refused, and the
         message names the scheme `taylor`.
-    sleeping-threshold
+    sleeping-threshold (lagrange)
         The scheme refuses motions that tend to the upright position, because their period is infinite. At the stability
         limit of the upright top it also refuses motions within 1e-6 of the upright position, because their period is
         too long to resolve.

@@ -1,0 +1,1 @@
+"""Schemes and closed-form solutions of the Euler and the Lagrange top."""

@@ -1,1 +1,0 @@
-"""Schemes and closed-form solutions for the Lagrange top."""
