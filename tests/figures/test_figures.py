@@ -40,6 +40,7 @@ def wave(calls: list[str], takes: str = "") -> Figure:
     return Figure("wave", "A wave", data, draw, takes=lambda: takes)
 
 
+@pytest.mark.slow
 def test_columns_are_computed_again_for_other_results_only(tmp_path: Path) -> None:
     calls: list[str] = []
     png, pdf, table = wave(calls).make(tmp_path)

@@ -92,6 +92,7 @@ def in_a_batch(one: Experiment, tmp: Path) -> Rows:
 WAYS = {"python": in_python, "sparse": sparse, "stored": stored, "resumed": resumed, "batch": in_a_batch}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_chunks")
 @pytest.mark.parametrize(("form", "scheme"), CASES, ids=str)
 def test_same_bits(form: str, scheme: Any, tmp_path: Path) -> None:

@@ -133,6 +133,7 @@ def test_a_stopped_result_is_readable_and_continues(tmp_path: Path, form: str) -
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunks", [0, 3, None])
 def test_what_a_result_does_when_it_is_in_the_way(tmp_path: Path, chunks: int | None) -> None:
     """Begun without a checkpoint, killed after three chunks, complete."""

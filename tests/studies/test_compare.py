@@ -59,6 +59,7 @@ def test_schemes_of_the_paper_swing_drift_and_reverse_as_measured(paper: Report)
     assert paper.tables[2].rows[1]["γ²"] == "exact"
 
 
+@pytest.mark.slow
 def test_errors_of_mixed_steps_are_those_of_single_runs() -> None:
     """Each entry is compared with a Taylor series at t = 0, 0.04, ..., 20."""
     report = topcli.compare(*MIXED, config=SCENE, overrides=["h=0.01", "N=2000"])

@@ -133,6 +133,7 @@ def test_verdicts(law: str | None, repeated: bool, integrals: int, expected: str
 LAWS = {"n^2": None, r"(3+\sqrt6)^n": 3.0 + math.sqrt(6.0)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["euler", "lagrange", "kowalevski", "coupled-euler"])
 def test_recorded_verdicts(command: str) -> None:
     """Rows of the table on the page of the documentation."""

@@ -166,7 +166,7 @@ kowalevski_hybrid    ['h=0.02', 'output.every=7']  ['lyapunov', 'chaotic']
 kowalevski_hk        ['scheme=midpoint', 'h=-0.05']  []
 euler_gamma_hk       ['scheme=exact', 'h=0.1']       []
 lagrange_bs          ['h=0.03']                      []
-heavy_chaotic        ['output.every=100']            ['lyapunov', 'chaotic']
+heavy_chaotic        ['output.every=10']             ['lyapunov', 'chaotic']
 """),
 )
 def test_a_batch_has_the_bits_of_its_single_runs(scene: str, overrides: list[str], more: list[str]) -> None:

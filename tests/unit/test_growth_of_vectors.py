@@ -39,6 +39,7 @@ class Plane(Top):
         return (1.0, 1.0)
 
 
+@pytest.mark.slow
 def test_exponents_of_henons_map() -> None:
     """0.41922 and -1.62319 a step; their sum is the logarithm of the determinant, 0.3, to round-off."""
     growth = spectrum_of(Plane(), RK4, Stepper(henon_step, 2), 1.0, 200_000, (0.1, 0.1))
@@ -49,6 +50,7 @@ def test_exponents_of_henons_map() -> None:
     assert abs(largest.exponents[0] - 0.41922) < 4.0 * largest.errors[0] + 1e-4
 
 
+@pytest.mark.slow
 def test_exponents_of_a_canonical_map_come_in_pairs() -> None:
     """Of opposite sign, and one pair of zeros for each integral; rk4, which contracts, is the control."""
     top, y, N = TOPS["heavy"].new(), (1.5, 0.4, 0.6, 0.36, 0.48, 0.8), 100_000
