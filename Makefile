@@ -65,7 +65,7 @@ claims: $(VENV)/.installed
 	@$(BIN)/topcli claims
 
 attack: $(VENV)/.installed-dev
-	HYPOTHESIS_PROFILE=attack $(BIN)/python -m pytest -n auto tests/fuzz tests/config/test_config_hypothesis.py
+	HYPOTHESIS_PROFILE=attack $(BIN)/python -m pytest -n auto tests/fuzz tests/config/test_config.py
 
 # a peer that cannot be installed is left out: the bench names it
 $(VENV)/.installed-peers: $(VENV)/.installed-dev

@@ -54,6 +54,7 @@ def starts_of(top: Top) -> list[Any]:
     return [gen(top), *random_states(2, seed=5)[:, :d], *([PAPER] if top.form == "kowalevski" else [])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", list(TOPS))
 def test_schemes(form: str) -> None:
     rows: dict[str, Any] = {}

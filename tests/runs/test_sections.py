@@ -13,7 +13,9 @@ import topcli
 from topcli.config.load import load, load_experiment
 from topcli.contracts import Stepper, same_state
 from topcli.errors import ConfigError, UsageError
+from topcli.runs.identity import identity_of
 from topcli.runs.run import run_experiment
+from topcli.store import sources
 
 KOWALEVSKI: dict[str, Any] = {
     "top": "kowalevski",
@@ -204,3 +206,24 @@ def test_what_records_no_crossings_refuses_a_section(tmp_path: Path) -> None:
         topcli.simulate(RUN, ensemble=drawn)
     with pytest.raises(ConfigError, match=r"base\.section: cannot be in base"):
         topcli.sweep({"base": {k: v for k, v in RUN.items() if k != "name"}, "grid": {"h": [0.1]}})
+
+
+def test_the_code_that_finds_crossings_belongs_to_the_identity_of_a_section_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def codes() -> list[str]:
+        sources._module.cache_clear()
+        sources.source_digest.cache_clear()
+        scene = "kowalevski_generic_hk"
+        return [identity_of(load(scene, more)).code for more in ([], ["section.component=gamma2"])]
+
+    before, read = codes(), Path.read_text
+
+    def edited(path: Path, **options: Any) -> str:
+        return read(path, **options) + "# edited\n" * (path.name == "crossings.py")
+
+    monkeypatch.setattr(Path, "read_text", edited)
+    after = codes()
+    monkeypatch.undo()
+    assert (after[0] == before[0], after[1] == before[1]) == (True, False)
+    assert codes() == before

@@ -1,1 +1,1 @@
-"""Runs: decision, computation, recording and report."""
+"""Runs: identity, plans, computation, recording and report."""

@@ -31,7 +31,11 @@ def code_digest(top: type[Top], scheme: Scheme, *modules: str) -> str:
 def identity_of(experiment: Experiment) -> Identity:
     """Identity of an experiment or an ensemble. Raises SchemeCodeError for code without a file."""
     config = experiment.resolved()
-    parts = {"attitude": experiment.output.attitude, "numbers": experiment.written, "loops": experiment.section}
-    modules = [f"topcli.engine.{module}" for module, needed in parts.items() if needed]
+    parts = {
+        "engine.attitude": experiment.output.attitude,
+        "engine.numbers": experiment.written,
+        "analysis.crossings": experiment.section,
+    }
+    modules = [f"topcli.{module}" for module, needed in parts.items() if needed]
     code = code_digest(type(experiment.top), experiment.scheme, *modules)
     return Identity(config, digest_of(config, experiment.own_code), code)

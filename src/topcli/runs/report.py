@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 
 
-_NAMES = {
+NAMES = {
     "symbol": "invariant",
     "first": "first value",
     "max_deviation_relative": "max deviation, relative",
@@ -48,7 +48,7 @@ VERDICT_MARKS = {"lost": "bad", "drifting": "middling", "exact": "good"}
 def invariant_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Table of all figures on the invariants, one a column."""
     lines = [{key: value for key, value in row.items() if key not in SENTENCES} for row in rows]
-    return Table("Conservation laws", lines, FORMATS, names=_NAMES, across=True, marks=VERDICT_MARKS)
+    return Table("Conservation laws", lines, FORMATS, names=NAMES, across=True, marks=VERDICT_MARKS)
 
 
 def report_tables(report: Mapping[str, Any]) -> list[Table]:
@@ -90,7 +90,7 @@ def brief_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         for row in rows
     ]
     caption = "Deviations are relative, drifts have 95 % bounds; -v prints all values."
-    return Table("", lines, FORMATS, names=_NAMES, right=columns[1:4], caption=caption, marks=VERDICT_MARKS)
+    return Table("", lines, FORMATS, names=NAMES, right=columns[1:4], caption=caption, marks=VERDICT_MARKS)
 
 
 def open_lines(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
@@ -338,7 +338,7 @@ def ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         }
         lines.append({**{key: row[key] for key in ("symbol", "within_round_off", "judged")}, **quantiles})
     caption = "Quantiles over the trajectories."
-    return Table("Conservation laws", lines, names=_NAMES, across=True, caption=caption)
+    return Table("Conservation laws", lines, names=NAMES, across=True, caption=caption)
 
 
 def ensemble_statements(report: Mapping[str, Any]) -> list[str]:
@@ -363,4 +363,4 @@ def brief_ensemble_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         for row in rows
     ]
     caption, right = "Quantiles over the trajectories; -v prints all values.", list(lines[0])[1:]
-    return Table("", lines, names=_NAMES, right=right, caption=caption)
+    return Table("", lines, names=NAMES, right=right, caption=caption)

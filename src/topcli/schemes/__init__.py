@@ -1,1 +1,1 @@
-"""Time discretizations, one package per top, and their registry."""
+"""Time discretizations, a file for each method or family of methods, and their registry."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import topcli
 
-ROOMS = ("contracts", "arithmetic", "field", "tops", "schemes", "engine")
+ROOMS = ("contracts", "arithmetic", "field", "tops", "schemes", "engine", "analysis")
 """Packages of topcli, and a module, whose code makes the numbers of a run."""
 NO_NUMBERS = frozenset(f"topcli.{name}" for name in ("schemes.display", "tops.own", "engine.code_store"))
 """Modules there that do not."""

@@ -28,7 +28,7 @@ from dataclasses import replace
 from topcli.arithmetic.fused import fma, follow_precision
 from topcli.arithmetic.vectors import Vector, cayley_increment, cayley_rotated, resolvent, rotation_increment, solve3
 from topcli.contracts import Floats, NoOptions, StepFunction, Stepper, Top
-from topcli.schemes.any_top.hk import build_hk as build_hk
+from topcli.schemes.any_top.hk import build_hk
 from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import first, stepper
