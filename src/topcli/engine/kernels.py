@@ -17,7 +17,7 @@ from typing import Any
 
 from topcli.arithmetic.fused import fma, unlikely
 from topcli.engine.duals import dual_numbers
-from topcli.engine.reach import digest, home_of, is_standard, place_of, plain_function, reached
+from topcli.engine.reach import home_of, is_standard, place_of, plain_function, reach
 from topcli.errors import RunError, SchemeCodeError, TopcliError
 
 Variants = Mapping[Callable[..., Any], Callable[..., Any]]
@@ -46,9 +46,9 @@ def _kernel(function: types.FunctionType, choice: _Choice) -> Any:
     """Dispatcher of numba for a kernel. Raises SchemeCodeError for one that raises or asserts."""
     if function in choice.kernels:
         return choice.kernels[function]
-    functions = reached(function)
+    content, functions = reach(function)
     stand_ins = frozenset(pair for pair in choice.stand_ins.items() if pair[0] in functions)
-    key = digest(function), tuple(choice.options.items()), stand_ins
+    key = content, tuple(choice.options.items()), stand_ins
     if key not in _kernels:
         import dis
 

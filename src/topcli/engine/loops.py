@@ -24,7 +24,7 @@ from topcli.arithmetic.vectors import VECTOR_VARIANTS
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, Top, check_stop, same_state
 from topcli.engine.kernels import NO_VARIANTS, CompileError, Variants
 from topcli.engine.native import Native, native, native_text
-from topcli.engine.reach import place_of, reached
+from topcli.engine.reach import place_of, reach
 from topcli.errors import SchemeCodeError
 
 SINGLE, LANES, PARTS = "pppdqqq", "pppdqqqq", "ppppdq"
@@ -179,7 +179,7 @@ def lanes_code(stepper: Stepper, d: int, constants: int, width: int) -> Native:
     # the nan of a rare branch may be in any number but the counters
     lane = replace(stepper, checked=stepper.width - len(stepper.counters))
     # it is noticed in the working state only, so what is recorded must not come from a variant
-    recorded = reached(stepper.leave) if stepper.leave else ()
+    recorded = reach(stepper.leave)[1] if stepper.leave else ()
     variants = NO_VARIANTS if VECTOR_VARIANTS.keys() & recorded else VECTOR_VARIANTS
     try:
         return loop_code(lane, d, constants, width, variants=variants)

@@ -1,4 +1,4 @@
-"""What a function can reach: the names that it mentions, what they refer to, and a digest of all of that.
+"""Reach of a function: the names that it mentions, what they refer to, and a digest of all of that.
 
 The digest tells apart the functions whose machine code may differ: numba makes it from the bytecode with its constants,
 the values of globals, closed-over variables, defaults and attributes of modules, which it freezes, and from the types
@@ -168,8 +168,11 @@ def digest(*values: Any) -> str:
     return walk.sha.hexdigest()
 
 
-def reached(function: Callable[..., Any]) -> Collection[types.FunctionType]:
-    """Plain functions that compiled code of ``function`` can call, itself included. Raises SchemeCodeError likewise."""
+def reach(function: Callable[..., Any]) -> tuple[str, Collection[types.FunctionType]]:
+    """Digest of a function, and the plain functions that its compiled code can call, itself included.
+
+    Raises SchemeCodeError as ``digest``.
+    """
     walk = _Walk()
     walk.put(function)
-    return walk.functions.keys()
+    return walk.sha.hexdigest(), walk.functions.keys()

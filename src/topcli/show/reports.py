@@ -158,14 +158,19 @@ class SweepReport(Report):
 
     Attributes
     ----------
-    folder : Path
-        Folder of the sweep.
+    stored : StoredResult
+        The folder of the sweep with its manifest.
     """
 
-    folder: Path = field(kw_only=True)
+    stored: StoredResult = field(kw_only=True)
 
     def __repr__(self) -> str:
         return f"<SweepReport of {self.title}: {self.answer}>"
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the sweep."""
+        return self.stored.folder
 
     @property
     def outcomes(self) -> Mapping[str, int]:
@@ -190,7 +195,7 @@ class SweepReport(Report):
 
     def record(self) -> dict[str, Any]:
         """Everything that a page shows, with the environment in which the rows were computed."""
-        return super().record() | {"environment": origin_of(intact_sweep(self.folder))}
+        return super().record() | {"environment": origin_of(self.stored)}
 
     def picture(self, form: str) -> bytes:
         """Picture of the first measures in a format, "png", "pdf" or "svg". Raises UsageError if no key varies."""
@@ -208,9 +213,9 @@ class SweepReport(Report):
         return picture_of(draw, (5.6, sum(heights)), form)
 
 
-def sweep_report(folder: Path) -> SweepReport:
-    """Report on the finished sweep in ``folder``."""
-    rows = read_rows(folder)
+def sweep_report(stored: StoredResult) -> SweepReport:
+    """Report on a stored sweep."""
+    rows = read_rows(stored.folder)
     outcomes, choice = Counter(rows["outcome"]), next(usual_choices(rows), None)
     return SweepReport(
         "sweep",
@@ -218,9 +223,9 @@ def sweep_report(folder: Path) -> SweepReport:
         f"{counted(len(rows), 'row')}: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()),
         [rows_table(rows)],
         code=ExitCode.SUCCESS if set(outcomes) <= {COMPLETED} else ExitCode.PARTLY_FAILED,
-        config=stored_sweep_file(folder).resolved(),
+        config=stored_sweep_file(stored.folder).resolved(),
         draw=None if choice is None else lambda axes, looks: draw_points(axes, points_of(rows, choice)),
-        folder=folder,
+        stored=stored,
     )
 
 
@@ -257,6 +262,6 @@ def stored_record(place: Path) -> dict[str, Any]:
     if not folder.is_dir():
         return read_record(place)
     if is_sweep(folder):
-        return sweep_report(intact_sweep(folder).folder).record()
+        return sweep_report(intact_sweep(folder)).record()
     stored = intact_result(folder)
     return run_report(RunResult(stored, stored.report(), "up to date")).record()

@@ -12,6 +12,7 @@ from topcli.config.sweep import load_sweep
 from topcli.runs.run import RunOptions, run_experiment
 from topcli.show.progress import Progress
 from topcli.show.reports import RunReport, SweepReport, run_report, sweep_report
+from topcli.store.results import read_result
 from topcli.sweeps.run import SweepOptions, run_sweep
 
 
@@ -147,7 +148,9 @@ def sweep(
     with Progress(progress) as bar:
         bar.begin(loaded.name, unit="rows")
         options = SweepOptions(force=force, threads=threads, dask=dask, on_progress=bar)
-        return sweep_report(run_sweep(loaded, Path(out), options).folder)
+        stored = read_result(run_sweep(loaded, Path(out), options).folder)
+        assert stored
+        return sweep_report(stored)
 
 
 IRRELEVANT = {"scheme": "taylor", "h": 0.01}

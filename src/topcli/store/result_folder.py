@@ -48,7 +48,7 @@ _UNCOMPARED = ("name", "output.format")
 
 
 class Action(StrEnum):
-    """What a run does at the place of its result, in words for a dry run."""
+    """Action of a run at the place of its result, in words for a dry run."""
 
     COMPUTE = "will run"
     RENAME = "will run; the earlier result is renamed, not overwritten"

@@ -109,7 +109,7 @@ def lyapunov(
 
 
 def _orbit(growth: Growth, discarded: int, h: float) -> dict[str, Any]:
-    """What the run says about the orbit: the verdict, and from which exponent on it would have detected chaos."""
+    """Verdict of a run on its orbit, and the exponent from which on it would have detected chaos."""
     T = growth.T
     reached = growth.n[np.isfinite(growth.logs).all(axis=1)][-1:].sum()
     return {
