@@ -25,7 +25,7 @@ from topcli.tops.kowalevski import Kowalevski
 PAIRS = [
     (scheme.name, form) for form in TOPS for scheme in schemes_of(form) if "project" in scheme.options.model_fields
 ]
-SAMPLE = sorted({*PAIRS[::9], *((name, "kowalevski") for name in ("backlund", "bohlin-a", "hk", "hybrid"))})
+SAMPLE = sorted({*PAIRS[::13], *((name, "kowalevski") for name in ("backlund", "bohlin-a", "hk", "hybrid"))})
 DELONE = (0.9, 0.3, 1.0, 0.72, 0.54, math.sqrt(1.0 - 0.72**2 - 0.54**2))
 
 
@@ -70,7 +70,7 @@ def test_every_k_steps() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["hk", "dmv", "hybrid-sym"])
+@pytest.mark.parametrize("name", ["hk", "hybrid-sym"])
 def test_large_steps_are_never_silently_wrong(name: str) -> None:
     """At steps that cannot converge, of the scheme or the projection: all integrals are kept, or the run says so."""
     outcomes: Counter[Outcome] = Counter()

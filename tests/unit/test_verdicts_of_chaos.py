@@ -14,7 +14,7 @@ from topcli.analysis.lyapunov import CHAOTIC, DEEP, FALLS, LATE, LEAST_STEPS, RE
 from topcli.analysis.recurrence import Recurrence
 from topcli.config.load import load_experiment
 
-LENGTHS = np.unique(np.round(np.geomspace(LEAST_STEPS, 200_000, 60)).astype(int)).tolist()
+LENGTHS = np.unique(np.round(np.geomspace(LEAST_STEPS, 200_000, 40)).astype(int)).tolist()
 LOG_T = math.log(1001.0)
 """Growth of a regular orbit of ``curves``: a unit of time of 1, over 1000."""
 
@@ -123,7 +123,7 @@ SEPARATRICES: dict[str, tuple[Any, Any]] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SEPARATRICES)
 def test_integrable_motion_near_a_separatrix_is_never_chaotic(name: str) -> None:
-    """At 60 lengths. Half the verdicts at least are not undecided, or the test would say little."""
+    """At 40 lengths. Half the verdicts at least are not undecided, or the test would say little."""
     experiment, y = SEPARATRICES[name]
     counts = counted(experiment, y, LENGTHS)
     assert set(counts) <= {"regular", "undecided", "escaping"}
