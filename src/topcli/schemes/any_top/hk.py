@@ -1,5 +1,6 @@
 """Hirota-Kimura scheme (Kahan's method) of every quadratic field, generated from the field (``topcli.field.implicit``).
 
+``topcli show hk --top lagrange --source`` prints the step of a top.
 Of a step of some motion the linear system is singular for certain lengths of the order of 1/|omega|. The determinant is
 1 + O(h²), so that a small determinant shows such a step: the state then jumps far away. A top with an energy ends as
 ``left_motion`` or ``blew_up`` within a few steps; for a top without one, steps with a small determinant are counted.
