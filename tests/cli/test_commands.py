@@ -166,7 +166,7 @@ def test_several_runs_have_titles_one_document_and_one_code(cli: Cli, in_tmp: Pa
 
 
 SIZES = {"a denormal": 5e-324, "large": 1e20, "the largest": 1.7e308}
-SCENES_OF_SIZES = (*(name for name in scene_files() if name.endswith("_gentle")), "euler_hk")
+SCENES_OF_SIZES = [*[name for name in scene_files() if name.endswith("_gentle")][1::3], "euler_hk"]
 
 
 def settings_of_size(scene: str, size: float) -> Iterator[str]:
