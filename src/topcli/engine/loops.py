@@ -204,12 +204,12 @@ class Loop:
     cached: bool = True
     iterative: bool = False
     returns_early: bool = False
-    limit: Sequence[Exception] = ()
-    """Not empty after a step whose numbers became too long."""
+    too_long: Sequence[Exception] = ()
+    """Not empty after a step whose numbers became longer than a run allows."""
 
     def failure(self, work: Array) -> Outcome:
         """Outcome of a run whose failed step left ``work``."""
-        if self.limit:
+        if self.too_long:
             return Outcome.DIGIT_LIMIT
         status = work[len(work) - len(self.counters) - 1]
         return Outcome.NO_CONVERGENCE if self.iterative and status != status else Outcome.BLEW_UP  # nan
@@ -295,7 +295,7 @@ def interpreted(method: Method, d: int, constants: int) -> Loop:
     return _loop_over(_function(_SINGLE, whole, d, constants), whole)
 
 
-def state_after(loop: Loop, y: Array, p: Array | None, h: Any, steps: int = 1) -> Array | None:
+def state_after(loop: Loop, y: Array, p: Array, h: Any, steps: int = 1) -> Array | None:
     """State after some steps of ``h`` from ``y`` (d,), in the numbers of ``y``; None if a step fails."""
     work, end, left = np.zeros(loop.width, dtype=y.dtype), np.full_like(y, math.nan), steps
     try:
