@@ -31,7 +31,7 @@ import numpy as np
 from topcli import __version__
 from topcli.engine.code_store import store_code, stored_code
 from topcli.engine.kernels import NO_VARIANTS, CompileError, Variants, compiled
-from topcli.engine.reach import digest
+from topcli.engine.reach import reach
 from topcli.errors import SchemeCodeError
 
 _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
@@ -182,5 +182,5 @@ def native(
     by a function that makes dual numbers (``engine.duals``). Raises CompileError if the compiler refuses the function,
     SchemeCodeError naming a value that compiled code cannot refer to.
     """
-    identity = f"{digest(function, *variants.items())}|{duals}"
+    identity = f"{reach(function, *variants.items())[0]}|{duals}"
     return _stored_or_made(identity, signature, lambda: compiled(function, signature, variants, duals))
