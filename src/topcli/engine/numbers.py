@@ -364,7 +364,7 @@ def precise_scheme(
         step, enter, leave = map(in_numbers, (step, built.enter, built.leave))
     except NotRationalError as error:
         raise refused(scheme, numbers, str(error)) from None
-    return other, replace(built, step=step, enter=enter, leave=leave, plain=True, stages=None, constants=())
+    return other, replace(built, step=step, enter=enter, leave=leave, plain=True, constants=())
 
 
 def _check_field(exact: Any, p: tuple[Any, ...], numbers: Numbers) -> None:

@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
 from topcli.engine.duals import dual, primal_of, slope_of
-from topcli.engine.kernels import CompileError
-from topcli.engine.loops import Loop, loop_code, loop_of, more_parameters, state_after
-from topcli.engine.reach import place_of
+from topcli.engine.loops import Loop, loop_code, loop_of, state_after
 from topcli.errors import UsageError
 
 NEAR, FAR = 2.0**128, 2.0**512
@@ -128,16 +126,12 @@ def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> Tangen
         step, vector = _with_tangent(method, d), slice(method.width, 2 * method.width)
 
     def loop_over(stepper: Stepper, length: int) -> Callable[..., int]:
-        return loop_code(stepper, length, constants, lanes, duals=variational is None).checked
+        return loop_code(stepper, length, constants, lanes, differentiated=None if variational else method.step).checked
 
-    try:
-        take_steps, enter = loop_over(step, 2 * d), None
-        if step.enter:  # what a step that moves nothing records of state and vector
-            enter = loop_over(replace(step, step=same_state, width=2 * d, leave=step.enter, checked=d), step.width)
-    except CompileError as error:
-        where = place_of(method.step)
-        raise UsageError(f"{where}: the step of {scheme.name!r} cannot be differentiated: {error}") from None
-    params = np.array([*top.constants(), *more_parameters(step)])
+    take_steps, enter = loop_over(step, 2 * d), None
+    if step.enter:  # what a step that moves nothing records of state and vector
+        enter = loop_over(replace(step, step=same_state, width=2 * d, leave=step.enter, checked=d), step.width)
+    params = np.array([*top.constants(), *step.doubles])
     return TangentCode(take_steps, enter, params, step.width, vector, lanes)
 
 
