@@ -16,7 +16,7 @@ from typing import Any
 
 from topcli.arithmetic.fused import fma, unlikely
 from topcli.engine.duals import dual_numbers
-from topcli.engine.reach import home_of, is_standard, place_of, plain_function, reach
+from topcli.engine.reach import home_of, is_standard, place_of, reach
 from topcli.errors import RunError, SchemeCodeError, TopcliError
 
 Variants = Mapping[Callable[..., Any], Callable[..., Any]]
@@ -87,7 +87,6 @@ def _numba() -> dict[Any, Any]:
         raise RunError("NUMBA_DISABLE_JIT is set: topcli cannot compile its time loop; unset it")
     from llvmlite import ir
     from numba import types as kinds
-    from numba.core.dispatcher import Dispatcher
     from numba.core.registry import cpu_target
     from numba.extending import intrinsic, typeof_impl
 
@@ -109,19 +108,18 @@ def _numba() -> dict[Any, Any]:
 
     def kernel_type(value: Any, context: Any) -> Any:
         """Type of a function in compiled code."""
-        choice, function = _choice.get(None), plain_function(value)
-        if choice is None or function is None or is_standard(home_of(function)):
+        choice = _choice.get(None)
+        if choice is None or is_standard(home_of(value)):
             return getattr(value, "_numba_type_", None)  # numba's own rule
-        stand_in = choice.stand_ins.get(function)
-        if stand_in is function:
+        stand_in = choice.stand_ins.get(value, value)
+        if stand_in is value and value in choice.stand_ins:
             return None  # numba has rules for it
-        if stand_in is None or isinstance(stand_in, types.FunctionType):
-            return kinds.Dispatcher(_kernel(stand_in or function, choice))
+        if isinstance(stand_in, types.FunctionType):
+            return kinds.Dispatcher(_kernel(stand_in, choice))
         typing: Any = cpu_target.typing_context
         return typing.resolve_value_type(stand_in)
 
     typeof_impl.register(types.FunctionType)(kernel_type)
-    typeof_impl.register(Dispatcher)(kernel_type)
     return {fma: fused, unlikely: expected_false}
 
 
@@ -138,8 +136,7 @@ def compiled(function: Callable[..., Any], signature: str, variants: Variants, d
     compiler = cfunc(kinds.int64(*(letters[c] for c in signature)), error_model="numpy", forceinline=True)
     token = _choice.set(_Choice(stand_ins))
     try:
-        plain: Any = plain_function(function)
-        compiled: Any = compiler(plain)
+        compiled: Any = compiler(function)
     except (TopcliError, MemoryError):
         raise
     except Exception as error:  # numba raises its own kinds and plain ones

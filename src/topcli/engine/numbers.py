@@ -28,7 +28,7 @@ from topcli.arithmetic.fused import FOLLOWING, double_of, fma
 from topcli.arithmetic.vectors import sinc_cosc_polynomials
 from topcli.contracts import Scheme, StepFunction, Stepper, Top, check_stop
 from topcli.engine.loops import Loop, interpreted
-from topcli.engine.reach import place_of, plain_function, references
+from topcli.engine.reach import place_of, references
 from topcli.errors import UsageError
 from topcli.field.polynomial import polynomial_field
 
@@ -149,12 +149,12 @@ class Numbers:
         if isinstance(value, types.ModuleType):
             left = value.__name__.partition(".")[0] in _LEFT
             return self.math if value is math else value if left else _Module(value, lambda x: self.rebuilt(x, done))
-        plain = plain_function(value)
-        if plain is None or (plain not in done and (plain.__module__ or "").partition(".")[0] in _LEFT):
+        if not isinstance(value, types.FunctionType):
             return value
-        if plain not in done:
-            done[plain] = self._copy(plain, done)
-        return done[plain]
+        if value not in done:
+            left = (value.__module__ or "").partition(".")[0] in _LEFT
+            done[value] = value if left else self._copy(value, done)
+        return done[value]
 
     def _copy(self, plain: types.FunctionType, done: dict[Any, Any]) -> types.FunctionType:
         """Copy of a function that refers to copies."""

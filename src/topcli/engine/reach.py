@@ -26,17 +26,10 @@ _STANDARD_LIBRARY = sysconfig.get_path("stdlib")
 _PLAIN = frozenset((int, float, complex, bool, str, bytes, type(None), type(...)))
 
 
-def plain_function(value: object) -> types.FunctionType | None:
-    """``value`` as a plain Python function: itself, or the one that a numba dispatcher wraps; else None."""
-    if not isinstance(value, types.FunctionType | types.ModuleType | type):
-        value = getattr(value, "py_func", None)
-    return value if isinstance(value, types.FunctionType) else None
-
-
 def place_of(function: Callable[..., Any]) -> str:
     """File and line of a function, for messages; of another callable, its ``repr``."""
-    plain = plain_function(function)
-    return f"{plain.__code__.co_filename}:{plain.__code__.co_firstlineno}" if plain else repr(function)
+    code = getattr(function, "__code__", None)
+    return f"{code.co_filename}:{code.co_firstlineno}" if code else repr(function)
 
 
 def _names(code: types.CodeType) -> Iterator[str]:
@@ -102,7 +95,6 @@ class _Walk:
     def put(self, value: Any, place: str = "") -> None:
         """Add a value by its content. Raises SchemeCodeError for one that has none, after its ``place``."""
         kind = type(value)
-        function = plain_function(value)
         if kind in _PLAIN:
             self.text(kind.__name__, repr(value))
         elif isinstance(value, tuple):
@@ -119,11 +111,11 @@ class _Walk:
             self.text(value.co_code.hex(), value.co_flags, value.co_argcount, value.co_kwonlyargcount)
             self.text(value.co_names, value.co_varnames, value.co_freevars, value.co_exceptiontable.hex())
             self.put(value.co_consts)
-        elif function is not None and not is_standard(home_of(function)):
-            again = function in self.functions  # or on the way to itself
-            self.text("function", again, self.functions.setdefault(function, len(self.functions)))
+        elif isinstance(value, types.FunctionType) and not is_standard(home_of(value)):
+            again = value in self.functions  # or on the way to itself
+            self.text("function", again, self.functions.setdefault(value, len(self.functions)))
             if not again:
-                self._function(function)
+                self._function(value)
         elif isinstance(value, types.ModuleType):
             self.text("module", value.__name__)
         elif _is_named(value):
