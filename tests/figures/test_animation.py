@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from attitude_runs import TURNED, stored
 from cases import table_of
 from conftest import Said
-from topcli.arithmetic.quaternions import matrices
 from topcli.figures.animation import BodyMotion, Stage, animate, frame_times, stored_body_motion
 from topcli.figures.style import styled
 
@@ -41,7 +41,7 @@ def test_frames_show_the_run_at_their_times(motion: BodyMotion) -> None:
     assert stage.time.get_text() == f"$t = {times[12]:.2f}$"
     (dot,) = (line for line in stage.axes.lines if line.get_marker() == "o")
     tip = np.column_stack(dot.get_data_3d())[0]
-    before, after = matrices(motion.attitude[row : row + 2]) @ motion.body.axis
+    before, after = Rotation.from_quat(motion.attitude[row : row + 2], scalar_first=True).apply(motion.body.axis)
     part = (times[12] - motion.t[row]) / (motion.t[row + 1] - motion.t[row])
     np.testing.assert_allclose(tip, (1.0 - part) * before + part * after, atol=1e-4)
     assert stage.dot.get_ydata()[0] == pytest.approx(tip[2])

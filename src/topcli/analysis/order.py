@@ -245,7 +245,7 @@ def one_step_back_and_forth(top: Top, method: Method, y: Sequence[float], h: flo
     return _back_and_forth(interpreted(method, len(y), len(p)), p, np.array(y, dtype=np.float64), h)
 
 
-def _back_and_forth(loop: Loop, p: Array | None, start: NDArray[Any], h: Any) -> float:
+def _back_and_forth(loop: Loop, p: Array, start: NDArray[Any], h: Any) -> float:
     """Largest component of the difference after one step with h and one with -h; infinite if one of them fails."""
     there = state_after(loop, start, p, h)
     back = None if there is None else state_after(loop, there, p, -h)
@@ -281,7 +281,7 @@ def reversal(
             return one_step_back_and_forth(top, method, y.tolist(), factor * abs(h))
         number = precise.arithmetic.number
         start = np.array([number(Fraction(x)) for x in y.tolist()], dtype=np.object_)
-        return _back_and_forth(precise.loop, None, start, abs(precise.h) * number(Fraction(factor)))
+        return _back_and_forth(precise.loop, np.empty(0), start, abs(precise.h) * number(Fraction(factor)))
 
     sizes = [factor * abs(h) for factor in factors]
     defects = [max(defect(y, factor) for y in states) for factor in factors]

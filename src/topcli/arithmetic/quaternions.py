@@ -84,12 +84,6 @@ def canonical_quaternion(q: Quaternion) -> Quaternion:
     return q
 
 
-def matrices(q: Array) -> Array:
-    """Rotation matrices (m, 3, 3) of unit quaternions (m, 4)."""
-    columns = [rotate(tuple(q.T), axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
-    return np.stack([np.stack(np.broadcast_arrays(*column), axis=1) for column in columns], axis=2)
-
-
 def euler_angles(q: Array) -> tuple[Array, Array, Array]:
     """Euler's angles psi, theta, phi (m,) of unit quaternions (m, 4), in the sequence z-x-z.
 

@@ -1,7 +1,7 @@
 """Attitude of the body, computed along the rows that the time loop records.
 
 The time loop of a method is used as it is: it records every step into a buffer, and ``carry`` turns the attitude from
-row to row and passes on the rows that are wanted, each with its quaternion. States therefore have the bits of a run
+row to row; of these rows some are passed on, each with its quaternion. States therefore have the bits of a run
 without attitude, whose machine code is the same. The attitude is part of the working state, so that a run resumes bit
 for bit.
 
@@ -52,52 +52,31 @@ LARGEST_CORRECTION = 0.05
 """Largest difference, in radians, of the turn of a step from that by the mean omega; a longer step has no attitude."""
 PROBE = 1.0 / 32.0
 """Time, in steps, over which omega is differentiated."""
-_NEEDED_BY = "the attitude"
 NUMBERS = 4
 """Numbers of a recorded attitude, a unit quaternion."""
 BLOCK_STEPS = 2048
 """Steps between two passes over the rows."""
-CARRY = "pppppqqqqq"
+CARRY = "ppppqq"
 """Signature of ``carry``."""
 
 
-def carry(
-    attitude: Any,
-    states: Any,
-    moved: Any,
-    fixed: Any,
-    out: Any,
-    d: int,
-    in_space: int,
-    steps: int,
-    every: int,
-    until: int,
-) -> int:
-    """Carry the quaternion ``attitude`` along ``steps`` rows of ``states``; return how many of them ``out`` gets.
+def carry(attitude: Any, moved: Any, fixed: Any, out: Any, in_space: int, steps: int) -> int:
+    """Carry the quaternion ``attitude`` along ``steps`` steps; ``out`` gets those to be recorded after each step.
 
     ``moved`` are the turns of the steps as tan(angle/2) times the axis, ``fixed`` the unit vectors that are fixed in
-    space, or zeros. The first row is written after ``until`` steps, then every ``every``-th, and begins with the ``d``
-    numbers of a state.
+    space, or zeros.
     """
     q = (attitude[0], attitude[1], attitude[2], attitude[3])
-    written = 0
     for i in range(steps):
         k = 3 * i
         q = turned_by(q, product(q, unit_turn(moved[k], moved[k + 1], moved[k + 2])))
         v = (fixed[k], fixed[k + 1], fixed[k + 2])
         if v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0:
             q = turned_by(q, product(turn_upright(rotate(q, v)), q))
-        until -= 1
-        if until == 0:
-            until = every
-            n = written * (d + 4)
-            for j in range(d):
-                out[n + j] = states[i * d + j]
-            r = canonical_quaternion(conjugate(q) if in_space else q)
-            out[n + d], out[n + d + 1], out[n + d + 2], out[n + d + 3] = r[0], r[1], r[2], r[3]
-            written += 1
+        r = canonical_quaternion(conjugate(q) if in_space else q)
+        out[4 * i], out[4 * i + 1], out[4 * i + 2], out[4 * i + 3] = r[0], r[1], r[2], r[3]
     attitude[0], attitude[1], attitude[2], attitude[3] = q[0], q[1], q[2], q[3]
-    return written
+    return steps
 
 
 @cache
@@ -140,7 +119,7 @@ class Turning:
     """
 
     def __init__(self, top: Top, order: int) -> None:
-        checked_rotation(top, _NEEDED_BY)
+        checked_rotation(top, "the attitude")
         self.top, self.order, self.p = top, order, tuple(map(float, top.constants()))
         self.code = _compiled()
 
@@ -159,17 +138,13 @@ class Turning:
         angle = np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1e-100)
         return turn * (np.tan(0.5 * angle) / angle)
 
-    def along(self, q: Array, states: Array, out: Array, h: float, every: int, until: int) -> int:
-        """Call ``carry`` for the ``states`` (1 + steps, d), of which the first has the attitude ``q``."""
-        steps, d = len(states) - 1, states.shape[1]
-        with np.errstate(all="ignore"):
-            fixed, moved = _fixed(self.top, states[1:]), self.turns(states, h)
-        later, in_space = states[1:].ravel(), int(self.top.in_space)
-        return self.code(q, later, moved.ravel(), fixed.ravel(), out, d, in_space, steps, every, until)
-
-    def begin(self, q: Floats) -> Array:
-        """Attitude that ``carry`` takes, from a recorded quaternion."""
-        return np.array(conjugate((q[0], q[1], q[2], q[3])) if self.top.in_space else q)
+    @np.errstate(all="ignore")
+    def along(self, q: Array, states: Array, h: float) -> Array:
+        """Recorded quaternions (m - 1, 4) in the ``states`` (m, d) after the first one; carries ``q`` (4,) along."""
+        steps, moved, fixed = len(states) - 1, self.turns(states, h), _fixed(self.top, states[1:])
+        out = np.empty(steps * NUMBERS)
+        self.code(q, moved.ravel(), fixed.ravel(), out, int(self.top.in_space), steps)
+        return out.reshape(steps, NUMBERS)
 
 
 def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loop:
@@ -182,32 +157,35 @@ def attitude_loop(top: Top, scheme: Scheme, options: Any, method: Method) -> Loo
     loop = loop_of(method, d, len(top.constants()))
     turning = Turning(top, 4 if order is None or scheme.adaptive or order > 2 else 2)
     block, head = np.empty((1 + BLOCK_STEPS, d)), NUMBERS + d
-    rows = block[1:].reshape(-1)
 
+    # the working state is that of the loop, after the attitude and the state
     def enter(y: Array, work: Array, p: Array, h: float) -> int:
-        work[:NUMBERS], work[NUMBERS:head] = turning.begin(y[d:].tolist()), y[:d]
+        work[:head] = *(y[d:] * [1.0, -1.0, -1.0, -1.0] if top.in_space else y[d:]), *y[:d]
         return loop.enter(y[:d], work[head:], p, h)
 
     def take_steps(work: Array, out: Array, p: Array, h: float, steps: int, every: int, until: int) -> int:
-        taken = written = 0
-        begun = work.copy()
-        try:
-            while taken < steps:
-                size = min(BLOCK_STEPS, steps - taken)
-                went = loop.take_steps(work[head:], rows, p, h, size, 1, 1)
-                good = went if went >= 0 else -went - 1
-                block[0] = work[NUMBERS:head]
-                left, rest = until + written * every - taken, out[written * (d + NUMBERS) :]
-                written += turning.along(work[:NUMBERS], block[: good + 1], rest, h, every, left)
-                work[NUMBERS:head] = block[good]
-                if went < 0:
-                    return went - taken
-                taken += went
-                if went < size:
-                    break
-        except StopAsked:  # no step of this call counts as taken
-            work[:] = begun
-            raise
+        taken, rows = 0, out[: len(out) // head * head].reshape(-1, head)
+        while taken < steps:
+            size = min(BLOCK_STEPS, steps - taken)
+            try:
+                went = loop.take_steps(work[head:], block[1:].reshape(-1), p, h, size, 1, 1)
+            except StopAsked:  # none of these steps counts as taken
+                break
+            good = went if went >= 0 else -went - 1
+            block[0] = work[NUMBERS:head]
+            q = turning.along(work[:NUMBERS], block[: good + 1], h)
+            work[NUMBERS:head] = block[good]
+
+            # of all steps the first one that is recorded is number ``until``
+            first = (until - 1 - taken) % every
+            states, q = block[1 : good + 1][first::every], q[first::every]
+            rows[: len(q), :d], rows[: len(q), d:] = states, q
+            rows = rows[len(q) :]
+            if went < 0:
+                return went - taken
+            taken += went
+            if went < size:
+                break
         return taken
 
     return replace(

@@ -1,7 +1,7 @@
-"""Folder of stored machine code; a file that another user could have written is not used.
+"""Folder of stored machine code, which is not used if another user could have written a file in it.
 
-Who can write a file here decides what later processes execute. A file is therefore used only if it and its folder
-belong to the effective user and nobody else may write them, and if its checksum, which covers its name too, agrees.
+Who can write a file here decides what later processes execute. The folder must therefore belong to the effective user,
+and nobody else may write it; and the checksum of a file, which covers its name too, must agree.
 """
 
 from __future__ import annotations
@@ -25,20 +25,17 @@ def cache_folder() -> Path:
     return user_cache_path("topcli") / "kernels"
 
 
-def _distrust(about: os.stat_result) -> str:
-    """Reason not to use a file or folder; empty if there is none."""
+def cache_problem() -> str:
+    """Reason not to use the folder; empty if there is none."""
+    try:
+        about = cache_folder().stat()
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        return str(error)
     if hasattr(os, "geteuid") and about.st_uid != os.geteuid():
         return f"it belongs to the user with number {about.st_uid}, not to {os.geteuid()}"
     return f"others may write it (mode {about.st_mode & 0o777:o})" if about.st_mode & 0o022 else ""
-
-
-def cache_problem() -> str:
-    """Reason not to use the folder; empty if there is none."""
-    folder = cache_folder()
-    try:
-        return _distrust(folder.stat()) if folder.exists() else ""
-    except OSError as error:
-        return str(error)
 
 
 def _checksum(name: str, content: bytes) -> bytes:
@@ -46,13 +43,11 @@ def _checksum(name: str, content: bytes) -> bytes:
 
 
 def stored_code(name: str) -> bytes | None:
-    """Content of a file of the folder; None if it is absent, not trusted, or not as it was stored."""
+    """Content of a file of the folder; None if it is absent, or not as it was stored, or the folder is not trusted."""
     with suppress(OSError):
-        if not cache_problem():
-            with open(cache_folder() / name, "rb") as file:
-                about, data = os.fstat(file.fileno()), file.read()
-            if not _distrust(about) and data[:32] == _checksum(name, data[32:]):
-                return data[32:]
+        data = b"" if cache_problem() else (cache_folder() / name).read_bytes()
+        if data[:32] == _checksum(name, data[32:]):
+            return data[32:]
     return None
 
 

@@ -12,8 +12,6 @@ import math
 import operator
 from collections.abc import Callable, Sequence
 from functools import cache
-from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
 from topcli.arithmetic.fused import fma
@@ -32,12 +30,6 @@ def primal_of(number: Any) -> float:
 def slope_of(number: Any) -> float:
     """Derivative of a dual number, 0 of a float; in compiled code only."""
     raise NotImplementedError
-
-
-@cache
-def rules_digest() -> str:
-    """Text that changes with the rules of this module."""
-    return sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 _NAMES = "xyz"
@@ -106,19 +98,15 @@ def _slope(derivatives: Sequence[str], duals: Sequence[bool]) -> str:
     return slope or "0.0"
 
 
-@cache
-def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
-    """Teach numba the type, with ``fused`` for ``fma``; return what stands for ``dual`` ... in compiled code."""
+def _dual_type() -> tuple[Any, Any, Any, Any]:
+    """The type of numba, and the intrinsic functions that make a number, and take its value and its slope."""
     from llvmlite import ir
     from numba import types
     from numba.core.typeconv.castgraph import Conversion
-    from numba.extending import intrinsic, lower_cast, models, overload, register_model
+    from numba.extending import intrinsic, lower_cast, models, register_model
 
     class DualType(types.Type):
-        """Type of a dual number."""
-
-        def __init__(self) -> None:
-            super().__init__(name="Dual")
+        """Type of a dual number; other numbers convert to it."""
 
         def unify(self, typingctx: Any, other: Any) -> Any:
             return self if isinstance(other, types.Number) else None
@@ -126,12 +114,8 @@ def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
         def can_convert_from(self, typingctx: Any, other: Any) -> Any:
             return Conversion.safe if isinstance(other, types.Number) else None
 
-    kind, struct = DualType(), models.StructModel
-
-    @register_model(DualType)
-    class _DualModel(struct):
-        def __init__(self, manager: Any, fe_type: Any) -> None:
-            super().__init__(manager, fe_type, [("value", types.float64), ("slope", types.float64)])
+    kind, members = DualType("Dual"), [("value", types.float64), ("slope", types.float64)]
+    register_model(DualType)(lambda manager, fe_type: models.StructModel(manager, fe_type, members))
 
     def joined(context: Any, builder: Any, value: Any, slope: Any) -> Any:
         pair = ir.Constant(context.get_value_type(kind), ir.Undefined)
@@ -143,7 +127,7 @@ def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
         return joined(context, builder, value, context.get_constant(types.float64, 0.0))
 
     @intrinsic
-    def made(context: Any, value: Any, slope: Any) -> Any:
+    def make(context: Any, value: Any, slope: Any) -> Any:
         return kind(types.float64, types.float64), lambda c, builder, signature, x: joined(c, builder, *x)
 
     def part(which: int) -> Any:
@@ -158,7 +142,17 @@ def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
 
         return taken
 
-    scope: dict[str, Any] = {"dual": made, "value": part(0), "slope": part(1), "fma": fused, "math": math}
+    return kind, make, part(0), part(1)
+
+
+@cache
+def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
+    """Teach numba the type, with ``fused`` for ``fma``; return what stands for ``dual`` ... in compiled code."""
+    from numba import types
+    from numba.extending import overload
+
+    kind, make, value, slope = _dual_type()
+    scope: dict[str, Any] = {"dual": make, "value": value, "slope": slope, "fma": fused, "math": math}
     options: Any = {"error_model": "numpy", "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
     def learn(function: Callable[..., Any], text_for: Callable[..., str | None]) -> None:
@@ -186,6 +180,7 @@ def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
         k = n.literal_value
         return differentiable(_power(k), *([f"{float(k)} * ({_power(k - 1)})"] if k else []))(x)
 
+    # functions of numbers, tests of their values, whole powers, and the fma of floats
     for functions, rule in RULES.items():
         for function in functions:
             learn(function, differentiable(*rule))
@@ -197,4 +192,4 @@ def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
     def _of_floats(a: Any, b: Any, c: Any) -> Any:
         return None if kind in (a, b, c) else lambda a, b, c: fused(a, b, c)  # pyright: ignore[reportCallIssue]
 
-    return {fma: fma, dual: made, primal_of: scope["value"], slope_of: scope["slope"]}
+    return {fma: fma, dual: make, primal_of: value, slope_of: slope}

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,16 +46,10 @@ CALL_SECONDS = 0.25
 """Approximate longest time of a call."""
 
 
-def recorded_rows(steps: int, until: int, every: int) -> int:
-    """Number of rows recorded in ``steps`` steps: after ``until`` of them, then after every ``every``."""
-    return max(0, (steps - until) // every + 1)
-
-
 class Stretch(NamedTuple):
     """Steps that a tile is to take: at most ``steps``, with a row after ``until`` of them, then after every ``every``.
 
-    ``out`` (size, rows, d) is the buffer of the rows, ``begun`` of which are already there. The calls end after the
-    ``deadline``, a reading of the clock.
+    ``out`` (size, rows, d) is the buffer of the rows, ``begun`` of which are already there.
     """
 
     steps: int
@@ -63,7 +57,10 @@ class Stretch(NamedTuple):
     until: int
     out: Array
     begun: int
-    deadline: float
+
+    def rows(self, steps: int) -> int:
+        """Number of rows recorded in the first ``steps`` steps."""
+        return max(0, (steps - self.until) // self.every + 1)
 
 
 class Integration:
@@ -146,7 +143,6 @@ class Integration:
         The rows are views into a buffer that the next call in the same thread overwrites.
         """
         plan, done, first = self.plan, max(int(self.done[tile]), 0), tile * self.size
-        deadline = math.inf if self.lanes > 1 else time.perf_counter() + CALL_SECONDS
         end, every, begun = plan.N - plan.N % plan.every, plan.every, int(self.done[tile] < 0)
         if tail := done >= end:  # no row comes any more, but the state after step N is needed
             end, every = plan.N, plan.N - done
@@ -159,7 +155,7 @@ class Integration:
         if begun:
             out[:count, 0] = plan.states[here]
         take = self._alone if self.lanes == 1 else self._side_by_side
-        taken, reached = take(tile, Stretch(steps, every, until, out, begun, deadline))
+        taken, reached = take(tile, Stretch(steps, every, until, out, begun))
         self.done[tile] = done + taken
         self._fill_idle(tile)
         lengths = np.where(alive, reached + begun, 0)[:count]
@@ -179,75 +175,56 @@ class Integration:
             self._buffers.numbers = np.empty(self._buffers.size, dtype=self.plan.states.dtype)
         return self._buffers.numbers[: math.prod(shape)].reshape(shape)
 
-    def _in_calls(self, tile: int, call: Callable[[int, int, int], int], stretch: Stretch) -> int:
-        """Take the steps of a stretch in calls that grow while they are short.
-
-        ``call(rows, size, until)`` takes ``size`` steps, after ``rows`` recorded rows. Return the steps taken or minus
-        the number of the failed one.
-        """
-        taken, now, (steps, every, until, *_) = 0, time.perf_counter(), stretch
-        try:
-            while taken < steps and not (self.lanes == 1 and stop_asked()):
-                rows, size, before = recorded_rows(taken, until, every), min(steps - taken, self._call_steps), now
-                went = call(rows, size, until + rows * every - taken)
-                now = time.perf_counter()
-                self.seconds[tile] += now - before
-                if went < 0:
-                    return went - taken
-                taken += went
-                if went < size or now > stretch.deadline:
-                    break
-                self._call_steps = int(max(1, min(8 * size, size * CALL_SECONDS / max(now - before, 1e-9))))
-        except StopAsked:  # a step during which it is raised counts as not taken
-            pass
-        return taken
-
-    def _one(self, tile: int, j: int, work: Array, stretch: Stretch) -> int:
-        """Take the steps of trajectory ``j`` of a tile from the working state ``work`` (width,)."""
-        loop, p, h, d = self.machine.loop, self.machine.p, self.plan.step, self.plan.states.shape[1]
-        out = stretch.out[j, stretch.begun :].reshape(-1)
-
-        def call(rows: int, size: int, until: int) -> int:
-            return loop.take_steps(work, out[rows * d :], p, h, size, stretch.every, until)
-
-        return self._in_calls(tile, call, stretch)
-
     def _alone(self, tile: int, stretch: Stretch) -> tuple[int, NDArray[np.int64]]:
-        """Advance a tile of one trajectory; return the steps taken and the number of rows reached (1,)."""
-        work = self.work[tile, 0, :-1, 0]
-        went = self._one(tile, 0, work, stretch)
-        if went < 0:
-            self._failed(tile, 0, work, -went)
-        good = went if went >= 0 else -went - 1
-        return good, np.array([recorded_rows(good, stretch.until, stretch.every)])
+        """Advance a tile of one trajectory, for about ``CALL_SECONDS`` at most.
+
+        The calls of the loop grow while they are short. Return the steps taken and the number of rows reached (1,).
+        """
+        loop, work, out = self.machine.loop, self.work[tile, 0, :-1, 0], stretch.out[0, stretch.begun :].reshape(-1)
+        taken, now, d, (steps, every, until, *_) = 0, time.perf_counter(), self.plan.states.shape[1], stretch
+        deadline = now + CALL_SECONDS
+        while taken < steps and now <= deadline and not stop_asked():
+            rows, size, before = stretch.rows(taken), min(steps - taken, self._call_steps), now
+            begin, left = out[rows * d :], until + rows * every - taken
+            try:
+                went = loop.take_steps(work, begin, self.machine.p, self.plan.step, size, every, left)
+            except StopAsked:  # a step during which it is raised counts as not taken
+                break
+            now = time.perf_counter()
+            self.seconds[tile] += now - before
+            if went < 0:
+                taken -= went + 1
+                self._failed(tile, 0, work, taken + 1)
+                break
+            taken += went
+            if went < size:
+                break
+            self._call_steps = int(max(1, min(8 * size, size * CALL_SECONDS / max(now - before, 1e-9))))
+        return taken, np.array([stretch.rows(taken)])
 
     def _side_by_side(self, tile: int, stretch: Stretch) -> tuple[int, NDArray[np.int64]]:
         """Advance a tile by the loop over lanes; return the steps taken and the numbers of rows reached (size,)."""
-        work, alive, out, d = self.work[tile], self.alive[tile], stretch.out.reshape(-1), stretch.out.shape[2]
-        code, params, h, every = self.machine.lanes(self.lanes).checked, self.machine.params, self.plan.h, stretch.every
-        before, stride, begin = work[:, :-1].copy(), stretch.out.shape[1] * d, stretch.begun * d
-        slabs = np.flatnonzero(alive.reshape(-1, self.lanes).any(axis=1)).tolist()
+        work, alive, began = self.work[tile], self.alive[tile], time.perf_counter()
+        code, h, (steps, every, until, out, begun) = self.machine.lanes(self.lanes).checked, self.plan.h, stretch
+        before, stride, params = work[:, :-1].copy(), out[0].size, self.machine.params
         work[:, -1] = 0.0
+        for slab in np.flatnonzero(alive.reshape(-1, self.lanes).any(axis=1)).tolist():
+            begin = out[slab * self.lanes :].reshape(-1)[begun * out.shape[2] :]
+            code(work[slab], begin, params, h, steps, every, until, stride)
 
-        def call(rows: int, size: int, until: int) -> int:
-            for slab in slabs:
-                at = slab * self.lanes * stride + begin + rows * d
-                code(work[slab], out[at:], params, h, size, every, until, stride)
-            return size
-
-        taken = self._in_calls(tile, call, stretch)
-        stretch = stretch._replace(steps=taken)
-        reached = np.full(self.size, recorded_rows(taken, stretch.until, every))
+        # lanes whose sum is not finite repeat their steps alone
+        reached = np.full(self.size, stretch.rows(steps))
         for j in np.flatnonzero(~np.isfinite(work[:, -1]).ravel() & alive).tolist():
             slab, lane = divmod(j, self.lanes)
-            alone = before[slab, :, lane].copy()
-            went = self._one(tile, j, alone, stretch)
+            alone, row = before[slab, :, lane].copy(), out[j, begun:].reshape(-1)
+            went = self.machine.loop.take_steps(alone, row, self.machine.p, h, steps, every, until)
             if went >= 0:
                 work[slab, :-1, lane] = alone
             else:
-                reached[j] = recorded_rows(-went - 1, stretch.until, every)
+                reached[j] = stretch.rows(-went - 1)
                 self._failed(tile, j, alone, -went)
-        return taken, reached
+        self.seconds[tile] += time.perf_counter() - began
+        return steps, reached
 
     def _failed(self, tile: int, j: int, work: Array, step: int) -> None:
         """Store the ending of trajectory ``j`` of a tile, whose next step number ``step`` left ``work`` (width,)."""

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import types
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
@@ -17,7 +16,7 @@ from typing import Any
 
 from topcli.arithmetic.fused import fma, unlikely
 from topcli.engine.duals import dual_numbers
-from topcli.engine.reach import home_of, is_standard, place_of, plain_function, reach
+from topcli.engine.reach import home_of, is_standard, place_of, reach
 from topcli.errors import RunError, SchemeCodeError, TopcliError
 
 Variants = Mapping[Callable[..., Any], Callable[..., Any]]
@@ -30,16 +29,22 @@ class CompileError(Exception):
 
 @dataclass(frozen=True)
 class _Choice:
-    """Compilation in progress: numba's options and stand-ins for kernels, and the kernels met so far."""
+    """Compilation in progress: stand-ins for kernels, and the kernels met so far."""
 
-    options: Mapping[str, Any]
     stand_ins: Mapping[Any, Any]
     kernels: dict[types.FunctionType, Any] = field(default_factory=dict)
 
 
 _choice: ContextVar[_Choice] = ContextVar("choice")
 _kernels: dict[Any, Any] = {}
-"""Kernels that this process has compiled, by content, options and stand-ins: a composition has those of its base."""
+"""Kernels that this process has compiled, by content and stand-ins: a composition has those of its base."""
+_OPTIONS: Any = {
+    "forceinline": True,
+    "error_model": "numpy",
+    # no kernel is called from Python: without these wrappers it compiles in half of the time, to the same code
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
 
 
 def _kernel(function: types.FunctionType, choice: _Choice) -> Any:
@@ -47,8 +52,7 @@ def _kernel(function: types.FunctionType, choice: _Choice) -> Any:
     if function in choice.kernels:
         return choice.kernels[function]
     content, functions = reach(function)
-    stand_ins = frozenset(pair for pair in choice.stand_ins.items() if pair[0] in functions)
-    key = content, tuple(choice.options.items()), stand_ins
+    key = content, frozenset(pair for pair in choice.stand_ins.items() if pair[0] in functions)
     if key not in _kernels:
         import dis
 
@@ -65,7 +69,7 @@ def _kernel(function: types.FunctionType, choice: _Choice) -> Any:
             parts = function.__globals__, function.__name__, function.__defaults__, function.__closure__
             kernel = types.FunctionType(function.__code__, *parts)
             kernel.__kwdefaults__ = function.__kwdefaults__
-        _kernels[key] = njit(**choice.options)(kernel)
+        _kernels[key] = njit(**_OPTIONS)(kernel)
     choice.kernels[function] = _kernels[key]
     return _kernels[key]
 
@@ -83,7 +87,6 @@ def _numba() -> dict[Any, Any]:
         raise RunError("NUMBA_DISABLE_JIT is set: topcli cannot compile its time loop; unset it")
     from llvmlite import ir
     from numba import types as kinds
-    from numba.core.dispatcher import Dispatcher
     from numba.core.registry import cpu_target
     from numba.extending import intrinsic, typeof_impl
 
@@ -105,55 +108,43 @@ def _numba() -> dict[Any, Any]:
 
     def kernel_type(value: Any, context: Any) -> Any:
         """Type of a function in compiled code."""
-        choice, function = _choice.get(None), plain_function(value)
-        if choice is None or function is None or is_standard(home_of(function)):
+        choice = _choice.get(None)
+        if choice is None or is_standard(home_of(value)):
             return getattr(value, "_numba_type_", None)  # numba's own rule
-        stand_in = choice.stand_ins.get(function)
-        if stand_in is function:
+        stand_in = choice.stand_ins.get(value, value)
+        if stand_in is value and value in choice.stand_ins:
             return None  # numba has rules for it
-        if stand_in is None or isinstance(stand_in, types.FunctionType):
-            return kinds.Dispatcher(_kernel(stand_in or function, choice))
+        if isinstance(stand_in, types.FunctionType):
+            return kinds.Dispatcher(_kernel(stand_in, choice))
         typing: Any = cpu_target.typing_context
         return typing.resolve_value_type(stand_in)
 
     typeof_impl.register(types.FunctionType)(kernel_type)
-    typeof_impl.register(Dispatcher)(kernel_type)
     return {fma: fused, unlikely: expected_false}
-
-
-@contextmanager
-def kernels(variants: Variants = NO_VARIANTS, duals: bool = False, **more: Any) -> Iterator[Mapping[str, Any]]:
-    """Within the block, numba compiles plain functions as kernels with these options, to which ``more`` are added."""
-    stand_ins = {**_numba(), **variants}
-    if duals:
-        stand_ins |= dual_numbers(stand_ins[fma])
-    options = {"forceinline": True, "error_model": "numpy", **more}
-    token = _choice.set(_Choice(options, stand_ins))
-    try:
-        yield options
-    finally:
-        _choice.reset(token)
 
 
 def compiled(function: Callable[..., Any], signature: str, variants: Variants, duals: bool) -> tuple[str, str]:
     """Text of the module that numba makes of a function, and the function's symbol in it."""
-    # no kernel is called from Python: without these wrappers it compiles in half of the time, to the same code
-    with kernels(variants, duals, no_cpython_wrapper=True, no_cfunc_wrapper=True):
-        from numba import cfunc
-        from numba import types as kinds
+    stand_ins = {**_numba(), **variants}
+    if duals:
+        stand_ins |= dual_numbers(stand_ins[fma])
+    from numba import cfunc
+    from numba import types as kinds
 
-        letters = {"p": kinds.CPointer(kinds.float64), "d": kinds.float64, "q": kinds.int64}
-        # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
-        compiler = cfunc(kinds.int64(*(letters[c] for c in signature)), error_model="numpy", forceinline=True)
-        try:
-            plain: Any = plain_function(function)
-            compiled: Any = compiler(plain)
-        except (TopcliError, MemoryError):
-            raise
-        except Exception as error:  # numba raises its own kinds and plain ones
-            lines = [line.strip() for line in str(error).splitlines()]
-            reasons = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
-            raise CompileError((reasons or [type(error).__name__])[0]) from error
+    letters = {"p": kinds.CPointer(kinds.float64), "d": kinds.float64, "q": kinds.int64}
+    # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
+    compiler = cfunc(kinds.int64(*(letters[c] for c in signature)), error_model="numpy", forceinline=True)
+    token = _choice.set(_Choice(stand_ins))
+    try:
+        compiled: Any = compiler(function)
+    except (TopcliError, MemoryError):
+        raise
+    except Exception as error:  # numba raises its own kinds and plain ones
+        lines = [line.strip() for line in str(error).splitlines()]
+        reasons = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
+        raise CompileError((reasons or [type(error).__name__])[0]) from error
+    finally:
+        _choice.reset(token)
     ir = compiled.inspect_llvm()
     if compiled._library.has_dynamic_globals or "numba.dynamic.globals" in ir:
         raise CompileError("it refers to an array that is large or not contiguous; use a smaller one, or plain=True")

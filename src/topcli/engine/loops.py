@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.fused import unlikely
 from topcli.arithmetic.vectors import VECTOR_VARIANTS
-from topcli.contracts import Array, Block, Method, Outcome, Sampler, Stepper, Top, check_stop, same_state
+from topcli.contracts import Array, Block, Method, Outcome, Sampler, StepFunction, Stepper, Top, check_stop, same_state
 from topcli.engine.kernels import NO_VARIANTS, CompileError, Variants
 from topcli.engine.native import Native, native, native_text
 from topcli.engine.reach import place_of, reach
@@ -39,7 +39,7 @@ def take_steps(work, out, params, h, steps, every, until_record):
     s = begin
     k, left = 0, until_record
     for i in range(steps):
-        {advance}
+        s = step(s, h, p)
         if unlikely(not ({total} * 0.0 == 0.0)):  # so for all that is not finite and for some that is huge
             if not ({finite} == 0.0):
                 {state} = s
@@ -51,11 +51,6 @@ def take_steps(work, out, params, h, steps, every, until_record):
     {state} = s
     return steps
 """
-_STEP = "s = step(s, h, p)"
-_STAGES = """for stage in range(int(params[{count}])):
-            s = step(s, params[{count} + 1 + stage] * h, p)
-            if unlikely(not ({all_finite} == 0.0)):
-                break"""
 _LANES = """
 def take_steps(work, out, params, h, steps, every, until_record, stride):
     p = ({constants})
@@ -106,17 +101,15 @@ def _compiled_text(text: str) -> Any:
 def _function(template: str, stepper: Stepper, d: int, constants: int, lanes: int = 1) -> Callable[..., int]:
     """The loop of a ``template`` for a step; its parameters are the constants of the top and ``more_parameters``."""
     width, checked, count = stepper.width, stepper.checked or stepper.width, constants + len(stepper.constants)
-    staged, advance = stepper.stages, _STAGES if stepper.stages else _STEP
-    all_finite, finite = (" + ".join(f"(s[{i}] - s[{i}])" for i in range(size)) for size in (width, checked))
+    staged = stepper.stages if template == _LANES else None
     rows = {_SINGLE: "out[k + {}]", _LANES: "out[k + j * stride + {}]", _PARTS: f"out[{d} * k + {{}}]"}
     text = template.format(
         constants=_items("params[{}]", count),
         state=_items("work[{}]" if lanes == 1 else f"work[{{}} * {lanes} + j]", width),
         before=_items(f"before[{d} * k + {{}}]", d),
         row=_items(rows[template], d),
-        advance=advance.format(count=count, all_finite=all_finite),
         total=_sum([f"s[{i}]" for i in range(checked)]),
-        finite=finite,
+        finite=" + ".join(f"(s[{i}] - s[{i}])" for i in range(checked)),
         failed=_items("nan", d),
         stages=f"int(params[{count}])" if staged else "1",
         # without stages, terms of h alone are computed before the loop; otherwise every step would wait for them
@@ -138,7 +131,7 @@ def _function(template: str, stepper: Stepper, d: int, constants: int, lanes: in
 
 
 def more_parameters(stepper: Stepper) -> tuple[float, ...]:
-    """Parameters of compiled loops that follow the constants of the top.
+    """Parameters of the loop over lanes that follow the constants of the top.
 
     These are the constants of the step, then the number of stages of a composition and their fractions of h. Tops
     whose steps differ in constants only, and all compositions of a scheme, thus share their code.
@@ -148,43 +141,44 @@ def more_parameters(stepper: Stepper) -> tuple[float, ...]:
 
 
 def loop_code(
-    stepper: Stepper, d: int, constants: int, lanes: int = 1, *, variants: Variants = NO_VARIANTS, duals: bool = False
+    stepper: Stepper,
+    d: int,
+    constants: int,
+    lanes: int = 1,
+    *,
+    variants: Variants = NO_VARIANTS,
+    differentiated: StepFunction | None = None,
 ) -> Native:
-    """Machine code of the loop over steps and ``lanes`` for states of length ``d``; see ``native`` on its options.
+    """Machine code of the loop over steps and ``lanes`` for states of length ``d``, with ``variants`` of kernels.
 
     With several lanes, ``work`` holds ``width`` rows of ``lanes`` numbers and one more, which gathers the sums of the
     checked numbers: the loop cannot stop for one lane, but an infinity or a nan in any step makes its sum infinite or
     nan. ``out`` gets ``d`` numbers for every recorded step of a lane; the rows of a lane follow each other and begin
-    ``stride`` numbers after those of the lane before. Raises CompileError for a step that cannot be compiled.
+    ``stride`` numbers after those of the lane before. The step may be the one ``differentiated``, in dual numbers.
+    Raises SchemeCodeError, with file and line of the step, if it cannot be compiled.
     """
     template, signature = (_SINGLE, SINGLE) if lanes == 1 else (_LANES, LANES)
-    plain = _function(template, stepper, d, constants, lanes)
-    return native(plain, signature, variants=variants, duals=duals)
-
-
-def step_refused(method: Stepper, d: int, error: CompileError) -> SchemeCodeError:
-    """Error for a step that the compiler refuses, with its file and line."""
-    return SchemeCodeError(
-        f"{place_of(method.step)}: the step cannot be compiled for a state of length {d} "
-        f"(working state {method.width}): {error}"
-    )
+    plain, duals = _function(template, stepper, d, constants, lanes), differentiated is not None
+    try:
+        return native(plain, signature, variants=variants, duals=duals)
+    except CompileError as error:
+        what = "differentiated" if duals else f"compiled for a state of length {d} (working state {stepper.width})"
+        place = place_of(differentiated or stepper.step)
+        raise SchemeCodeError(f"{place}: the step cannot be {what}: {error}") from None
 
 
 def lanes_code(stepper: Stepper, d: int, constants: int, width: int) -> Native:
     """Machine code of ``loop_code`` over ``width`` lanes of a scheme's step, as vector instructions can take it.
 
     A lane whose sum is not finite is to repeat its steps alone: a step of it failed or took a rare branch, of which
-    vector code makes nan. Raises SchemeCodeError for a step that cannot be compiled.
+    vector code makes nan.
     """
     # the nan of a rare branch may be in any number but the counters
     lane = replace(stepper, checked=stepper.width - len(stepper.counters))
     # it is noticed in the working state only, so what is recorded must not come from a variant
     recorded = reach(stepper.leave)[1] if stepper.leave else ()
     variants = NO_VARIANTS if VECTOR_VARIANTS.keys() & recorded else VECTOR_VARIANTS
-    try:
-        return loop_code(lane, d, constants, width, variants=variants)
-    except CompileError as error:
-        raise step_refused(stepper, d, error) from None
+    return loop_code(lane, d, constants, width, variants=variants)
 
 
 @dataclass(frozen=True)
@@ -204,12 +198,12 @@ class Loop:
     cached: bool = True
     iterative: bool = False
     returns_early: bool = False
-    limit: Sequence[Exception] = ()
-    """Not empty after a step whose numbers became too long."""
+    too_long: Sequence[Exception] = ()
+    """Not empty after a step whose numbers became longer than a run allows."""
 
     def failure(self, work: Array) -> Outcome:
         """Outcome of a run whose failed step left ``work``."""
-        if self.limit:
+        if self.too_long:
             return Outcome.DIGIT_LIMIT
         status = work[len(work) - len(self.counters) - 1]
         return Outcome.NO_CONVERGENCE if self.iterative and status != status else Outcome.BLEW_UP  # nan
@@ -217,7 +211,7 @@ class Loop:
 
 def _loop_over(code: Callable[..., int], method: Stepper, **about: Any) -> Loop:
     """Loop of a step with the ``code`` for all parameters; ``enter`` runs once and remains plain Python."""
-    inner, more = method.enter or same_state, more_parameters(method)
+    inner, more = method.enter or same_state, method.doubles
 
     def enter(y: Array, work: Array, params: Any, h: Any) -> int:
         work[:] = inner(tuple(y), h, tuple(params))
@@ -269,10 +263,7 @@ def loop_of(method: Method, d: int, constants: int) -> Loop:
         return Loop(method.enter, code, **_traits(method), **about)
     if method.plain:
         return interpreted(method, d, constants)
-    try:
-        code = loop_code(method, d, constants)
-    except CompileError as error:
-        raise step_refused(method, d, error) from None
+    code = loop_code(method, d, constants)
     return _loop_over(code.checked, method, seconds=code.seconds, cached=code.cached)
 
 
@@ -291,11 +282,11 @@ def interpreted(method: Method, d: int, constants: int) -> Loop:
             raise SchemeCodeError(f"{place_of(method.step)}: {message}")
         return after
 
-    whole = replace(method, step=step, stages=None)  # the step of a composition takes all of them
+    whole = replace(method, step=step)
     return _loop_over(_function(_SINGLE, whole, d, constants), whole)
 
 
-def state_after(loop: Loop, y: Array, p: Array | None, h: Any, steps: int = 1) -> Array | None:
+def state_after(loop: Loop, y: Array, p: Array, h: Any, steps: int = 1) -> Array | None:
     """State after some steps of ``h`` from ``y`` (d,), in the numbers of ``y``; None if a step fails."""
     work, end, left = np.zeros(loop.width, dtype=y.dtype), np.full_like(y, math.nan), steps
     try:
@@ -322,7 +313,7 @@ def part_steps_of(method: Method, top: Top, h: float) -> PartSteps:
     p, d, code = top.constants(), len(top.components), None
     if isinstance(method, Stepper) and not method.plain:
         with suppress(CompileError):  # of the way to or from the working state
-            code = native(_function(_PARTS, replace(method, stages=None), d, len(p)), PARTS)
+            code = native(_function(_PARTS, method, d, len(p)), PARTS)
     params = np.array(method.parameters(top) if isinstance(method, Stepper) and code else p, dtype=float)
     loop = None if code else loop_of(method, d, len(p))
 

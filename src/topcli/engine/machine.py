@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.contracts import Array, Method, Sampler, Scheme, Stepper, Top
+from topcli.contracts import Array, Method, Scheme, Stepper, Top
 from topcli.engine.loops import Loop, lanes_code, loop_of, more_parameters
 from topcli.engine.native import Native
 
@@ -31,10 +31,9 @@ class Machine:
     def __init__(self, top: Top, method: Method, loop: Loop | None = None) -> None:
         self.method, self.d = method, len(top.components)
         self.p = np.array(top.constants(), dtype=None if loop else np.float64)
-        self.stepper: Stepper | None = None
+        compilable = loop is None and isinstance(method, Stepper) and not method.plain
+        self.stepper = method if compilable else None
         """The method if its steps can be taken side by side; otherwise None."""
-        if loop is None and isinstance(method, Stepper) and not method.plain:
-            self.stepper = method
         self._loop, self._lanes = loop, dict[int, Native]()
 
     def lanes_for(self, count: int) -> int:
@@ -58,9 +57,7 @@ class Machine:
     @property
     def counters(self) -> tuple[str, ...]:
         """Names of the events that the method counts."""
-        if self._loop:
-            return self._loop.counters
-        return () if isinstance(self.method, Sampler) else self.method.counters
+        return getattr(self._loop or self.method, "counters", ())  # a closed form has none
 
     @property
     def params(self) -> Array:

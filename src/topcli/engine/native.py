@@ -30,15 +30,14 @@ import numpy as np
 
 from topcli import __version__
 from topcli.engine.code_store import store_code, stored_code
-from topcli.engine.duals import rules_digest
 from topcli.engine.kernels import NO_VARIANTS, CompileError, Variants, compiled
-from topcli.engine.reach import digest
+from topcli.engine.reach import reach
 from topcli.errors import SchemeCodeError
 
 _CTYPES = {"p": ctypes.c_void_p, "d": ctypes.c_double, "q": ctypes.c_int64}
 _NEUTRAL = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_DISABLE_JIT")
 """Settings of numba that do not change its code."""
-_MAKERS = ("native.py", "kernels.py")
+_MAKERS = ("native.py", "kernels.py", "duals.py")
 """Modules that decide which code is made of a function."""
 
 
@@ -183,5 +182,5 @@ def native(
     by a function that makes dual numbers (``engine.duals``). Raises CompileError if the compiler refuses the function,
     SchemeCodeError naming a value that compiled code cannot refer to.
     """
-    identity = f"{digest(function, *variants.items())}|{rules_digest() if duals else ''}"
+    identity = f"{reach(function, *variants.items())[0]}|{duals}"
     return _stored_or_made(identity, signature, lambda: compiled(function, signature, variants, duals))

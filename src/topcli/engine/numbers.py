@@ -28,7 +28,7 @@ from topcli.arithmetic.fused import FOLLOWING, double_of, fma
 from topcli.arithmetic.vectors import sinc_cosc_polynomials
 from topcli.contracts import Scheme, StepFunction, Stepper, Top, check_stop
 from topcli.engine.loops import Loop, interpreted
-from topcli.engine.reach import place_of, plain_function, references
+from topcli.engine.reach import place_of, references
 from topcli.errors import UsageError
 from topcli.field.polynomial import polynomial_field
 
@@ -82,6 +82,13 @@ def is_short(value: float) -> bool:
     return numerator < _SHORT or numerator // (numerator & -numerator) < _SHORT
 
 
+def short(value: float) -> Fraction:
+    """Exact value of a short double. Raises StrayDoubleError for any other."""
+    if not is_short(value):
+        raise StrayDoubleError(value)
+    return Fraction(value)
+
+
 @cache
 def meaning(value: float) -> Fraction | None:
     """Rational number that a constant of the source code stands for; None if it may have been computed."""
@@ -99,8 +106,8 @@ def meaning(value: float) -> Fraction | None:
 class Numbers:
     """Numbers of ``bits`` binary digits (0: rational numbers), with functions for what operators do not do.
 
-    ``number(fraction)`` is the number nearest to a fraction, and ``math`` replaces the module of this name. ``purpose``
-    is the use of the numbers, for messages.
+    ``number(fraction)`` is the number nearest to a fraction, and ``math`` replaces the module of this name, with an
+    ``fma``. ``purpose`` is the use of the numbers, for messages.
     """
 
     name: str
@@ -108,7 +115,6 @@ class Numbers:
     library: str
     number: Callable[[Fraction], Any]
     math: Any
-    fma: Callable[[Any, Any, Any], Any] = lambda a, b, c: a * b + c
     purpose: str = "precision"
 
     @property
@@ -124,23 +130,17 @@ class Numbers:
         """Exact value of a finite number."""
         return Fraction(*map(int, x.as_integer_ratio()))  # mpmath may have integers of its own
 
-    def constant(self, value: float) -> Any:
-        """Number that a constant stands for; a double without exact meaning, infinity or nan as it is."""
-        exact = meaning(value)
-        return value if exact is None else self.number(exact)
-
     def rebuilt(self, value: Any, done: dict[Any, Any] | None = None) -> Any:
         """Copy of a function, constant, tuple or array in these numbers; anything else as it is.
 
-        ``done`` are the copies of functions so far. Raises NotRationalError for a function that uses one of ``math``
-        that these numbers do not have.
+        So is a double without exact meaning, infinity or nan. ``done`` are the copies of functions so far. Raises
+        NotRationalError for a function that uses one of ``math`` that these numbers do not have.
         """
         if done is None:  # the polynomials have the digits of doubles; other numbers use them at 0 only
-            done = {fma: self.fma, sinc_cosc_polynomials: lambda t: (1, self.number(Fraction(1, 2)))}
-        if isinstance(value, float):
-            return self.constant(value)
-        if isinstance(value, Fraction):
-            return self.number(value)
+            done = {fma: self.math.fma, sinc_cosc_polynomials: lambda t: (1, self.number(Fraction(1, 2)))}
+        if isinstance(value, float | Fraction):
+            exact = meaning(value) if isinstance(value, float) else value
+            return value if exact is None else self.number(exact)
         if isinstance(value, np.ndarray):
             return np.frompyfunc(lambda x: self.rebuilt(x, done), 1, 1)(value)
         if isinstance(value, tuple):
@@ -149,12 +149,12 @@ class Numbers:
         if isinstance(value, types.ModuleType):
             left = value.__name__.partition(".")[0] in _LEFT
             return self.math if value is math else value if left else _Module(value, lambda x: self.rebuilt(x, done))
-        plain = plain_function(value)
-        if plain is None or (plain not in done and (plain.__module__ or "").partition(".")[0] in _LEFT):
+        if not isinstance(value, types.FunctionType):
             return value
-        if plain not in done:
-            done[plain] = self._copy(plain, done)
-        return done[plain]
+        if value not in done:
+            left = (value.__module__ or "").partition(".")[0] in _LEFT
+            done[value] = value if left else self._copy(value, done)
+        return done[value]
 
     def _copy(self, plain: types.FunctionType, done: dict[Any, Any]) -> types.FunctionType:
         """Copy of a function that refers to copies."""
@@ -193,25 +193,8 @@ class _Module:
         return self._rebuilt(getattr(self._module, name))
 
 
-def _exactly(name: str) -> Callable[..., Any]:
-    """Operator of fractions for rational numbers. Raises StrayDoubleError for a long double."""
-    operator = getattr(Fraction, name)
-
-    def operation(self: Rational, *others: Any) -> Any:
-        if others and isinstance(others[0], float):
-            if not is_short(others[0]):
-                raise StrayDoubleError(others[0])
-            others = (Fraction(others[0]),)
-        result = operator(self, *others)
-        if isinstance(result, float | complex):
-            raise NotRationalError(f"the power {others[0]} of a rational number is not rational")
-        return result if result is NotImplemented else type(self)(result)
-
-    return operation
-
-
 class Rational(Fraction):
-    """Fraction that takes short binary fractions exactly, and refuses other doubles.
+    """Fraction that takes short binary fractions exactly, and refuses other doubles (StrayDoubleError).
 
     The numbers of a composed step may grow by a power of ten thousands within that step, so a limit that is tested
     after the step comes too late.
@@ -230,13 +213,26 @@ class Rational(Fraction):
             raise TooLongError(f"{bits} binary digits")
         return self
 
-    __add__, __radd__, __sub__, __rsub__ = map(_exactly, ("__add__", "__radd__", "__sub__", "__rsub__"))
-    __mul__, __rmul__, __truediv__ = map(_exactly, ("__mul__", "__rmul__", "__truediv__"))
-    __rtruediv__, __pow__, __neg__ = map(_exactly, ("__rtruediv__", "__pow__", "__neg__"))
-    __pos__, __abs__ = map(_exactly, ("__pos__", "__abs__"))
-
     def __float__(self) -> float:
         return double_of(Fraction(self))
+
+
+def _exactly(operator: Callable[..., Any]) -> Callable[..., Any]:
+    """Operator of fractions for rational numbers."""
+
+    def operation(self: Rational, *others: Any) -> Any:
+        if others and isinstance(others[0], float):
+            others = (short(others[0]),)
+        result = operator(self, *others)
+        if isinstance(result, float | complex):
+            raise NotRationalError(f"the power {others[0]} of a rational number is not rational")
+        return result if result is NotImplemented else type(self)(result)
+
+    return operation
+
+
+for _name in ("add", "radd", "sub", "rsub", "mul", "rmul", "truediv", "rtruediv", "pow", "neg", "pos", "abs"):
+    setattr(Rational, f"__{_name}__", _exactly(getattr(Fraction, f"__{_name}__")))
 
 
 def longest(state: Any) -> int:
@@ -246,10 +242,15 @@ def longest(state: Any) -> int:
 
 
 def _math(**functions: Any) -> types.SimpleNamespace:
-    """Replacement for the module ``math``."""
-    of_any = {"fabs": abs, "copysign": lambda x, y: abs(x) if y >= 0 else -abs(x), "nan": math.nan, "inf": math.inf}
-    tests = {"isnan": lambda x: x != x, "isfinite": lambda x: x - x == 0}
-    return types.SimpleNamespace(**of_any, **tests, **functions)
+    """Replacement for the module ``math``, with what operators do, and further ``functions``."""
+    of_any = {
+        "fabs": abs,
+        "copysign": lambda x, y: abs(x) if y >= 0 else -abs(x),
+        "fma": lambda a, b, c: a * b + c,
+        "isnan": lambda x: x != x,
+        "isfinite": lambda x: x - x == 0,
+    }
+    return types.SimpleNamespace(nan=math.nan, inf=math.inf, **(of_any | functions))
 
 
 def rationals(longest: int = 0) -> Numbers:
@@ -269,9 +270,7 @@ def floating(bits: int, name: str = "") -> Numbers:
     convert = context.convert
 
     def converted(x: object, strings: bool = True) -> Any:
-        if isinstance(x, float) and math.isfinite(x) and not is_short(x):
-            raise StrayDoubleError(x)
-        return convert(x, strings)
+        return convert(short(x) if isinstance(x, float) and math.isfinite(x) else x, strings)
 
     def real(function: Callable[..., Any]) -> Callable[..., Any]:
         """The function with nan instead of complex numbers, as for doubles."""
@@ -282,16 +281,15 @@ def floating(bits: int, name: str = "") -> Numbers:
 
         return value
 
-    context.convert = converted
-    functions = {name: real(getattr(context, name)) for name in _FUNCTIONS} | {"pi": +context.pi}
-
     def fused(a: Any, b: Any, c: Any) -> Any:
         return context.fmul(a, b, exact=True) + converted(c)  # rounded once
 
     def number(x: Fraction) -> Any:
         return context.make_mpf(from_rational(x.numerator, x.denominator, bits, "n"))
 
-    return Numbers(name or f"numbers of {bits} bits", bits, f"mpmath {__version__}", number, _math(**functions), fused)
+    context.convert = converted
+    functions = {name: real(getattr(context, name)) for name in _FUNCTIONS} | {"pi": +context.pi, "fma": fused}
+    return Numbers(name or f"numbers of {bits} bits", bits, f"mpmath {__version__}", number, _math(**functions))
 
 
 def digits(count: int) -> Numbers:
@@ -326,8 +324,8 @@ def refused(scheme: Scheme, numbers: Numbers, reason: str) -> UsageError:
 
 def precise_scheme(
     scheme: Scheme, top: Top, options: Any, parameters: Mapping[str, Fraction], numbers: Numbers
-) -> tuple[Any, Stepper, tuple[Any, ...]]:
-    """The top with exact ``parameters``, the method of the scheme, and the constants of its steps, in other numbers.
+) -> tuple[Any, Stepper]:
+    """The top with exact ``parameters``, and the method of the scheme with all its constants, in other numbers.
 
     Raises UsageError, naming the scheme and the reason, if it has none.
     """
@@ -339,78 +337,77 @@ def precise_scheme(
         raise refused(scheme, numbers, "calls library functions that compute with doubles")
     if method.iterative and not numbers.bits:
         raise refused(scheme, numbers, "solves its equations by iteration, and the solution is not rational")
-    other = precise_top(top, {name: numbers.number(value) for name, value in parameters.items()})
-    exact = precise_top(top, parameters)
-    # generated code is made from fractions, which are not rounded at all
-    built = scheme.build(exact if method.source else other, options)
+    # the scheme is built from fractions, which are not rounded at all
+    exact, other = (
+        precise_top(top, {name: of(x) for name, x in parameters.items()}) for of in (Fraction, numbers.number)
+    )
+    built = scheme.build(exact, options)
     assert isinstance(built, Stepper)
+    p = (*map(numbers.rebuilt, other.constants()), *map(numbers.number, built.constants))
+
+    def in_numbers(function: StepFunction | None) -> Any:
+        copy = numbers.rebuilt(function)
+
+        def with_constants(s: Any, h: Any, _: Any) -> Any:
+            try:
+                return copy(s, h, p)
+            except (AttributeError, TypeError) as error:
+                place = place_of(copy)
+                raise UsageError(f"{numbers.purpose}: {place}: no step in {numbers.name}: {error}") from error
+
+        return copy and with_constants
+
     try:
         if built.source:
-            _check_field(exact, other, numbers)
+            _check_field(exact, p, numbers)
         step = _composition(*built.stages) if built.stages else built.step
-        step, enter, leave = map(numbers.rebuilt, (step, built.enter, built.leave))
-        method = replace(built, step=step, enter=enter, leave=leave, plain=True, stages=None)
+        step, enter, leave = map(in_numbers, (step, built.enter, built.leave))
     except NotRationalError as error:
         raise refused(scheme, numbers, str(error)) from None
-    return other, method, (*map(numbers.rebuilt, other.constants()), *map(numbers.number, built.constants))
+    return other, replace(built, step=step, enter=enter, leave=leave, plain=True, constants=())
 
 
-def _check_field(exact: Any, other: Any, numbers: Numbers) -> None:
+def _check_field(exact: Any, p: tuple[Any, ...], numbers: Numbers) -> None:
     """Raise NotRationalError unless the polynomials of generated code are the field in these numbers.
 
     They are made by other means than the copies of functions: a constant that passes through a double shows here.
     """
-    d = len(exact.components)
+    d, constants = len(exact.components), exact.constants()
     state = [numbers.number(Fraction(j + 2, 2 * j + 7)) for j in range(d)]
-    rates = numbers.rebuilt(type(exact).field)(tuple(state), tuple(map(numbers.rebuilt, other.constants())))
-    for rate, polynomial in zip(rates, polynomial_field(type(exact).field, d, exact.constants()), strict=True):
+    rates = numbers.rebuilt(type(exact).field)(tuple(state), p[: len(constants)])
+    for rate, polynomial in zip(rates, polynomial_field(type(exact).field, d, constants), strict=True):
         terms = [numbers.number(c) * math.prod(state[j] for j in monomial) for monomial, c in polynomial.terms.items()]
         if abs(float(rate - sum(terms))) > 100.0 * numbers.eps * float(sum(map(abs, terms))):
             raise NotRationalError("has constants that are computed in doubles")
 
 
-def precise_loop(method: Stepper, d: int, constants: tuple[Any, ...], numbers: Numbers, max_bits: int = 0) -> Loop:
-    """Loop over a method in other numbers for states of length ``d``, with the ``constants`` of its steps.
+def precise_loop(method: Stepper, d: int, numbers: Numbers, max_bits: int = 0) -> Loop:
+    """Loop over a method in other numbers for states of length ``d``.
 
     It stops when a rational number of the state has more than ``max_bits`` binary digits (0: any number). Raises
-    StrayDoubleError if the state after a step has a double, and UsageError for a step that these numbers cannot take.
+    StrayDoubleError if the state after a step has a double.
     """
-    zero, limit = numbers.number(Fraction(0)), list[TooLongError]()
-    checked, counted = method.checked or method.width, method.width - len(method.counters)
+    too_long, checked = list[TooLongError](), method.checked or method.width
 
     def step(s: Any, h: Any, p: Any) -> Any:
-        """State after a step; infinite if the step failed."""
-        failed = (math.inf,) * counted + tuple(s[counted:])
+        """State after a step; its first number is infinite if the step failed."""
+        too_long.clear()
+        after = s
         try:
             after = method.step(s, h, p)
             if stray := [x for x in after if isinstance(x, float) and math.isfinite(x)]:
                 raise StrayDoubleError(stray[0])
             if max_bits and longest(after) > max_bits:
                 raise TooLongError
-            return after if all(map(numbers.finite, after[:checked])) else (math.inf, *after[1:])
+            if all(map(numbers.finite, after[:checked])):
+                return after
         except TooLongError as error:
-            limit.append(error)
+            too_long.append(error)
         except ZeroDivisionError:
             pass
-        except (AttributeError, TypeError) as error:
-            raise UsageError(
-                f"{numbers.purpose}: {place_of(method.step)}: no step in {numbers.name}: {error}"
-            ) from error
-        return failed
+        return (math.inf, *after[1:])
 
-    # the step tests all numbers, and shows a failure in the first one
-    loop = interpreted(replace(method, step=step, checked=1, constants=()), d, len(constants))
-
-    def enter(y: Any, work: Any, p: Any, h: Any) -> int:
-        loop.enter(y, work, constants, h)
-        work += zero
-        return 0
-
-    def take_steps(work: Any, out: Any, p: Any, *steps: Any) -> int:
-        limit.clear()
-        return loop.take_steps(work, out, constants, *steps)
-
-    return replace(loop, enter=enter, take_steps=take_steps, limit=limit)
+    return replace(interpreted(replace(method, step=step, checked=1), d, 0), too_long=too_long)
 
 
 @dataclass(frozen=True)
@@ -439,8 +436,6 @@ def prepared(
     h, parameters, state = values
     max_bits = int(max_digits * math.log2(10.0)) if precision == RATIONAL else 0
     numbers = digits(precision) if isinstance(precision, int) else rationals(ROOM * max_bits)
-
-    other, method, constants = precise_scheme(scheme, top, options, parameters, numbers)
+    other, method = precise_scheme(scheme, top, options, parameters, numbers)
     y0 = np.array([numbers.number(value) for value in state], dtype=np.object_)
-    loop = precise_loop(method, len(y0), constants, numbers, max_bits)
-    return PreciseRun(numbers, other, loop, numbers.number(h), y0)
+    return PreciseRun(numbers, other, precise_loop(method, len(y0), numbers, max_bits), numbers.number(h), y0)

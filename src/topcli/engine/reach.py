@@ -26,17 +26,10 @@ _STANDARD_LIBRARY = sysconfig.get_path("stdlib")
 _PLAIN = frozenset((int, float, complex, bool, str, bytes, type(None), type(...)))
 
 
-def plain_function(value: object) -> types.FunctionType | None:
-    """``value`` as a plain Python function: itself, or the one that a numba dispatcher wraps; else None."""
-    if not isinstance(value, types.FunctionType | types.ModuleType | type):
-        value = getattr(value, "py_func", None)
-    return value if isinstance(value, types.FunctionType) else None
-
-
 def place_of(function: Callable[..., Any]) -> str:
     """File and line of a function, for messages; of another callable, its ``repr``."""
-    plain = plain_function(function)
-    return f"{plain.__code__.co_filename}:{plain.__code__.co_firstlineno}" if plain else repr(function)
+    code = getattr(function, "__code__", None)
+    return f"{code.co_filename}:{code.co_firstlineno}" if code else repr(function)
 
 
 def _names(code: types.CodeType) -> Iterator[str]:
@@ -79,7 +72,7 @@ def home_of(function: types.FunctionType) -> str:
     return str(function.__globals__.get("__name__") or "")
 
 
-def _has_known_name(value: Any) -> bool:
+def _is_named(value: Any) -> bool:
     """True for a function or class that its name and the version of its package identify."""
     module = getattr(value, "__module__", None) or type(value).__module__
     belongs_to = getattr(value, "__self__", None)  # of a builtin function its module, of a method an object
@@ -99,80 +92,64 @@ class _Walk:
         data = " ".join(map(str, words)).encode(errors="surrogatepass")
         self.sha.update(b"%d:" % len(data) + data)
 
-    def put(self, value: Any) -> None:
-        """Add a value by its content. Raises SchemeCodeError for one that has none."""
+    def put(self, value: Any, place: str = "") -> None:
+        """Add a value by its content. Raises SchemeCodeError for one that has none, after its ``place``."""
         kind = type(value)
-        function = plain_function(value)
         if kind in _PLAIN:
             self.text(kind.__name__, repr(value))
         elif isinstance(value, tuple):
             self.text(kind.__qualname__, getattr(value, "_fields", ""), len(value))
             for item in value:
-                self.put(item)
+                self.put(item, place)
         elif kind is frozenset:  # a constant of code
             self.text("frozenset", sorted(map(repr, value)))
-        elif isinstance(value, np.ndarray | np.generic):
+        elif isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
             layout = "C" if value.flags.c_contiguous else "F" if value.flags.f_contiguous else "A"
             self.text(kind.__name__, np.dtype(value.dtype).descr, value.shape, layout)
-            if value.dtype.hasobject:
-                raise SchemeCodeError("an array of objects")
             self.text(hashlib.sha256(value.tobytes()).hexdigest())
         elif isinstance(value, types.CodeType):
             self.text(value.co_code.hex(), value.co_flags, value.co_argcount, value.co_kwonlyargcount)
             self.text(value.co_names, value.co_varnames, value.co_freevars, value.co_exceptiontable.hex())
             self.put(value.co_consts)
-        elif function is not None and not is_standard(home_of(function)):
-            self._function(function)
+        elif isinstance(value, types.FunctionType) and not is_standard(home_of(value)):
+            again = value in self.functions  # or on the way to itself
+            self.text("function", again, self.functions.setdefault(value, len(self.functions)))
+            if not again:
+                self._function(value)
         elif isinstance(value, types.ModuleType):
             self.text("module", value.__name__)
-        elif _has_known_name(value):
+        elif _is_named(value):
             self.text(kind.__name__, getattr(value, "__module__", ""), value.__name__)
         else:
-            raise SchemeCodeError(f"a {kind.__name__}")
+            raise SchemeCodeError(
+                f"{place}, which is or holds a {kind.__name__}; "
+                "compiled code takes numbers, strings, tuples, arrays, functions and modules of them"
+            )
 
     def _function(self, function: types.FunctionType) -> None:
-        again = function in self.functions
-        self.text("function", again, self.functions.setdefault(function, len(self.functions)))
-        if again:  # or on the way to itself
-            return
+        """Add the content of a function: its code, and the values that it refers to."""
         self.put(function.__code__)
         named = {"default arguments": function.__defaults__, **(function.__kwdefaults__ or {}), **references(function)}
         for name, value in named.items():
-            try:
-                self._named(name, value, function, ())
-            except SchemeCodeError as error:
-                if ": " in str(error):  # names its place already
-                    raise
-                raise SchemeCodeError(
-                    f"{place_of(function)}: {function.__name__} refers to {name!r}, which is or holds {error}; "
-                    "compiled code takes numbers, strings, tuples, arrays, functions and modules of them"
-                ) from None
+            place = f"{place_of(function)}: {function.__name__} refers to {name!r}"
+            self._named(name, value, place, names_in(function), ())
 
-    def _named(self, name: str, value: Any, owner: types.FunctionType, inside: tuple[Any, ...]) -> None:
-        """Add a value that ``owner`` mentions; of a module of a user, the attributes that it may mention."""
+    def _named(self, name: str, value: Any, place: str, names: list[str], inside: tuple[Any, ...]) -> None:
+        """Add a value and its name; of a module of a user, the attributes with the ``names`` that a function has."""
         self.text(name)
-        self.put(value)
+        self.put(value, place)
         if isinstance(value, types.ModuleType) and not is_standard(value.__name__) and value not in inside:
-            for attribute in names_in(owner):
+            for attribute in names:
                 if hasattr(value, attribute):
-                    self._named(attribute, getattr(value, attribute), owner, (*inside, value))
+                    self._named(attribute, getattr(value, attribute), place, names, (*inside, value))
 
 
-def digest(*values: Any) -> str:
-    """Digest of values by their content: of functions, their code and all that it refers to.
+def reach(*values: Any) -> tuple[str, Collection[types.FunctionType]]:
+    """Digest of values by their content: of functions, their code and all that it refers to; and these functions.
 
-    Raises SchemeCodeError naming a value that compiled code cannot refer to.
+    The plain functions that compiled code of the values can call are those, the values included. Raises
+    SchemeCodeError naming a value that compiled code cannot refer to.
     """
     walk = _Walk()
     walk.put(values)
-    return walk.sha.hexdigest()
-
-
-def reach(function: Callable[..., Any]) -> tuple[str, Collection[types.FunctionType]]:
-    """Digest of a function, and the plain functions that its compiled code can call, itself included.
-
-    Raises SchemeCodeError as ``digest``.
-    """
-    walk = _Walk()
-    walk.put(function)
     return walk.sha.hexdigest(), walk.functions.keys()

@@ -18,16 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.arithmetic.sized import Operators
 from topcli.contracts import Scheme, StepFunction, Top
-from topcli.engine.numbers import (
-    NotRationalError,
-    Numbers,
-    StrayDoubleError,
-    is_short,
-    precise_scheme,
-    rationals,
-    refused,
-)
+from topcli.engine.numbers import NotRationalError, Numbers, precise_scheme, rationals, refused, short
 from topcli.field.polynomial import DECIDES, decimal
 
 PRIME = 2**31 - 1
@@ -64,7 +57,7 @@ def residue(value: Fraction) -> int:
     return int(value.numerator * pow(value.denominator, -1, PRIME) % PRIME)  # mpmath may have integers of its own
 
 
-class Jet:
+class Jet(Operators):
     """A quantity at several points, with derivatives: ``a[0]`` are its values, the other rows derivatives (k, points).
 
     The derivatives are those along the directions in which the initial components were given some.
@@ -79,9 +72,9 @@ class Jet:
     def _other(other: Any) -> Any:
         if isinstance(other, Jet):
             return other
-        if isinstance(other, float) and not is_short(other):
-            raise StrayDoubleError(other)
-        return residue(Fraction(other)) if isinstance(other, int | float | Fraction) else None
+        if isinstance(other, float):
+            other = short(other)
+        return residue(Fraction(other)) if isinstance(other, int | Fraction) else None
 
     def __add__(self, other: Any) -> Jet:
         value = self._other(other)
@@ -103,19 +96,8 @@ class Jet:
         a[1:] = (a[1:] + self.a[0] * value.a[1:]) % PRIME
         return Jet(a)
 
-    __radd__, __rmul__ = __add__, __mul__
-
     def __neg__(self) -> Jet:
         return Jet(-self.a % PRIME)
-
-    def __pos__(self) -> Jet:
-        return self
-
-    def __sub__(self, other: Any) -> Jet:
-        return self + -other
-
-    def __rsub__(self, other: Any) -> Jet:
-        return -self + other
 
     def reciprocal(self) -> Jet:
         """Return 1 over the quantity. Raises ZeroDivisionError."""
@@ -162,6 +144,9 @@ class Jet:
         return self if self._decide() else -self
 
 
+Map = Callable[[Sequence[Any]], Sequence[Any]]
+
+
 @dataclass(frozen=True)
 class RationalMap:
     """One step of a scheme of a top with ``d`` components as a rational map, with constants made by ``number``.
@@ -171,9 +156,9 @@ class RationalMap:
     """
 
     d: int
-    enter: Callable[[Sequence[Any]], Sequence[Any]]
-    step: Callable[[Sequence[Any]], Sequence[Any]]
-    leave: Callable[[Sequence[Any]], Sequence[Any]]
+    enter: Map
+    step: Map
+    leave: Map
     number: Callable[[Fraction], Any] = Fraction
 
 
@@ -183,14 +168,16 @@ def rational_map(scheme: Scheme, top: Top, options: Any, h: Fraction, numbers: N
     Raises UsageError, naming the scheme and the reason, if its step is not a rational function.
     """
     parameters = {name: decimal(value) for name, value in dict(top).items() if isinstance(value, float)}
-    _, method, p = precise_scheme(scheme, top, options, parameters, numbers)
+    _, method = precise_scheme(scheme, top, options, parameters, numbers)
+
     size: Any = numbers.number(h)
 
-    def with_constants(function: StepFunction | None) -> Callable[[Sequence[Any]], Sequence[Any]]:
-        return (lambda y: function(tuple(y), size, p)) if function else lambda y: y
+    def with_size(function: StepFunction | None) -> Map:
+        return (lambda y: function(tuple(y), size, ())) if function else lambda y: y
 
-    enter, step, leave = map(with_constants, (method.enter, method.step, method.leave))
-    return RationalMap(len(top.components), enter, step, leave, numbers.number)
+    return RationalMap(
+        len(top.components), *map(with_size, (method.enter, method.step, method.leave)), number=numbers.number
+    )
 
 
 def modular_map(scheme: Scheme, top: Top, options: Any, h: Fraction) -> RationalMap:

@@ -3,7 +3,7 @@
 The tangent map of a step is the step compiled for dual numbers, unless the scheme gives it (``Stepper.tangent``). Step
 and tangent map together are a step of twice the width, which the ordinary time loops iterate (``engine.loops``).
 
-Tangent vectors grow or shrink exponentially. Between calls of the loop they are divided by powers of two: the tangent
+Tangent vectors grow or shrink exponentially. After each call of the loop they are divided by powers of two: the tangent
 map is linear, so this changes no digit, and neither growth nor direction depend on the lengths of the calls or on the
 other orbits. A call after which a vector is too large or too small is repeated with fewer steps.
 """
@@ -20,13 +20,11 @@ from numpy.typing import NDArray
 
 from topcli.contracts import Array, Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
 from topcli.engine.duals import dual, primal_of, slope_of
-from topcli.engine.kernels import CompileError
-from topcli.engine.loops import Loop, loop_code, loop_of, more_parameters, state_after
-from topcli.engine.reach import place_of
+from topcli.engine.loops import Loop, loop_code, loop_of, state_after
 from topcli.errors import UsageError
 
 NEAR, FAR = 2.0**128, 2.0**512
-"""Sizes of a vector up to which it needs no new scale, and up to which a call counts; likewise their inverses."""
+"""Growth of a vector in a call up to which the next call is longer, and up to which it counts; or their inverses."""
 FIRST_CALL, MOST_STEPS = 1 << 10, 1 << 16
 """Steps of the first call, and most steps of a call."""
 BLOCK_STEPS, BLOCK_TIME = 64, 4.0
@@ -128,16 +126,12 @@ def tangent_code(scheme: Scheme, top: Top, method: Method, lanes: int) -> Tangen
         step, vector = _with_tangent(method, d), slice(method.width, 2 * method.width)
 
     def loop_over(stepper: Stepper, length: int) -> Callable[..., int]:
-        return loop_code(stepper, length, constants, lanes, duals=variational is None).checked
+        return loop_code(stepper, length, constants, lanes, differentiated=None if variational else method.step).checked
 
-    try:
-        take_steps, enter = loop_over(step, 2 * d), None
-        if step.enter:  # what a step that moves nothing records of state and vector
-            enter = loop_over(replace(step, step=same_state, width=2 * d, leave=step.enter, checked=d), step.width)
-    except CompileError as error:
-        where = place_of(method.step)
-        raise UsageError(f"{where}: the step of {scheme.name!r} cannot be differentiated: {error}") from None
-    params = np.array([*top.constants(), *more_parameters(step)])
+    take_steps, enter = loop_over(step, 2 * d), None
+    if step.enter:  # what a step that moves nothing records of state and vector
+        enter = loop_over(replace(step, step=same_state, width=2 * d, leave=step.enter, checked=d), step.width)
+    params = np.array([*top.constants(), *step.doubles])
     return TangentCode(take_steps, enter, params, step.width, vector, lanes)
 
 
@@ -190,30 +184,23 @@ class TangentRun:
 
     def advance(self, steps: int) -> None:
         """Take ``steps`` steps."""
-        rows = self.code.vector
+        rows, d = self.code.vector, self._out.shape[1] // 2
         while steps > 0:
             before, size = self._work.copy(), min(steps, self._call_steps)
             self._call(self.code.take_steps, self._out, size)
-            sizes = np.abs(self._work[rows]).max(axis=0)
-            living = np.isfinite(self._work[-1])
-            if (living & ~((sizes < NEAR) & (sizes > 1.0 / NEAR))).any():
-                # a single step may do what it likes: a vector is then infinite or zero for good
-                first = np.abs(before[rows]).max(axis=0)
-                moves = living & np.isfinite(first) & (first > 0.0)
-                if size > 1 and (moves & ~((sizes < FAR) & (sizes > 1.0 / FAR))).any():
-                    self._work, self._call_steps = before, size // 2
-                    continue
-                self._rescale(sizes)
-            elif size == self._call_steps:
+            first, sizes = (np.abs(work[rows]).max(axis=0) for work in (before, self._work))
+            # an infinite or zero vector remains so; a single step may do what it likes
+            moves = np.isfinite(self._work[-1]) & np.isfinite(first) & (first > 0.0)
+            if size > 1 and (moves & ~((sizes < FAR) & (sizes > 1.0 / FAR))).any():
+                self._work, self._call_steps = before, size // 2
+                continue
+            if size == self._call_steps and ((sizes < NEAR) & (sizes > 1.0 / NEAR))[moves].all():
                 self._call_steps = min(2 * size, self._most)
+            exponents = _exponents(sizes)
+            self._work[rows] = np.ldexp(self._work[rows], -exponents)
+            self._out[:, d:] = np.ldexp(self._out[:, d:], -exponents[:, None])
+            self.scales += exponents[: self.count]
             steps -= size
-
-    def _rescale(self, sizes: Array) -> None:
-        """Divide the vectors of these ``sizes`` (lanes,) by powers of two."""
-        exponents, d = _exponents(sizes), self._out.shape[1] // 2
-        self._work[self.code.vector] = np.ldexp(self._work[self.code.vector], -exponents)
-        self._out[:, d:] = np.ldexp(self._out[:, d:], -exponents[:, None])
-        self.scales += exponents[: self.count]
 
     @property
     def states(self) -> Array:
