@@ -8,7 +8,6 @@ order, compensated sums, a symmetric composition and a projection onto the integ
 
 from __future__ import annotations
 
-import inspect
 import math
 import re
 import sys
@@ -21,7 +20,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, create_model
 
-from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
+from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top, parts_of
 from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
 from topcli.field.integrals import polynomial_value
 from topcli.field.polynomial import NotPolynomialError
@@ -53,8 +52,6 @@ _SUCCESSORS = {
     "hybrid-xi": "hybrid",
 }
 """Schemes that topcli had once, and what to use instead."""
-SECTIONS = ("Source", "Equations", "Formula", "Limits")
-"""Sections of the docstring of a scheme."""
 WRAPPERS = ("compensated", "compose", "project")
 """Keys of the section ``scheme`` that apply to the steps of any scheme."""
 
@@ -110,7 +107,7 @@ def scheme(
 
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
     its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
-    the underlined sections ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
+    the underlined parts ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
     delimiters, separated by empty lines) and ``Limits``: names of conditions, separated by commas, with the reason
     below them. A name may be that of a hard case; ``topcli stress`` then tests that the scheme fails it. Forms of tops
     in parentheses restrict a limit to these tops. Limits in the docstring of the module are those of all its schemes.
@@ -190,9 +187,9 @@ def scheme(
     def register(build: B) -> B:
         key, origin = name.lower(), origin_of(build)
         _require_declaration(key, forms, options, build)
-        parts = sections_of(build.__doc__ or "")
+        parts = parts_of(build.__doc__ or "")
         first, _, rest = parts["Description"].partition("\n\n")
-        shared = sections_of(getattr(build, "__globals__", {}).get("__doc__") or "")["Limits"]
+        shared = parts_of(getattr(build, "__globals__", {}).get("__doc__") or "")["Limits"]
         traits = {
             "title": title or first.rstrip(".") or key,
             "order": order,
@@ -219,15 +216,8 @@ def scheme(
     return register
 
 
-def sections_of(doc: str) -> dict[str, str]:
-    """Description in the docstring of a scheme, and its sections; empty if missing."""
-    head, *parts = re.split(rf"^({'|'.join(SECTIONS)})\n-+\n", inspect.cleandoc(doc), flags=re.MULTILINE)
-    texts = dict.fromkeys(SECTIONS, "") | dict(zip(parts[::2], parts[1::2], strict=True))
-    return {name: text.strip() for name, text in {"Description": head, **texts}.items()}
-
-
 def _limits(text: str, form: str) -> dict[str, str]:
-    """Reasons in the section ``Limits`` by name, of the limits that concern a form of a top."""
+    """Reasons in the part ``Limits`` by name, of the limits that concern a form of a top."""
     limits = {}
     for names, reason in re.findall(r"^(\S.*)\n((?:    .*\n?)+)", text, re.MULTILINE):
         for name, forms in re.findall(r"([^,()]+?)(?: \((.*?)\))?(?:, |$)", names):

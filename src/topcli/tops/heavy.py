@@ -37,21 +37,25 @@ def energy(y: Floats, p: Floats) -> Any:
 
 
 class Heavy(BodyTop):
-    """Heavy top with any moments of inertia (A, B, C) and any mg(x0, y0, z0); dimensionless.
+    r"""Heavy top with any moments of inertia (A, B, C) and any mg(x0, y0, z0); dimensionless.
 
     (x0, y0, z0) is the position of the centre of gravity, and mg the weight. In general, the heavy top has only three
     integrals and is not integrable. It is integrable if the parameters are those of Euler's, Lagrange's or Kowalevski's
     top. With the default parameters, chaotic motions exist.
+
+    Source
+    ------
+    Euler 1765; Sogo, Discrete Spinning Tops, section 1.1, EulerPoisson
+
+    Formula
+    -------
+    J\dot\omega = J\omega\times\omega + \gamma\times r, \qquad \dot\gamma = \gamma\times\omega, \qquad
+    J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
     """
 
     kind = "heavy"
     form = "heavy"
     title = "heavy top (any moments of inertia and centre of gravity)"
-    citation = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.1, EulerPoisson"
-    formula = r"""
-J\dot\omega = J\omega\times\omega + \gamma\times r, \qquad \dot\gamma = \gamma\times\omega, \qquad
-J = \mathrm{diag}(A, B, C), \quad r = mg\,(x_0, y_0, z_0)
-"""
     swing = "gamma1"
     field = staticmethod(field)
     integrals: ClassVar[Mapping[str, Integral]] = {"gamma_sq": gamma_sq, "m_gamma": m_gamma, "energy": energy}
