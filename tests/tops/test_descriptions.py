@@ -62,7 +62,7 @@ def test_a_top_without_an_angular_velocity_is_refused() -> None:
 @pytest.mark.parametrize("name", ["angular_velocity", "vertical"])
 def test_a_vector_that_always_fails_is_refused(name: str) -> None:
     failing = type("Failing", (Kowalevski,), {name: staticmethod(lambda y, p: (1.0 / (0.0 * p[0]), y[1], y[2]))})
-    with pytest.raises(UsageError, match="fails at every state that was tried: ZeroDivisionError"):
+    with pytest.raises(UsageError, match=f"{name} has no value at any state that was tried"):
         checked_rotation(failing(), "a test")
 
 
