@@ -19,8 +19,7 @@ LIST_LENGTH = 300
 class ExitCode(IntEnum):
     """Exit codes of the commands, each with its ``meaning`` in the help of ``topcli``.
 
-    A command whose reader closes the pipe (``topcli ... | head -1``) may exit with 1. On Windows, which topcli does not
-    support, every command exits with 2.
+    A command whose reader closes the pipe (``topcli ... | head -1``) may exit with 1.
     """
 
     meaning: str
