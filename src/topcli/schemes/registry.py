@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, Field, ValidationError, create_model
 
 from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top, parts_of
-from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted, successor
 from topcli.field.integrals import polynomial_value
 from topcli.field.polynomial import NotPolynomialError
 from topcli.plugins import line_of, origin_of, plugin_failures, require_plugin, users_error
@@ -44,14 +44,6 @@ MODULES: dict[str, tuple[str, ...]] = {
     "hk-exact": ("classical.euler",),
 }
 """Modules in which the schemes of topcli are registered, by name."""
-_SUCCESSORS = {
-    "hk-projected": "hk with project: 1",
-    "hk-symproj": "hk with project: 1",
-    "dg4": "backlund, or hk with project: 1",
-    "midpoint4": "backlund, or midpoint with project: 1",
-    "hybrid-xi": "hybrid",
-}
-"""Schemes that topcli had once, and what to use instead."""
 WRAPPERS = ("compensated", "compose", "project")
 """Keys of the section ``scheme`` that apply to the steps of any scheme."""
 
@@ -429,8 +421,8 @@ def find_scheme(name: str, top: str) -> Scheme:
 def _not_found(name: str, cls: type[Top]) -> UsageError:
     """Error for a scheme that does not exist, or not for this top."""
     names = names_for(cls.form)
-    if name in _SUCCESSORS:
-        return UnknownNameError(f"there is no scheme {name!r} any more; use {_SUCCESSORS[name]}")
+    if instead := successor(f"scheme {name}"):
+        return UnknownNameError(f"there is no scheme {name!r} any more; {instead}")
     reasons = dict.fromkeys(misfit(declaration, cls) for declaration in SCHEMES.get(name, ()))
     if reasons:
         return SchemeMisfitError(
