@@ -226,6 +226,9 @@ class Top(BaseModel):
     compilable."""
     integrals: ClassVar[Mapping[str, Integral]] = {}
     """Integrals of the motion by name. Each is a function ``integral(state, constants)`` of flat tuples."""
+    hk: ClassVar[Mapping[str, Integral]] = {}
+    """Integrals of the map of the scheme ``hk`` that a formula declares, some of them for special parameters. They are
+    functions of the state and of the constants with h after them."""
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {}
     """Symbols of ``integrals`` for terminals and in LaTeX, for example ``{"energy": ("E", "E")}``."""
     holds_on: ClassVar[Mapping[str, Mapping[str, float]]] = {}

@@ -280,8 +280,7 @@ def _bound(declaration: Declaration, cls: type[Top], composition: Composition | 
                 what = f"scheme {declaration.name!r} conserves {conserved!r}, no invariant of top {cls.form!r}"
                 raise UsageError(f"{line_of(traits['maker'])}: {what}; {nearest(conserved, names)}")
     with suppress(ValidationError):  # options without defaults
-        declared = getattr(cls, "hk", None)  # integrals of the map, some of them for special parameters
-        if traits["modified"] and not declared and not traits["modified"](top, 0.1, traits["options"]()):
+        if traits["modified"] and not cls.hk and not traits["modified"](top, 0.1, traits["options"]()):
             traits["modified"] = None
     scheme = Scheme(name=declaration.name, top=cls.form, **traits)
     has_steps = scheme.order is not None and not scheme.adaptive
