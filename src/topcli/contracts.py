@@ -184,8 +184,8 @@ class Top(BaseModel):
 
     A subclass declares the parameters of the top as pydantic fields and sets ``kind``, ``components``, ``field`` and
     ``integrals``. The other class attributes have defaults. A subclass may also implement ``constants``, ``invariants``
-    and, if the top is a heavy rigid body (Euler-Poisson equations), ``euler_poisson``. The module ``topcli.tops.heavy``
-    is a complete example.
+    and, if the top is a heavy rigid body (Euler-Poisson equations), ``euler_poisson``. The module
+    ``topcli.tops.kowalevski`` is a complete example.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

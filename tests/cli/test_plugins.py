@@ -73,9 +73,9 @@ def found(batch):
 """
 TOP = """
 import topcli
-from topcli.tops.heavy import Heavy
+from topcli.tops import TOPS
 @topcli.top
-class Own(Heavy):
+class Own(TOPS["heavy"]):
     kind = form = 'own'
 """
 
