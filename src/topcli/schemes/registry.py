@@ -80,12 +80,9 @@ def scheme(
     name: str,
     *,
     top: str | Iterable[str] | None,
-    title: str = "",
     order: int | None,
     explicit: bool,
     self_adjoint: bool,
-    citation: str = "",
-    equations: str = "",
     conserves: Iterable[str] | Callable[[Top], Iterable[str]] = (),
     options: type[BaseModel] = NoOptions,
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
@@ -99,10 +96,11 @@ def scheme(
 
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
     its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
-    the underlined parts ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
-    delimiters, separated by empty lines) and ``Limits``: names of conditions, separated by commas, with the reason
-    below them. A name may be that of a hard case; ``topcli stress`` then tests that the scheme fails it. Forms of tops
-    in parentheses restrict a limit to these tops. Limits in the docstring of the module are those of all its schemes.
+    the underlined parts ``Source``, ``Equations`` (their numbers in the source, or the formula of the step),
+    ``Formula`` (the step in LaTeX: display formulas without delimiters, separated by empty lines) and ``Limits``: names
+    of conditions, separated by commas, with the reason below them. A name may be that of a hard case; ``topcli stress``
+    then tests that the scheme fails it. Forms of tops in parentheses restrict a limit to these tops. Limits and source
+    in the docstring of the module are those of all its schemes.
     The arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
@@ -112,8 +110,6 @@ def scheme(
         the same name; one for single tops replaces one for every top.
     top : str, iterable of str, or None
         Name (``Top.form``) of the top that the scheme integrates, or names of several; None for every top.
-    title : str, optional
-        Title on one line; by default the first line of the docstring, and the description what follows.
     order : int or None
         Order of convergence; None for an exact solution, or if the order follows from a tolerance.
     explicit : bool
@@ -121,10 +117,6 @@ def scheme(
     self_adjoint : bool
         True if a step with -h inverts a step with h. Steps of a self-adjoint scheme of order 2 can be composed into
         a scheme of higher order.
-    citation : str, optional
-        Source of the method; by default the section ``Source``.
-    equations : str, optional
-        Numbers of the equations in the source, or the formula of the step; by default the section ``Equations``.
     conserves : iterable of str or callable, optional
         Names of the invariants that the scheme conserves to round-off for every h, or a function ``conserves(top)``
         that returns these names.
@@ -166,10 +158,14 @@ def scheme(
     >>> def step(y, h, p):
     ...     f = field(y, p)
     ...     return (y[0] + h * f[0], y[1] + h * f[1], y[2] + h * f[2])
-    >>> @topcli.scheme("euler-rule", top="euler", title="Euler's rule", order=1, explicit=True, self_adjoint=False,
-    ...                citation="Euler 1768", equations="y' = y + h f(y)")
+    >>> @topcli.scheme("euler-rule", top="euler", order=1, explicit=True, self_adjoint=False)
     ... def build(top, options):
-    ...     '''Euler's rule, the simplest scheme.'''
+    ...     '''Euler's rule.
+    ...
+    ...     Source
+    ...     ------
+    ...     Euler 1768
+    ...     '''
     ...     return Stepper(step, 3)
     >>> build(None, None).step((1.0, 2.0, 3.0), 0.5, (3.0, 2.0, 1.0, 1.0, -2.0, 1.0))
     (4.0, -1.0, 4.0)
@@ -181,23 +177,23 @@ def scheme(
         _require_declaration(key, forms, options, build)
         parts = parts_of(build.__doc__ or "")
         first, _, rest = parts["Description"].partition("\n\n")
-        shared = parts_of(getattr(build, "__globals__", {}).get("__doc__") or "")["Limits"]
+        shared = parts_of(getattr(build, "__globals__", {}).get("__doc__") or "")
         traits = {
-            "title": title or first.rstrip(".") or key,
+            "title": first.rstrip(".") or key,
             "order": order,
             "explicit": explicit,
             "self_adjoint": self_adjoint,
             "conserves": conserves,
-            "citation": citation or " ".join(parts["Source"].split()),
-            "equations": equations or " ".join(parts["Equations"].split()),
+            "citation": " ".join((parts["Source"] or shared["Source"]).split()),
+            "equations": " ".join(parts["Equations"].split()),
             "build": build if origin == "topcli" else _checked(build, key),
             "maker": build,
             "options": options,
             "modified": modified,
             "adaptive": adaptive,
-            "limits": f"{shared}\n{parts['Limits']}",
+            "limits": f"{shared['Limits']}\n{parts['Limits']}",
             "longest_step": longest_step,
-            "doc": (parts["Description"] if title else rest) or title or first,
+            "doc": rest or first,
             "origin": origin,
             "order_with": order_with,
             "formula": parts["Formula"],
