@@ -349,6 +349,10 @@ def all_invariants(top: Top) -> tuple[str, ...]:
     return tuple(invariant.name for invariant in top.invariants())
 
 
+closed_form = partial(scheme, "exact", order=None, explicit=True, self_adjoint=True, conserves=all_invariants)
+"""Decorator of a solution in closed form of the tops ``top``, under the name ``exact``."""
+
+
 # look-up
 
 
