@@ -16,7 +16,7 @@ from pydantic import BaseModel
 import topcli
 from topcli.cli.app import GROUPS, all_commands
 from topcli.cli.options import parameter_rows
-from topcli.contracts import Invariant, Scheme, Top
+from topcli.contracts import Invariant, Scheme, Top, parts_of
 from topcli.schemes.registry import all_schemes
 from topcli.table import DASH
 from topcli.tops import TOPS
@@ -250,7 +250,7 @@ def schemes_part() -> Page:
 
 def top_section(top: type[Top]) -> Page:
     """Section on one form of a top: equations of motion, parameters and integrals."""
-    lines = [f"## {top.form}", "", prose(top.__doc__ or "").replace("\n    ", "\n"), "", *display(top.formula)]
+    lines = [f"## {top.form}", "", prose(parts_of(top.__doc__ or "")["Description"]), "", *display(top.formula)]
     vectors = ", ".join(f"`{name}`" for name in top.vectors)
     lines += [f"`kind: {top.kind}`, initial vectors {vectors}.", ""]
     lines += table(("parameter", "type", "default", "meaning"), keys_of(top))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 
@@ -14,20 +15,24 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _unexpected(error: Exception) -> ExitCode:
-    """Report an unexpected error, of a user's scheme or top or a bug, and return the exit code."""
+def _reported(error: Exception) -> ExitCode:
+    """Report an error of the machine, of a user's code, or a bug of topcli, and return the exit code."""
     import traceback
 
     from topcli.cli.output import print_error, print_lines, print_message
     from topcli.plugins import users_error
 
+    if isinstance(error, OSError):
+        if error.filename is None:  # files have names
+            _drop_output()
+        print_message(f"error: {error.filename or 'cannot write output'}: {(error.strerror or '').lower()}")
+        return ExitCode.FAILED
     if failure := users_error(error):
         print_error(failure)
         return failure.exit_code
-    if isinstance(error, ImportError) and not (error.name or "").startswith("topcli"):
-        print_message(
-            f"error: a package cannot be loaded: {error}; is it installed, and is there enough memory (ulimit -v)?"
-        )
+    missing = isinstance(error, ImportError) and not (error.name or "").startswith("topcli")
+    if missing or isinstance(error, MemoryError):
+        print_message(f"error: {error or 'out of memory'}; are all packages installed, and is there enough memory?")
         return ExitCode.FAILED
     print_lines("".join(traceback.format_exception(error)))
     print_message("error: internal error; this is a bug in topcli, please report it with the lines above")
@@ -36,18 +41,15 @@ def _unexpected(error: Exception) -> ExitCode:
 
 def main() -> None:
     """Run the command line and exit with its code; errors of the user are reported without a traceback."""
-    if os.name == "nt":
-        print("error: topcli does not run on Windows; use WSL, the Windows Subsystem for Linux", file=sys.stderr)
-        sys.exit(ExitCode.WRONG_USAGE)
     gc.set_threshold(100_000, 50, 50)  # start-up creates many objects and no garbage
     # no plugins of other packages take part in reading a config; a search for them reads all installed metadata
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     os.environ.pop("MPLBACKEND", None)  # figures are files; the backend of a notebook may be missing here
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by the parent process
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (for the whole process)
-        elif hasattr(getattr(sys, name), "reconfigure"):
-            getattr(sys, name).reconfigure(errors="replace")
+        stream = getattr(sys, name) or open(os.devnull, "w")  # noqa: SIM115 (closed by the parent process)
+        setattr(sys, name, stream)
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     code: int | str | None = ExitCode.FAILED
     try:
         from topcli.cli.app import call
@@ -62,20 +64,8 @@ def main() -> None:
         code = ExitCode.INTERRUPTED
     except BrokenPipeError:
         _drop_output()  # the reader has gone, as in topcli ... | head -1; lost last lines do not change the code
-    except OSError as error:
-        if error.filename is None:  # files have names
-            _drop_output()
-            print(f"error: cannot write to standard output ({error.strerror})", file=sys.stderr)
-        else:
-            from topcli.cli.output import print_message
-
-            print_message(f"error: {error.filename}: {(error.strerror or '').lower()}")
-        code = ExitCode.FAILED
-    except MemoryError:
-        print("error: not enough memory", file=sys.stderr)
-        code = ExitCode.FAILED
     except Exception as error:
-        code = _unexpected(error)
+        code = _reported(error)
     sys.exit(code)
 
 

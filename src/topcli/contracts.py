@@ -14,6 +14,7 @@ Rules for the author of a scheme:
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -100,6 +101,17 @@ class Invariant:
     on: Mapping[str, float] = field(default_factory=dict)
 
 
+PARTS = ("Source", "Equations", "Formula", "Limits")
+"""Parts of the docstring of a scheme or a top, each under an underlined heading."""
+
+
+def parts_of(doc: str) -> dict[str, str]:
+    """Description in the docstring of a scheme or a top, and its ``PARTS``; empty if missing."""
+    head, *rest = re.split(rf"^({'|'.join(PARTS)})\n-+\n", inspect.cleandoc(doc), flags=re.MULTILINE)
+    texts = {"Description": head, **dict.fromkeys(PARTS, ""), **dict(zip(rest[::2], rest[1::2], strict=True))}
+    return {name: text.strip() for name, text in texts.items()}
+
+
 Integral = Callable[[Any, Floats], Any]
 """``integral(y, p)``: an invariant as a formula of the components of a state and the constants of the top."""
 
@@ -172,8 +184,8 @@ class Top(BaseModel):
 
     A subclass declares the parameters of the top as pydantic fields and sets ``kind``, ``components``, ``field`` and
     ``integrals``. The other class attributes have defaults. A subclass may also implement ``constants``, ``invariants``
-    and, if the top is a heavy rigid body (Euler-Poisson equations), ``euler_poisson``. The module ``topcli.tops.heavy``
-    is a complete example.
+    and, if the top is a heavy rigid body (Euler-Poisson equations), ``euler_poisson``. The module
+    ``topcli.tops.kowalevski`` is a complete example.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -183,11 +195,12 @@ class Top(BaseModel):
     form: ClassVar[str]
     """Name under which schemes are registered for the top. It is the kind, extended if the state has several forms."""
     title: ClassVar[str]
-    """Title on one line; by default the first line of the docstring."""
+    """Title on one line; by default the first line of the docstring, which may also contain the other texts."""
     citation: ClassVar[str] = ""
-    """Source of the equations of motion."""
+    """Source of the equations of motion; by default the part ``Source`` of the docstring."""
     formula: ClassVar[str] = ""
-    """Equations of motion as display formulas in LaTeX, without delimiters, separated by empty lines."""
+    """Equations of motion as display formulas in LaTeX, without delimiters, separated by empty lines; by default the
+    part ``Formula`` of the docstring."""
     components: ClassVar[tuple[str, ...]]
     """Names of the components of the state, in order."""
     vectors: ClassVar[Mapping[str, tuple[int, int]]]
@@ -213,6 +226,9 @@ class Top(BaseModel):
     compilable."""
     integrals: ClassVar[Mapping[str, Integral]] = {}
     """Integrals of the motion by name. Each is a function ``integral(state, constants)`` of flat tuples."""
+    hk: ClassVar[Mapping[str, Integral]] = {}
+    """Integrals of the map of the scheme ``hk`` that a formula declares, some of them for special parameters. They are
+    functions of the state and of the constants with h after them."""
     symbols: ClassVar[Mapping[str, tuple[str, str]]] = {}
     """Symbols of ``integrals`` for terminals and in LaTeX, for example ``{"energy": ("E", "E")}``."""
     holds_on: ClassVar[Mapping[str, Mapping[str, float]]] = {}
@@ -227,14 +243,19 @@ class Top(BaseModel):
     @classmethod
     def __pydantic_init_subclass__(cls, **options: Any) -> None:
         """Set what a top does not declare."""
-        declared = vars(cls)
+        declared, parts = vars(cls), parts_of(cls.__doc__ or "")
         for name in ("field", "angular_velocity", "vertical"):
             if inspect.isfunction(declared.get(name)):
                 setattr(cls, name, staticmethod(declared[name]))
         if "kind" in declared and "form" not in declared:
             cls.form = cls.kind
+        texts = {"title": parts["Description"].partition("\n")[0].rstrip(".")}
+        texts |= {"citation": " ".join(parts["Source"].split()), "formula": parts["Formula"]}
+        for name, text in texts.items():
+            if text and name not in declared:
+                setattr(cls, name, text)
         if not hasattr(cls, "title"):
-            cls.title = (cls.__doc__ or getattr(cls, "kind", cls.__name__)).strip().splitlines()[0].rstrip(".")
+            cls.title = getattr(cls, "kind", cls.__name__)
         if "components" in declared and "vectors" not in declared:
             cls.vectors = {name: (i, i + 1) for i, name in enumerate(cls.components)}
         if "components" in declared and not hasattr(cls, "swing"):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from enum import IntEnum
+from pathlib import Path
 
 NAME_LENGTH = 60
 """Length at which messages cut a name or value."""
@@ -19,8 +20,7 @@ LIST_LENGTH = 300
 class ExitCode(IntEnum):
     """Exit codes of the commands, each with its ``meaning`` in the help of ``topcli``.
 
-    A command whose reader closes the pipe (``topcli ... | head -1``) may exit with 1. On Windows, which topcli does not
-    support, every command exits with 2.
+    A command whose reader closes the pipe (``topcli ... | head -1``) may exit with 1.
     """
 
     meaning: str
@@ -112,6 +112,18 @@ class SchemeCodeError(UsageError):
 
 class RunError(TopcliError):
     """Run that could not be computed or stored; the exit code is 1."""
+
+
+def successor(name: str) -> str:
+    """What to use instead of a command, option, scheme or key of an earlier version; empty for any other name.
+
+    >>> successor("scheme hybrid-xi")
+    'use hybrid'
+    """
+    import tomllib
+
+    entries = tomllib.loads(Path(__file__).with_name("gone.toml").read_text(encoding="utf-8"))
+    return next((text for text, names in entries.items() if name in names), "")
 
 
 def nearest(name: str, choices: Iterable[str], listed_by: str = "") -> str:

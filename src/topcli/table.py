@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -123,42 +122,23 @@ def markdown_table(lines: Sequence[Sequence[str]]) -> list[str]:
     return [ruled[0], "|" + " --- |" * len(lines[0]), *ruled[1:]]
 
 
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    **{letter: f"\\{letter}" for letter in "&%$#_{}"},
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-    "–": "--",
-    "±": r"$\pm$",
-    "−": "$-$",
-    "·": r"$\cdot$",
-    "×": r"$\times$",
-    "≤": r"$\leq$",
-    "≥": r"$\geq$",
-    "ε": r"$\varepsilon$",
-    "µ": r"$\mu$",
-}
-_FORMS = {"<super>": "$^{%s}$", "<sub>": "$_{%s}$"}
-"""Raised and lowered characters in LaTeX, by their form in Unicode."""
+_SPECIAL = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        **{letter: f"\\{letter}" for letter in "&%$#_{}"},
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
+    }
+)
 _NUMBER = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w.])")
 
 
 def escaped(text: str) -> str:
-    """Text with the special characters of LaTeX escaped; Greek letters, raised and lowered digits in mathematics."""
-    return "".join(map(_letter, text)).replace("$$", "").replace("}_{", "").replace("}^{", "")
-
-
-def _letter(letter: str) -> str:
-    """Character in LaTeX."""
-    if letter in _SPECIAL or letter.isascii():
-        return _SPECIAL.get(letter, letter)
-    if greek := re.fullmatch(r"GREEK (SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(letter, "")):
-        return f"$\\{greek[2].lower() if greek[1] == 'SMALL' else greek[2].capitalize()}$"
-    form, _, code = unicodedata.decomposition(letter).partition(" ")
-    return _FORMS[form] % chr(int(code, 16)) if form in _FORMS else letter
+    """Text with the special characters of LaTeX escaped; LuaLaTeX reads all others, such as γ, as they are."""
+    return text.translate(_SPECIAL)
 
 
 def is_number(text: str) -> bool:
@@ -189,7 +169,7 @@ def latex_table(
     """Lines of a LaTeX table for the package booktabs, of cells in LaTeX; ``above`` are lines above the header."""
     head = [" & ".join(header) + r" \\", r"\midrule"] if header else []
     return [
-        r"% needs \usepackage{booktabs}",
+        r"% needs \usepackage{booktabs}, and LuaLaTeX for letters such as γ",
         r"\begin{table}",
         r"\centering",
         rf"\caption{{{caption}}}",

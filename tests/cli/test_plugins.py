@@ -58,8 +58,7 @@ SCHEME = """
 import topcli
 from topcli.contracts import Stepper
 
-@topcli.scheme("rest", top="kowalevski", title="rest", order=1, explicit=True, self_adjoint=True,
-               citation="none", equations="y' = y")
+@topcli.scheme("rest", top="kowalevski", order=1, explicit=True, self_adjoint=True)
 def build(top, options):
     "Stay."
     return Stepper(lambda s, h, p: s, 6)
@@ -73,9 +72,9 @@ def found(batch):
 """
 TOP = """
 import topcli
-from topcli.tops.heavy import Heavy
+from topcli.tops import TOPS
 @topcli.top
-class Own(Heavy):
+class Own(TOPS["heavy"]):
     kind = form = 'own'
 """
 

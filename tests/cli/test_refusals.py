@@ -26,7 +26,7 @@ measure: [max_deviation.energy]
 """
 SCHEME = """\
 import topcli
-@topcli.scheme({name}, top={top}, title="t", order=1, explicit=True, self_adjoint=True, citation="c", equations="e")
+@topcli.scheme({name}, top={top}, order=1, explicit=True, self_adjoint=True)
 def build(top, options):
     {docstring}
 """

@@ -1,4 +1,4 @@
-"""The JSON Schema of a config, the configs that init writes, and the names of columns and tops that commands know."""
+"""The JSON Schema of a config."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from json_schema import fits
 from topcli.config.load import load, load_experiment
 from topcli.config.schema import config_schema
 from topcli.config.text import parse_yaml
-from topcli.errors import TopcliError, UnknownNameError, UsageError
-from topcli.tops import top_class
+from topcli.errors import TopcliError
 
 schema_of_configs = cache(config_schema)
 
@@ -63,14 +62,3 @@ def test_schema_judges_as_the_loader(text: str) -> None:
     if text in REFUSED:
         with pytest.raises(TopcliError):
             load(data)
-
-
-# names
-
-
-def test_a_form_says_which_vectors_it_needs() -> None:
-    data = load_experiment("lagrange_hk").resolved()
-    with pytest.raises(UsageError, match=r"initial\.omega: unknown key"):
-        load_experiment(data | {"top": "lagrange/inertial"})
-    with pytest.raises(UnknownNameError, match=r"known: .*euler, euler\+gamma, .*heavy, .*lagrange/inertial"):
-        top_class("zzz")

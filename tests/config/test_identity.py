@@ -40,14 +40,7 @@ def test_an_override_that_changes_nothing_keeps_the_name(override: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scene", "override"),
-    [
-        (SCENE, "h=0.01"),
-        (SCENE, "output.columns=[t, gamma1]"),
-        (SCENE, "initial.gamma=[0, 0, 1]"),
-        (SCENE, "T=5"),
-        ("euler_ensemble", "h=0.01"),
-    ],
+    ("scene", "override"), [(SCENE, "output.columns=[t]"), (SCENE, "T=5"), ("euler_ensemble", "h=1")]
 )
 def test_an_override_that_changes_the_run_changes_its_name(scene: str, override: str) -> None:
     experiment = load(scene, [override], rename=True)
@@ -55,13 +48,9 @@ def test_an_override_that_changes_the_run_changes_its_name(scene: str, override:
     assert experiment.name == experiment.resolved()["name"] == f"{scene}-{experiment.digest[:6]}"
 
 
-@pytest.mark.parametrize(
-    ("name", "possible"),
-    [
-        *[(name, True) for name in ("console", "a.b", "é (2)", "x+y", "n" * 100)],
-        *[(name, False) for name in ("figures", "x.", "x ", " x", "..", "-x", "a\tb", "a:b", "a/b", "", "n" * 101)],
-    ],
-)
-def test_names_that_cannot_be_folders_are_refused(name: str, possible: bool) -> None:
-    assert (not folder_name_fault(name)) == possible
-    assert not possible or not folder_name_fault(changed_name(name, "0123456789abcdef"))
+def test_names_that_cannot_be_folders_are_refused() -> None:
+    for name in ("console", "a.b", "é (2)", "x+y", "n" * 100):
+        assert not folder_name_fault(name)
+        assert not folder_name_fault(changed_name(name, "0123456789abcdef"))
+    for name in ("figures", "x.", "x ", " x", "..", "-x", "a\tb", "a:b", "a/b", "", "n" * 101):
+        assert folder_name_fault(name)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from declared import Heavy
 from topcli.contracts import Top
 from topcli.figures.body import body_of
 from topcli.figures.figure import canvas_of
 from topcli.figures.space import SPATIAL, draw_trace, polhodes
 from topcli.tops.euler import Euler, EulerGamma, field
-from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 

@@ -9,7 +9,7 @@ import pytest
 
 import topcli
 from conftest import GEN, random_states
-from declared import BODIES
+from declared import BODIES, Heavy
 from fields import random_field, random_state, top_of
 from topcli.analysis.order import one_step_back_and_forth
 from topcli.analysis.reference import reference_states
@@ -23,7 +23,6 @@ from topcli.sweeps.batch import Measuring
 from topcli.sweeps.measures import resolve_measures
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
-from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 

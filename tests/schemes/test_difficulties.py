@@ -9,6 +9,7 @@ import pytest
 
 import topcli
 from conftest import GEN, PAPER
+from declared import Heavy
 from topcli.contracts import Ending, Floats, Outcome, Top
 from topcli.engine.drive import orbit
 from topcli.runs.report import warning_of
@@ -16,7 +17,6 @@ from topcli.schemes.any_top.hk import NEAR_SINGULAR
 from topcli.schemes.registry import find_scheme
 from topcli.studies.stress import singular_step
 from topcli.tops.euler import Euler, EulerGamma
-from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 

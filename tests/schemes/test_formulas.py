@@ -16,7 +16,7 @@ from scipy.linalg import expm
 
 from conformance import ExactStep, Subject, plain_step, subjects
 from conftest import random_states
-from declared import BODIES, SCHEMES, TRIALS
+from declared import BODIES, SCHEMES, TRIALS, Heavy
 from split_motions import axes, closed, kicked, moser_veselov, poisson_defect
 from stepping import gradients, states_of
 from topcli.contracts import Top
@@ -25,7 +25,6 @@ from topcli.engine.machine import Machine
 from topcli.engine.numbers import RATIONAL, Rational, prepared
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
-from topcli.tops.heavy import Heavy
 
 State = np.ndarray
 Residual = Callable[[Subject, State, State, Any], float]

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from conftest import GEN
-from declared import BODIES
+from declared import BODIES, Heavy
 from stepping import Steps, made, ran, root_mean_square, states_of
 from topcli.analysis.reference import reference_states
 from topcli.arithmetic.vectors import orthogonal_rodrigues_increment, rodrigues_increment
 from topcli.contracts import Outcome, Top
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
-from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 

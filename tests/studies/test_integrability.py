@@ -159,7 +159,7 @@ REFUSED = {
 SCHEME = '''import math
 import topcli
 from topcli.contracts import Stepper
-@topcli.scheme("mine", top="euler", title="Mine", order=1, explicit=True, self_adjoint=False, citation="", equations="")
+@topcli.scheme("mine", top="euler", order=1, explicit=True, self_adjoint=False)
 def mine(top, options):
     """A step."""
     return Stepper(lambda s, h, p: STEP, 3)

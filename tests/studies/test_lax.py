@@ -6,7 +6,7 @@ import pytest
 
 import topcli
 from cases import table_of
-from declared import random_heavy_tops
+from declared import Heavy, random_heavy_tops
 from topcli.analysis.lax import (
     block_form,
     lagrange_form,
@@ -16,7 +16,6 @@ from topcli.analysis.lax import (
 )
 from topcli.contracts import EulerPoisson, Floats
 from topcli.errors import UsageError
-from topcli.tops.heavy import Heavy
 
 EULER = EulerPoisson((2.0, 1.5, 1.0), (0.0, 0.0, 0.0))
 LAGRANGE = EulerPoisson((1.6, 1.6, 0.9), (0.0, 0.0, 0.7))

@@ -100,8 +100,7 @@ def raises(y, h, p):
     return rk2(y, h, p)
 
 def make(name, order, step):
-    @topcli.scheme(name, top="kowalevski", title=name, order=order, explicit=True, self_adjoint=False,
-                   citation="none", equations="none")
+    @topcli.scheme(name, top="kowalevski", order=order, explicit=True, self_adjoint=False)
     def build(top, options):
         """Test."""
         if step is None:

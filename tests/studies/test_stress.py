@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cases import table_of
+from declared import Heavy
 from topcli.analysis.reference import reference_states
 from topcli.contracts import Array, Ending, Floats, Invariant, Outcome, Top
 from topcli.engine.drive import Orbit
@@ -39,7 +40,6 @@ from topcli.studies.stress import (
     verdict_of,
 )
 from topcli.tops.euler import Euler
-from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 

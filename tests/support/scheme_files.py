@@ -22,8 +22,7 @@ import topcli
 from topcli.contracts import Stepper
 {body}
 
-@topcli.scheme("mine", top="kowalevski", title="mine", order=1, explicit=True, self_adjoint=False,
-               citation="none", equations="none")
+@topcli.scheme("mine", top="kowalevski", order=1, explicit=True, self_adjoint=False)
 def mine(top, options):
     '''Change omega1.'''
     return Stepper(step, 6{options})

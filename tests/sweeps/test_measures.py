@@ -111,9 +111,9 @@ def one_way_step(y: Any, h: float, p: Any) -> Any:
 
 def test_the_reversal_is_the_defect_of_a_step_and_its_reverse(own_registry: None) -> None:
     """A step of Euler's rule and back differs by h² y''; it is infinite where a step back fails."""
-    traits = {"order": 1, "explicit": True, "self_adjoint": False, "citation": "none", "equations": "none"}
+    traits = {"order": 1, "explicit": True, "self_adjoint": False}
 
-    @topcli.scheme("one-way", top="euler", title="Euler's rule", **traits)
+    @topcli.scheme("one-way", top="euler", **traits)
     def build(top: Any, options: Any) -> Stepper:
         """Euler's rule."""
         return Stepper(one_way_step, 3)

@@ -7,15 +7,13 @@ from typing import Any, ClassVar
 
 import pytest
 
-from declared import BODIES
+from declared import BODIES, Heavy
 from topcli.contracts import EulerPoisson, Top
 from topcli.errors import UsageError
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 from topcli.tops.bodies import checked_equations, checked_rotation
 from topcli.tops.euler import Euler
-from topcli.tops.heavy import Heavy
-from topcli.tops.heavy import field as heavy_field
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
 
@@ -62,13 +60,13 @@ def test_a_top_without_an_angular_velocity_is_refused() -> None:
 @pytest.mark.parametrize("name", ["angular_velocity", "vertical"])
 def test_a_vector_that_always_fails_is_refused(name: str) -> None:
     failing = type("Failing", (Kowalevski,), {name: staticmethod(lambda y, p: (1.0 / (0.0 * p[0]), y[1], y[2]))})
-    with pytest.raises(UsageError, match="fails at every state that was tried: ZeroDivisionError"):
+    with pytest.raises(UsageError, match=f"{name} has no value at any state that was tried"):
         checked_rotation(failing(), "a test")
 
 
 def gyrostat_field(y, p):
     """The heavy top with a rotor along its third axis, of angular momentum p[6]."""
-    f1, f2, f3, g1, g2, g3 = heavy_field(y, (p[0], p[1], p[2], p[3], p[4], p[5]))
+    f1, f2, f3, g1, g2, g3 = Heavy.field(y, (p[0], p[1], p[2], p[3], p[4], p[5]))
     return (f1 - p[6] * y[1] / p[0], f2 + p[6] * y[0] / p[1], f3, g1, g2, g3)
 
 
@@ -89,7 +87,7 @@ class HonestGyrostat(Gyrostat):
         raise NotImplementedError
 
 
-def described(change: Callable[[EulerPoisson], EulerPoisson]) -> type[Heavy]:
+def described(change: Callable[[EulerPoisson], EulerPoisson]) -> Any:
     class Described(Heavy):
         def euler_poisson(self) -> EulerPoisson:
             return change(super().euler_poisson())
@@ -123,30 +121,17 @@ def test_no_term_hides_behind_a_larger_one(size: float) -> None:
 
 
 def test_a_top_of_another_shape_is_refused() -> None:
-    class Two(Heavy):
+    class Two(Kowalevski):
         components: ClassVar[tuple[str, ...]] = ("q", "p")
 
     with pytest.raises(UsageError, match="its state has 2 components"):
         checked_equations(Two(), "a test")
 
 
-def build(name: str, top: Top) -> object:
-    scheme = find_scheme(name, "heavy")
-    return scheme.build(top, scheme.options())
-
-
-USERS = {
-    "scheme 'dmv'": lambda top: build("dmv", top),
-    "scheme 'splitting'": lambda top: build("splitting", top),
-}
-
-
-@pytest.mark.parametrize("user", USERS)
+@pytest.mark.parametrize("scheme", ["dmv", "splitting"])
 @pytest.mark.parametrize("top", [Gyrostat(), HonestGyrostat()], ids=["wrong", "none"])
-def test_nothing_trusts_a_wrong_description(user: str, top: Top) -> None:
-    with pytest.raises(UsageError) as caught:
-        USERS[user](top)
-    assert caught.value.exit_code == 2
-    assert user in str(caught.value)
-    assert "gyrostat" in str(caught.value)
-    USERS[user](Heavy())
+def test_nothing_trusts_a_wrong_description(scheme: str, top: Top) -> None:
+    build, options = find_scheme(scheme, "heavy").build, find_scheme(scheme, "heavy").options()
+    with pytest.raises(UsageError, match=f"gyrostat.*scheme '{scheme}'"):
+        build(top, options)
+    build(Heavy(), options)

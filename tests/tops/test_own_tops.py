@@ -95,11 +95,9 @@ def test_an_own_scheme_replaces_that_for_every_top() -> None:
     topcli.top(Declared)
 
     def own(form: str) -> None:
-        @topcli.scheme(
-            "rk4", top=form, title="mine", order=1, explicit=True, self_adjoint=True, citation="a", equations="b"
-        )
+        @topcli.scheme("rk4", top=form, order=1, explicit=True, self_adjoint=True)
         def build(top, options):
-            """Rest."""
+            """mine."""
             return Stepper(lambda y, h, p: y, 2)
 
     own("turning")

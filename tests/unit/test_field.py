@@ -9,6 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from declared import Heavy
 from fields import random_field, random_state, top_of
 from steppers import built, physical
 from topcli.field.implicit import KahanStep, NewtonStep, generated
@@ -22,7 +23,6 @@ from topcli.field.polynomial import (
 )
 from topcli.field.straight_line import compiled_function
 from topcli.tops import TOPS
-from topcli.tops.heavy import Heavy
 
 EPS = 2.0**-52
 

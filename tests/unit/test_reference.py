@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from declared import Heavy
 from topcli.analysis import reference
 from topcli.analysis.reference import REACH, reference_states, table_of
 from topcli.contracts import Floats, Top
 from topcli.errors import RunError
 from topcli.field.units import NaturalUnits
 from topcli.tops.euler import Euler
-from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 
 GEN = (0.7, -0.4, 1.3, 0.6, 0.48, 0.64)

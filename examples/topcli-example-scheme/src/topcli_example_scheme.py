@@ -80,14 +80,22 @@ def step(s: Floats, h: float, p: Floats) -> Floats:
 @topcli.scheme(
     "example-bohlin-a",
     top="kowalevski",
-    title="Bohlin A from a separate package",
     order=1,
     explicit=True,
     self_adjoint=False,
     conserves=("gamma_sq", "k_sq"),
-    citation="Sogo, Discrete Spinning Tops, section 3.2.2",
-    equations="(A), Kxi, direct",
 )
 def build(top: object, options: object) -> Stepper:
-    """Advance gamma by a Cayley rotation and omega by Bohlin's method, on the branch nearest to a prediction."""
+    """Bohlin A from a separate package.
+
+    The scheme advances gamma by a Cayley rotation and omega by Bohlin's method, on the branch nearest to a prediction.
+
+    Source
+    ------
+    Sogo, Discrete Spinning Tops, section 3.2.2
+
+    Equations
+    ---------
+    (A), Kxi, direct
+    """
     return Stepper(step, 6)

@@ -7,7 +7,6 @@ import platform
 import re
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -17,7 +16,7 @@ from typer.main import get_command
 from topcli import STUDIES, __version__
 from topcli.cli import options
 from topcli.cli.output import Screen, emit, print_document, print_error, print_lines, print_message
-from topcli.errors import ExitCode, TopcliError, UsageError, shortened
+from topcli.errors import ExitCode, TopcliError, UsageError, shortened, successor
 from topcli.studies import find_study
 
 _FIRST = ("compare", "order", "bench", "analyse")
@@ -47,8 +46,6 @@ GROUPS = {
 """Module and first line of the help of each command, by the group in which the help lists them; the function in the
 module has the name of the command."""
 COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
-GONE = Path(__file__).with_name("gone.toml")
-"""File of the replacements of commands and options of earlier versions."""
 
 
 def command_function(name: str) -> Callable[..., Any]:
@@ -186,7 +183,7 @@ def print_usage_error(error: Any) -> None:
     ctx = getattr(error, "ctx", None)
     path = ctx.command_path if ctx is not None else "topcli"
     unknown = re.match(r"No such (?:command|option):? '?([\w-]+)'?", message)
-    if unknown and (instead := replacement(" ".join([*path.split()[1:], unknown[1]]))):
+    if unknown and (instead := successor(" ".join([*path.split()[1:], unknown[1]]))):
         print_message(f"error: n{unknown[0][1:]}; {instead}")
         return
     message = re.sub(r"(?: \(Possible options: .*\)|\. Did you mean .*\?)$", "", message).removesuffix(".")
@@ -197,13 +194,6 @@ def print_usage_error(error: Any) -> None:
         message = f"{message[: choice.start()]}'{choice[1]}' is not one of {', '.join(names)}"
     hint = f"; did you mean '{near[0]}'?" if near else ""
     print_message(f"error: {shortened(message[:1].lower() + message[1:], 240)}{hint} (see {path} --help)")
-
-
-def replacement(name: str) -> str:
-    """Replacement of a command or option of an earlier version; empty for an unknown one."""
-    import tomllib
-
-    return tomllib.loads(GONE.read_text(encoding="utf-8")).get(name, "")
 
 
 def _print_version(asked: bool) -> None:

@@ -23,7 +23,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import to_json
 
 from topcli.config.text import KeyPath, parse_yaml
-from topcli.errors import ConfigError, UsageError, nearest, quoted, shortened
+from topcli.errors import ConfigError, UsageError, nearest, quoted, shortened, successor
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -170,20 +170,12 @@ def plain_data(value: Any, document: Document, path: KeyPath = ()) -> Any:
     raise ConfigError(document.message(path, fault))
 
 
-_SUCCESSORS = {
-    "digits": "the report has the deviations in the precision of the run",
-    "include": "list further rows in zip, or run a second sweep",
-    "store": "`topcli show SWEEP --row NUMBER` prints a row as a config for topcli run",
-}
-"""Replacements of keys that do not exist any more, for messages."""
-
-
 def unknown_key(key: str, keys: Iterable[str]) -> str:
     """Message about a key that does not exist."""
     names = list(keys)
     same = next((name for name in names if name.lower() == key.lower()), None)
     near = f"did you mean {same!r}?" if same else nearest(key, names) if names else "none is allowed here"
-    return f"unknown key; {_SUCCESSORS.get(key) or near}"
+    return f"unknown key; {successor(f'key {key}') or near}"
 
 
 @cache

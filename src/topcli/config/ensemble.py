@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
 from topcli.config.document import STRICT, Document, as_integer, describe, number_of, unknown_key
-from topcli.config.sections import top_with
 from topcli.config.states import MAX_TRAJECTORIES, drawn_states, read_draws, read_random, read_states, vectors_in
+from topcli.config.text import KeyPath
 from topcli.contracts import Array, Top
 
 MAX_SWEEP_ROWS = 10**7
@@ -147,11 +147,16 @@ class Ensemble:
 
 
 def read_ensemble(
-    section: EnsembleSection, initial: object, top: Top, parameters: Mapping[str, Any], document: Document
+    section: EnsembleSection,
+    initial: object,
+    top: Top,
+    with_parameters: Callable[[Mapping[str, Any], KeyPath], Top],
+    document: Document,
 ) -> Ensemble:
     """Return the initial states of an ensemble of ``top``.
 
-    ``parameters`` are the parameters of the top as the config gives them, for a grid over some of them.
+    ``with_parameters(values, path)`` is the top with other values of some parameters, which have their place at
+    ``path``.
     """
     cls, tops = type(top), [top]
     if not isinstance(initial, dict):
@@ -172,7 +177,7 @@ def read_ensemble(
         names = [name.removeprefix("top.") for name in varied]
         chosen = [dict(zip(names, values, strict=True)) for values in itertools.product(*varied.values())]
         if varied:
-            tops = [top_with(cls, {**parameters, **values}, document, path) for values in chosen]
+            tops = [with_parameters(values, path) for values in chosen]
     else:
         key, path = "random", ("ensemble", "random")
         random, rules = read_random(section.random or {}, document, *path)

@@ -10,8 +10,8 @@ from pydantic import BaseModel, Field
 
 from topcli.analysis.quantities import usable_names
 from topcli.config.document import STRICT, Document, describe
-from topcli.config.models import Output, PoincareSection
-from topcli.contracts import Invariant, Top
+from topcli.config.models import Experiment
+from topcli.contracts import Top
 from topcli.engine.columns import ATTITUDES
 from topcli.errors import nearest, quoted
 from topcli.field.expression import parse
@@ -172,8 +172,10 @@ def check_numbers(top: Any, document: Document) -> None:
             checked_rotation(top, "the vertical")
 
 
-def read_output(output: Output, cls: type[Top], integrals: Sequence[Invariant], document: Document) -> Output:
-    """Return the output with its columns checked, and the texts of its formulas."""
+def read_columns(experiment: Experiment, document: Document) -> dict[str, Any]:
+    """Return ``output`` and ``crossings`` of an experiment with the texts of their formulas, and all names checked."""
+    cls, output, crossings = type(experiment.top), experiment.output, experiment.crossings
+    integrals = experiment.top.invariants() + experiment.modified
     earlier = dict.fromkeys(cls.model_fields, "parameter") | dict.fromkeys(cls.components, "component")
     earlier |= dict.fromkeys((integral.name for integral in integrals), "invariant")
     earlier |= dict.fromkeys(chain.from_iterable(ATTITUDES.values()), "column of the attitude")
@@ -190,15 +192,13 @@ def read_output(output: Output, cls: type[Top], integrals: Sequence[Invariant], 
             document.fault(("output", "columns"), f"unknown column {quoted(name)}; {nearest(name, names)}")
     if len(set(columns)) < len(columns):
         document.fault(("output", "columns"), "names a column twice")
-    return output.model_copy(update={"columns": columns or None, "quantities": formulas or None})
+    output = output.model_copy(update={"columns": columns or None, "quantities": formulas or None})
 
-
-def read_section(section: PoincareSection, cls: type[Top], document: Document) -> PoincareSection:
-    """The section of orbits of ``cls``, its formula as text, checked."""
-    if section.component is None:
-        text = read_formula(section.quantity, usable_names(cls), document, "section", "quantity")
-        return section.model_copy(update={"quantity": text})
-    if section.component not in cls.components:
-        near = nearest(section.component, cls.components)
-        document.fault(("section", "component"), f"unknown component {quoted(section.component)}; {near}")
-    return section
+    # the surface of a Poincaré section
+    if crossings and crossings.component is None:
+        text = read_formula(crossings.quantity, usable_names(cls), document, "section", "quantity")
+        crossings = crossings.model_copy(update={"quantity": text})
+    elif crossings and crossings.component not in cls.components:
+        near = nearest(crossings.component or "", cls.components)
+        document.fault(("section", "component"), f"unknown component {quoted(crossings.component or '')}; {near}")
+    return {"output": output, "crossings": crossings}

@@ -5,21 +5,34 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from topcli.config.document import Document, apply_overrides, drop_partner, parse_override, plain_data, set_key
+from pydantic import BaseModel
+
+from topcli.config.document import (
+    BARE,
+    Document,
+    apply_overrides,
+    describe,
+    drop_partner,
+    parse_override,
+    plain_data,
+    set_key,
+)
 from topcli.config.ensemble import read_ensemble
 from topcli.config.files import find_config, first_sentence, read_document, scene_files
 from topcli.config.models import Config, Experiment, changed_name, steps_of
-from topcli.config.sections import read_scheme, read_top
-from topcli.config.states import read_states, vectors_in
+from topcli.config.states import read_states, vectors_in, vectors_named
+from topcli.config.text import KeyPath
 from topcli.config.written import read_written, with_written_numbers
-from topcli.contracts import Array, Top
+from topcli.contracts import Array, Outcome, Scheme, Top
 from topcli.engine.numbers import DOUBLE, MAX_DIGITS, RATIONAL
-from topcli.errors import ConfigError, StepTooLongError, TopcliError
-from topcli.tops import TOPS, forms
+from topcli.errors import ConfigError, StepTooLongError, TopcliError, UsageError
+from topcli.schemes.registry import find_scheme, names_for
+from topcli.tops import CUSTOM, TOPS, forms, top_class, top_names
 from topcli.tops.bodies import checked_rotation
 
 Source = Path | str | Mapping[str, Any]
@@ -27,6 +40,9 @@ Source = Path | str | Mapping[str, Any]
 
 Start = Callable[[Top, Any], Array]
 """Reader of initial states (m, d) from a top and the section ``initial``."""
+
+RESULTS = Path("results")
+"""Folder in which a run is found by its name."""
 
 
 def load(
@@ -78,7 +94,7 @@ def load_experiment(
     if loaded.precision != DOUBLE and not any_precision:
         commands = "`topcli run`, `topcli compare` and topcli.simulate take another precision"
         document.fault(("precision",), f"computed in doubles here; {commands}")
-    return loaded if crossings or not loaded.section else loaded.model_copy(update={"section": None})
+    return loaded if crossings or not loaded.crossings else loaded.model_copy(update={"crossings": None})
 
 
 def _loaded(source: Source, overrides: Sequence[str], changes: Mapping[str, Any] | None) -> tuple[Experiment, Document]:
@@ -143,48 +159,140 @@ def read_experiment(
         data["name"] = default_name
     initial: Any = data.get("initial", {})
     if isinstance(initial, dict) and "from" in initial:
-        from topcli.config.continued import last_state  # with the store, which other configs spare
-
         with document.at("initial"):
             initial = last_state(initial, lambda vectors: read_top(data.get("top"), vectors, document))
 
     # the sections, each by itself; vectors and components choose the form of the top
     config = document.read(Config, data)
     N = _steps(config, document)
-    vectors = [*(initial if isinstance(initial, dict) else ()), *named]
-    top = read_top(data["top"], [*vectors, *(config.ensemble.named if config.ensemble else ())], document)
+    vectors = [
+        *(initial if isinstance(initial, dict) else ()),
+        *named,
+        *(config.ensemble.named if config.ensemble else ()),
+    ]
+    top = read_top(data["top"], vectors, document)
     scheme, options = read_scheme(data["scheme"], type(top), document)
     many = None
     if config.ensemble:
-        many = read_ensemble(config.ensemble, initial, top, top.parameters_in(data["top"]), document)
+        with_parameters = partial(_top_with, type(top), top.parameters_in(data["top"]), document)
+        many = read_ensemble(config.ensemble, initial, top, with_parameters, document)
     states = many.states if many else start(top, initial) if start else read_states(type(top), initial, document)
-    state: tuple[float, ...] = tuple(states[0].tolist())
-    shared = {key: getattr(config, key) for key in ("h", "output", "section", "precision")}
     experiment = Experiment(
         name=config.name or f"{top.kind}_{scheme.name}".replace("-", "_"),
         top=top,
-        y0=state,
+        y0=tuple(states[0].tolist()),
         ensemble=many,
         scheme=scheme,
         options=options,
+        h=config.h,
         N=N,
+        output=config.output,
+        crossings=config.section,
+        precision=config.precision,
         max_digits=config.max_digits or MAX_DIGITS,
-        **shared,
     )
 
     # the keys that depend on each other
     changes: dict[str, Any] = {}
-    output, section = experiment.output, experiment.section
-    if output.quantities or output.columns or section:
-        from topcli.config.formulas import read_output, read_section  # whose parser other configs do not need
+    if config.output.quantities or config.output.columns or config.section:
+        from topcli.config.formulas import read_columns  # whose parser other configs do not need
 
-        changes["output"] = read_output(output, type(top), top.invariants() + experiment.modified, document)
-        changes["section"] = section and read_section(section, type(top), document)
+        changes |= read_columns(experiment, document)
     _check(experiment, config, document)
     if config.precision != DOUBLE:
         sections = data | {"initial": vectors_in(type(top), initial)}
-        changes["written"] = read_written(sections, top, state, config.precision, document)
+        changes["written"] = read_written(sections, top, experiment.y0, config.precision, document)
     return experiment.model_copy(update=changes) if changes else experiment
+
+
+def read_top(raw: object, names: Iterable[str], document: Document) -> Top:
+    """Return the top with its parameters. The vectors and components in ``names`` choose among the forms of a top."""
+    kind, where, section = _named_section(raw, "top", top_names, document)
+    if kind.lower() == CUSTOM:
+        from topcli.config.formulas import read_custom  # whose models other configs do not need
+
+        cls = read_custom(section, document)
+        section = cls.parameters_in(section)
+    else:
+        with document.at(*where):
+            cls = top_class(kind, vectors_named(kind, names))
+    return _top_with(cls, section, document, {}, ("top",))
+
+
+def _top_with(
+    cls: type[Top], parameters: Mapping[str, Any], document: Document, changes: Mapping[str, Any], path: KeyPath
+) -> Top:
+    """Return the top of class ``cls`` with these ``parameters`` and ``changes`` of them, whose place is ``path``."""
+    top = document.read(cls, {**parameters, **changes}, *path, beside=("kind",))
+    if cls.kind == CUSTOM:
+        from topcli.config.formulas import check_numbers
+
+        check_numbers(top, document)
+    return top
+
+
+def read_scheme(raw: object, cls: type[Top], document: Document) -> tuple[Scheme, BaseModel]:
+    """Return the scheme for tops of class ``cls``, composed if ``compose`` is given, and its options."""
+    name, where, section = _named_section(raw, "scheme", lambda: names_for(cls.form), document)
+    with document.at(*where):
+        scheme = find_scheme(name, cls.form)
+    if "compose" in section:
+        with document.at("scheme", "compose"):
+            scheme = find_scheme(f"{scheme.name}+{section['compose']}", cls.form)
+    return scheme, document.read(scheme.options, section, "scheme", beside=("name", "compose"))
+
+
+def _named_section(
+    raw: object, section: str, names: Callable[[], list[str]], document: Document
+) -> tuple[str, KeyPath, dict[str, Any]]:
+    """Return the name in a section, its path and the whole section, of which a bare name stands for the first key.
+
+    ``names`` lists the possible names and is called only for a message.
+    """
+    key = BARE[section]
+    name = raw.get(key) if isinstance(raw, dict) else raw
+    if isinstance(name, str) and name:
+        return (name, (section, key), raw) if isinstance(raw, dict) else (name, (section,), {key: name})
+    document.fault((section,), f"must be a name, or a section with {key!r}; known: {', '.join(names())}")
+
+
+def last_state(initial: Mapping[str, Any], top_of: Callable[[Any], Top]) -> dict[str, Any]:
+    """Section ``initial`` with the last state of the stored run that the given section names by ``from``.
+
+    ``top_of(section)`` is the top of the config with this section; it must be that of the run. Raises UsageError.
+    """
+    from topcli.store.results import read_result  # with the store, which other configs spare
+    from topcli.store.series import read_series, series_names
+
+    name = initial["from"]
+    if others := [key for key in initial if key not in ("from", "normalize")]:
+        raise UsageError(f"from gives the whole state; leave out {', '.join(others)}")
+    run = (read_result(Path(name)) or read_result(RESULTS / name)) if isinstance(name, str) and name else None
+    if run is None or run.outcome is None:
+        raise UsageError(f"from: {describe(name)} is no finished run; give its name in {RESULTS}, or its folder")
+    if "ensemble" in run.manifest["config"]:
+        raise UsageError(f"from: the run {run.folder} is an ensemble")
+
+    # the last row must be the state in doubles after the last step, of the same top
+    manifest, config = run.manifest, run.manifest["config"]
+    top, step, every = top_of(config["initial"]), manifest["step"], config["output"]["every"]
+    missing = [component for component in top.components if component not in series_names(run.series)]
+    reasons = {
+        "recorded crossings": "section" in config,
+        "is in another precision, and its states are stored in doubles": "precision" in config,
+        f"failed: it {manifest['message']}": run.outcome not in (Outcome.COMPLETED, Outcome.INTERRUPTED),
+        f"did not record its last state, for {step} steps are no multiple of output.every = {every}": step % every > 0,
+        f"did not record {', '.join(missing)}": bool(missing),
+        "has another top": config["top"] != top.section(),
+    }
+    fault = next((reason for reason, wrong in reasons.items() if wrong), "")
+    if not fault and (damage := run.damage()):
+        fault = f"is damaged: {', '.join(damage)}"
+    if fault:
+        raise UsageError(f"from: the run {run.folder} {fault}")
+    rows = read_series(run.series, top.components)
+    state = top.initial_section([float(rows[component][-1]) for component in top.components])
+    return {key: value for key, value in initial.items() if key != "from"} | state
 
 
 def _steps(config: Config, document: Document) -> int:
@@ -200,7 +308,7 @@ def _steps(config: Config, document: Document) -> int:
 
 def _check(experiment: Experiment, config: Config, document: Document) -> None:
     """Refuse keys that exclude each other, and those that do not fit N."""
-    output, section, N, h = experiment.output, experiment.section, experiment.N, experiment.h
+    output, section, N, h = experiment.output, config.section, experiment.N, experiment.h
     # features that the loop of a run has only one at a time
     features = {
         "ensemble": config.ensemble,

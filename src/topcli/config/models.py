@@ -155,7 +155,7 @@ class PoincareSection(BaseModel):
 
     def search(self, top: Top, method: Method, h: float, y0: Array) -> CrossingSearch:
         """Search for the crossings of the orbits of ``method`` from ``y0`` (m, d)."""
-        quantity = quantities_of(type(top), {"section": self.formula})[0]
+        quantity = quantities_of(type(top), {"crossings": self.formula})[0]
 
         def distance(n: NDArray[Any], states: Array) -> Array:
             return quantity.values(top, n, h, states) - self.value
@@ -163,7 +163,7 @@ class PoincareSection(BaseModel):
         return CrossingSearch(top, method, h, y0, distance, self.direction)
 
 
-SECTION_TALLY = 16
+CROSSINGS_TALLY = 16
 """Steps from one state to the next at which a run that records crossings looks at the invariants."""
 
 
@@ -229,7 +229,7 @@ class Experiment(BaseModel):
     h: float
     N: int
     output: Output
-    section: PoincareSection | None = None
+    crossings: PoincareSection | None = None
     precision: int | str = DOUBLE
     max_digits: int = MAX_DIGITS
     written: InstanceOf[WrittenNumbers] | None = None
@@ -241,16 +241,16 @@ class Experiment(BaseModel):
 
     @property
     def rows(self) -> int | None:
-        """Number of rows of the series if no trajectory ends early; None for the crossings of a section."""
+        """Number of rows of the series if no trajectory ends early; None for crossings of a Poincaré section."""
         each = self.N // self.output.every + 1
         if self.ensemble:
             return self.ensemble.count * {"trajectories": each, "final": 1, "statistics": 0}[self.ensemble.store]
-        return None if self.section else each
+        return None if self.crossings else each
 
     @property
     def tallied(self) -> int:
         """Number of steps from one state to the next in the report on invariants."""
-        return SECTION_TALLY if self.section else self.output.every
+        return CROSSINGS_TALLY if self.crossings else self.output.every
 
     @property
     def recorded(self) -> list[str]:
@@ -302,7 +302,7 @@ class Experiment(BaseModel):
             "scheme": {"name": self.scheme.name, **self.options.model_dump(mode="json")},
             "h": self.h,
             "N": self.N,
-            **({"section": self.section.model_dump(mode="json", exclude_none=True)} if self.section else {}),
+            **({"section": self.crossings.model_dump(mode="json", exclude_none=True)} if self.crossings else {}),
             "output": self.output.resolved(),
             **(self.written.resolved(self.top) | {"precision": self.precision} if self.written else {}),
             **({"max_digits": self.max_digits} if self.precision == RATIONAL else {}),

@@ -20,7 +20,8 @@ def config_schema() -> Schema:
     Which schemes, vectors and columns fit which top is left to the loader.
     """
     schema, schemes = Config.model_json_schema(), all_schemes()
-    sections = [_section(top, "kind", kind) for top in TOPS.values() for kind in {top.kind: 0, top.form: 0}]
+    tops = [(top, kind) for top in TOPS.values() for kind in {top.kind: 0, top.form: 0}]
+    sections = [_section(top, "kind", kind) | {"description": top.title} for top, kind in tops]
     custom = _section(CustomSection, "kind", CUSTOM) | {"additionalProperties": {"type": "number"}}
     schema["properties"]["top"] |= {"anyOf": [{"enum": top_names()}, *sections, custom]}
     options = {(scheme.name, scheme.options): scheme.title for scheme in schemes}

@@ -18,7 +18,7 @@ import math
 import re
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any
@@ -44,11 +44,9 @@ class ExpressionError(ValueError):
 
 @dataclass(frozen=True)
 class Expression:
-    """A formula: its ``text``, its checked tree, and the ``names`` that occur in it."""
+    """A formula that has been checked: its ``text`` on one line."""
 
     text: str
-    tree: ast.expr = field(compare=False, repr=False)
-    names: frozenset[str]
 
 
 def parse(text: str, names: Iterable[str]) -> Expression:
@@ -67,9 +65,10 @@ def _parsed(text: str, names: tuple[str, ...]) -> Expression:
     flat, shift = re.sub(r"\s", " ", text).strip(), len(text) - len(text.lstrip())
     if not flat:
         raise ExpressionError("is empty; expected a formula")
-    used: set[str] = set()
     try:
-        tree = _checked(ast.parse(flat, mode="eval").body, flat, names, used)
+        tree = ast.parse(flat, mode="eval").body
+        _check(tree, flat, names)
+        ast.unparse(tree)  # nesting that cannot be written later is refused here
     except _FaultError as error:
         at, reason = error.args
     except SyntaxError as error:
@@ -77,7 +76,7 @@ def _parsed(text: str, names: tuple[str, ...]) -> Expression:
     except (RecursionError, MemoryError):
         at, reason = 0, "has too many nested operations"
     else:
-        return Expression(text, tree, frozenset(used))
+        return Expression(flat)
     at += shift
     several = f"line {text.count(chr(10), 0, at) + 1}, " if "\n" in text.strip() else ""
     raise ExpressionError(f"{several}column {at - text.rfind(chr(10), 0, at)}: {reason}")
@@ -87,39 +86,34 @@ class _FaultError(Exception):
     """Position in a text, and what is wrong there."""
 
 
-def _checked(node: ast.expr, text: str, names: tuple[str, ...], used: set[str]) -> ast.expr:
-    """Node of a formula; half powers become powers of roots. The names that occur are added to ``used``."""
-
-    def inner(part: ast.expr) -> ast.expr:
-        return _checked(part, text, names, used)
-
-    # what is not listed is refused, so that a formula can do nothing but compute
+def _check(node: ast.expr, text: str, names: tuple[str, ...]) -> None:
+    """Refuse what is not a part of a formula; what is not listed is refused, so that it can do nothing but compute."""
+    parts: Sequence[ast.expr] = ()
     match node:
-        case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
             written = text[node.col_offset : node.end_col_offset]
             if not _is_double(written):
                 reason = f"{quoted(written)} is no decimal number that a double holds; make it a parameter"
                 raise _FaultError(node.col_offset, reason)
-            return node
-        case ast.Name(id=name) if name in names:
-            used.add(name)
-            return node
-        case ast.Name(id=name) if name == PI:
-            return ast.Attribute(ast.Name("math"), PI)
-        case ast.UnaryOp(op=ast.UAdd() | ast.USub() as op, operand=operand):
-            return ast.UnaryOp(op, inner(operand))
-        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div() as op, right=right):
-            return ast.BinOp(inner(left), op, inner(right))
+        case ast.Name(id=name) if name in names or name == PI:
+            pass
+        case ast.UnaryOp(op=ast.UAdd() | ast.USub(), operand=operand):
+            parts = [operand]
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div(), right=right):
+            parts = [left, right]
         case ast.BinOp(left=left, op=ast.Pow(), right=right):
-            base, exponent = inner(left), _constant(inner(right))
+            _check(left, text, names)
+            _check(right, text, names)
+            exponent = _exponent(right)
             if exponent is None or exponent.denominator > 2 or abs(exponent) > HIGHEST:
                 reason = f"an exponent is a number, whole or half, of size {HIGHEST} at most"
                 raise _FaultError(right.col_offset, reason)
-            base = ast.Call(_function("sqrt"), [base], []) if exponent.denominator == 2 else base
-            return ast.BinOp(base, ast.Pow(), ast.Constant(exponent.numerator))
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if ARITY.get(name) == len(arguments):
-            return ast.Call(_function(name), [inner(argument) for argument in arguments], [])
-    raise _FaultError(node.col_offset, _reason(node, names))
+            parts = arguments
+        case _:
+            raise _FaultError(node.col_offset, _reason(node, names))
+    for part in parts:
+        _check(part, text, names)
 
 
 def _is_double(written: str) -> bool:
@@ -129,15 +123,15 @@ def _is_double(written: str) -> bool:
     return Fraction(repr(value)) == Fraction(written) if value else not re.match(r"[0.]*[1-9]", written)
 
 
-def _constant(node: ast.expr) -> Fraction | None:
+def _exponent(node: ast.expr) -> Fraction | None:
     """Value of a number, of its negative or of a quotient of numbers; None of anything else."""
     match node:
-        case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
+        case ast.Constant(value=value):
             return Fraction(str(value))
-        case ast.UnaryOp(op=ast.USub(), operand=operand) if (value := _constant(operand)) is not None:
+        case ast.UnaryOp(op=ast.USub(), operand=operand) if (value := _exponent(operand)) is not None:
             return -value
-        case ast.BinOp(left=left, op=ast.Div(), right=right) if bottom := _constant(right):
-            return None if (top := _constant(left)) is None else top / bottom
+        case ast.BinOp(left=left, op=ast.Div(), right=right) if bottom := _exponent(right):
+            return None if (top := _exponent(left)) is None else top / bottom
     return None
 
 
@@ -153,58 +147,53 @@ def _reason(node: ast.expr, names: tuple[str, ...]) -> str:
     return f"only {allowed} are allowed; a product is written 2*x, a power x**2, a decimal 0.5"
 
 
-def _function(name: str) -> ast.expr:
-    """Function of a formula in Python."""
-    return ast.Name(name) if name == "abs" else ast.Attribute(ast.Name("math"), name)
+class _Writer(ast.NodeTransformer):
+    """Formula in Python: names by their ``places``, ``numbers`` by those in the tuple ``c``, powers as products.
 
+    ``products`` are formulas with the name of the variable that holds each.
+    """
 
-def _number(value: float, numbers: dict[float, int]) -> ast.expr:
-    """Place of a number in the tuple ``c``, to which a new one is added."""
-    return ast.Name(f"c[{numbers.setdefault(value, len(numbers))}]")
+    def __init__(self, places: Mapping[str, str]) -> None:
+        self.places = places
+        self.numbers: dict[float, int] = {}
+        self.products: dict[str, str] = {}
 
+    def number(self, value: float) -> ast.expr:
+        """Place of a number in the tuple ``c``, to which a new one is added."""
+        return ast.Name(f"c[{self.numbers.setdefault(value, len(self.numbers))}]")
 
-def _power(base: ast.expr, exponent: int, numbers: dict[float, int], products: dict[str, str]) -> ast.expr:
-    """A power from repeated squares; its ``products`` are formulas with the name of the variable that holds each."""
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        """Place of a name; functions and pi are those of ``math``."""
+        return ast.Name(self.places.get(node.id, f"math.{node.id}"))
 
-    def named(product: ast.expr) -> ast.expr:
-        return ast.Name(products.setdefault(ast.unparse(product), f"x{len(products)}"))
+    def visit_Constant(self, node: ast.Constant) -> ast.expr:
+        """Place of a number."""
+        return self.number(float(str(node.value)))
 
-    square, power, left = named(base), None, abs(exponent)
-    while left:
-        if left % 2:
-            power = square if power is None else named(ast.BinOp(power, ast.Mult(), square))
-        left //= 2
-        if left:
-            square = named(ast.BinOp(square, ast.Mult(), square))
-    if power is None:
-        return _number(1.0, numbers)
-    return ast.BinOp(_number(1.0, numbers), ast.Div(), power) if exponent < 0 else power
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        """Call of a function, whose name may be that of a component too."""
+        name = ast.unparse(node.func)
+        return ast.Call(ast.Name(name if name == "abs" else f"math.{name}"), list(map(self.visit, node.args)), [])
 
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        """Power from repeated squares; other operations as they are."""
+        if not isinstance(node.op, ast.Pow):
+            return self.generic_visit(node)
+        exponent, base = _exponent(node.right) or Fraction(0), self.visit(node.left)
+        base = ast.Call(ast.Name("math.sqrt"), [base], []) if exponent.denominator == 2 else base
+        square, power, left = self._named(base), None, abs(exponent.numerator)
+        while left:
+            if left % 2:
+                power = square if power is None else self._named(ast.BinOp(power, ast.Mult(), square))
+            left //= 2
+            if left:
+                square = self._named(ast.BinOp(square, ast.Mult(), square))
+        if power is None:
+            return self.number(1.0)
+        return ast.BinOp(self.number(1.0), ast.Div(), power) if exponent < 0 else power
 
-def _written(
-    node: ast.expr, places: Mapping[str, str], numbers: dict[float, int], products: dict[str, str]
-) -> ast.expr:
-    """A formula with the place of each name and number, and a variable for each of the ``products`` in its powers."""
-
-    def inner(part: ast.expr) -> ast.expr:
-        return _written(part, places, numbers, products)
-
-    match node:
-        case ast.Name(id=name):
-            return ast.Name(places[name])
-        case ast.Constant(value=value):
-            return _number(float(str(value)), numbers)
-        case ast.UnaryOp(op=op, operand=operand):
-            return ast.UnaryOp(op, inner(operand))
-        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int(exponent))):
-            return _power(inner(left), exponent, numbers, products)
-        case ast.BinOp(left=left, op=op, right=right):
-            return ast.BinOp(inner(left), op, inner(right))
-        case ast.Call(func=function, args=arguments):
-            return ast.Call(function, [inner(argument) for argument in arguments], [])
-        case ast.Attribute():
-            return node
-    raise TypeError(f"{type(node).__name__} is not a part of a formula")
+    def _named(self, product: ast.expr) -> ast.expr:
+        return ast.Name(self.products.setdefault(ast.unparse(product), f"x{len(self.products)}"))
 
 
 def function_of(
@@ -215,14 +204,12 @@ def function_of(
     ``y`` holds the ``components`` and ``p`` begins with the ``parameters``.
     """
     places = {name: f"y[{i}]" for i, name in enumerate(components)}
-    places |= {name: f"p[{i}]" for i, name in enumerate(parameters)}
-    numbers: dict[float, int] = {}
-    products: dict[str, str] = {}
-    returned = "".join(f"{ast.unparse(_written(each.tree, places, numbers, products))}, " for each in expressions)
-    constants = "".join(f"{value!r}, " for value in numbers)
-    lines = [f"c = ({constants})"] * bool(constants) + [f"{name} = {text}" for text, name in products.items()]
-    lines += [f"return ({returned})"]
-    source = f"def {name}(y, p):\n    " + "\n    ".join(lines)
+    writer = _Writer(places | {name: f"p[{i}]" for i, name in enumerate(parameters)})
+    trees = [writer.visit(ast.parse(each.text, mode="eval").body) for each in expressions]
+    returned = "".join(f"{ast.unparse(tree)}, " for tree in trees)
+    constants = "".join(f"{value!r}, " for value in writer.numbers)
+    lines = [f"c = ({constants})"] * bool(constants) + [f"{name} = {text}" for text, name in writer.products.items()]
+    source = f"def {name}(y, p):\n    " + "\n    ".join([*lines, f"return ({returned})"])
     label = f"formulas {hashlib.sha256(source.encode()).hexdigest()[:12]}"
     return defined(source, label, math=math, __name__=__name__)[name]
 
@@ -300,8 +287,4 @@ class _Elementwise:
                 return math.nan
             return value if value.imag == 0 else self.functions.nan  # mpmath's roots of negative numbers are complex
 
-        def of_columns(*x: Any) -> Any:
-            columns = any(isinstance(a, np.ndarray) for a in x)
-            return np.frompyfunc(of_one, len(x), 1)(*x) if columns else of_one(*x)
-
-        return of_columns
+        return lambda *x: np.frompyfunc(of_one, len(x), 1)(*x)

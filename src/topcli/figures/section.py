@@ -34,7 +34,7 @@ def section_figure(folder: Path, x: str | None, y: str | None, colour: str | Non
         raise UsageError(f"--colour {quoted(colour)}: a section is coloured by orbit, or with --colour verdict")
     run = _run_with_section(folder)
     experiment = load(dict(run.manifest["config"]))
-    section: Any = experiment.section
+    section: Any = experiment.crossings
     columns = [name for name in experiment.recorded if name not in ("n", "t")]
     for option, name in (("--x", x), ("--y", y)):
         if name is not None and name not in columns:

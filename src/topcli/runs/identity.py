@@ -34,7 +34,7 @@ def identity_of(experiment: Experiment) -> Identity:
     parts = {
         "engine.attitude": experiment.output.attitude,
         "engine.numbers": experiment.written,
-        "analysis.crossings": experiment.section,
+        "analysis.crossings": experiment.crossings,
     }
     modules = [f"topcli.{module}" for module, needed in parts.items() if needed]
     code = code_digest(type(experiment.top), experiment.scheme, *modules)

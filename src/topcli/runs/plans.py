@@ -55,7 +55,7 @@ def plan_of(experiment: Experiment, states: Array, machine: Machine | None = Non
         states,
         experiment.h,
         experiment.N,
-        1 if experiment.section else experiment.output.every,
+        1 if experiment.crossings else experiment.output.every,
         experiment.tallied,
         invariants=(*top.invariants(), *experiment.modified),
         quantities=experiment.quantities,
@@ -107,11 +107,11 @@ def trajectory_of(experiment: Experiment, threads: int | None = None) -> Traject
     """Trajectories of an experiment, computed in memory. Raises UsageError if they would not fit."""
     ensemble = experiment.ensemble
     if not ensemble:
-        if experiment.section:
+        if experiment.crossings:
             return _crossings(experiment)
         return trajectory_along(next(plans(experiment)), experiment.scheme.name)
     store = ensemble.store == "trajectories"
-    if experiment.section is not None:
+    if experiment.crossings is not None:
         raise UsageError("`topcli run` records the crossings of an ensemble, in a file; leave out section")
     rows = experiment.N // experiment.output.every + 1 if store else 0
     _require_memory(ensemble.count, rows, len(experiment.top.components))
@@ -159,9 +159,9 @@ def trajectory_along(plan: Plan, scheme: str) -> Trajectory:
 
 def search_of(experiment: Experiment, plan: Plan) -> CrossingSearch:
     """Search for the crossings of an experiment's section by the trajectories of a plan."""
-    assert experiment.section is not None
+    assert experiment.crossings is not None
     assert plan.machine is not None
-    return experiment.section.search(plan.top, plan.machine.method, plan.h, plan.states)
+    return experiment.crossings.search(plan.top, plan.machine.method, plan.h, plan.states)
 
 
 def _crossings(experiment: Experiment) -> Trajectory:

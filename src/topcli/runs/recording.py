@@ -133,14 +133,14 @@ class Recording:
         self._folder, self._metadata = folder, metadata
         store = ensemble.store if ensemble else "trajectories"
         names = None
-        if experiment.section:
+        if experiment.crossings:
             names = [invariant.name for invariant in (*experiment.top.invariants(), *experiment.modified)]
         self._tally, self._section, self._members = Tally(names, judged=not ensemble), None, None
         self.consumers: list[Consumer] = [self._tally]
         self._columns = [*(["trajectory"] if ensemble else []), *experiment.recorded]
         if store != "statistics":
             rows = (LastRows if store == "final" else Series)(self._table("series"), self._columns)
-            if experiment.section and store == "trajectories":
+            if experiment.crossings and store == "trajectories":
                 rows = self._section = SectionRows(lambda plan: search_of(experiment, plan), rows)
             self.consumers.append(rows)
         if ensemble:

@@ -220,11 +220,11 @@ def section_data(crossings: NDArray[np.int64] | None) -> dict[str, Any]:
 
 def section_note(experiment: Experiment, crossings: NDArray[np.int64] | None) -> str:
     """End of a message on the crossings of a section by each trajectory (m,); empty without a section."""
-    section = experiment.section
-    if section is None or crossings is None:
+    surface = experiment.crossings
+    if surface is None or crossings is None:
         return ""
-    where = f"{section.formula} = {section.value:g}" + (
-        "" if section.direction == "both" else f" ({section.direction})"
+    where = f"{surface.formula} = {surface.value:g}" + (
+        "" if surface.direction == "both" else f" ({surface.direction})"
     )
     total, never = int(crossings.sum()), int((crossings == 0).sum())
     if not total:

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 from topcli.analysis.trajectory import Trajectory
 from topcli.config.document import Document
 from topcli.config.ensemble import SOURCES, Ensemble
-from topcli.config.load import load, read_config
+from topcli.config.load import load, read_config, read_top
 from topcli.config.models import Experiment
-from topcli.config.sections import read_top
 from topcli.config.states import UNIT_LIMIT
 from topcli.contracts import Array, Top
 from topcli.errors import UsageError

@@ -8,7 +8,6 @@ order, compensated sums, a symmetric composition and a projection onto the integ
 
 from __future__ import annotations
 
-import inspect
 import math
 import re
 import sys
@@ -21,8 +20,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, create_model
 
-from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top
-from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted
+from topcli.contracts import Block, Floats, Invariant, Method, NoOptions, Sampler, Scheme, Stepper, Top, parts_of
+from topcli.errors import SchemeCodeError, UnknownNameError, UsageError, nearest, quoted, successor
 from topcli.field.integrals import polynomial_value
 from topcli.field.polynomial import NotPolynomialError
 from topcli.plugins import line_of, origin_of, plugin_failures, require_plugin, users_error
@@ -45,16 +44,6 @@ MODULES: dict[str, tuple[str, ...]] = {
     "hk-exact": ("classical.euler",),
 }
 """Modules in which the schemes of topcli are registered, by name."""
-_SUCCESSORS = {
-    "hk-projected": "hk with project: 1",
-    "hk-symproj": "hk with project: 1",
-    "dg4": "backlund, or hk with project: 1",
-    "midpoint4": "backlund, or midpoint with project: 1",
-    "hybrid-xi": "hybrid",
-}
-"""Schemes that topcli had once, and what to use instead."""
-SECTIONS = ("Source", "Equations", "Formula", "Limits")
-"""Sections of the docstring of a scheme."""
 WRAPPERS = ("compensated", "compose", "project")
 """Keys of the section ``scheme`` that apply to the steps of any scheme."""
 
@@ -91,12 +80,9 @@ def scheme(
     name: str,
     *,
     top: str | Iterable[str] | None,
-    title: str = "",
     order: int | None,
     explicit: bool,
     self_adjoint: bool,
-    citation: str = "",
-    equations: str = "",
     conserves: Iterable[str] | Callable[[Top], Iterable[str]] = (),
     options: type[BaseModel] = NoOptions,
     modified: Callable[[Any, float, Any], tuple[Invariant, ...]] | None = None,
@@ -110,10 +96,11 @@ def scheme(
 
     ``build`` returns the method for one top: a ``Stepper``, a ``Sampler`` (closed-form solution) or a ``Block`` (with
     its own time loop) of ``topcli.contracts``. The docstring of ``build`` describes the scheme: title, description, and
-    the underlined sections ``Source``, ``Equations``, ``Formula`` (the step in LaTeX: display formulas without
-    delimiters, separated by empty lines) and ``Limits``: names of conditions, separated by commas, with the reason
-    below them. A name may be that of a hard case; ``topcli stress`` then tests that the scheme fails it. Forms of tops
-    in parentheses restrict a limit to these tops. Limits in the docstring of the module are those of all its schemes.
+    the underlined parts ``Source``, ``Equations`` (their numbers in the source, or the formula of the step),
+    ``Formula`` (the step in LaTeX: display formulas without delimiters, separated by empty lines) and ``Limits``: names
+    of conditions, separated by commas, with the reason below them. A name may be that of a hard case; ``topcli stress``
+    then tests that the scheme fails it. Forms of tops in parentheses restrict a limit to these tops. Limits and source
+    in the docstring of the module are those of all its schemes.
     The arguments declare properties of the scheme, which ``topcli check`` tests. Times and states are dimensionless.
 
     Parameters
@@ -123,8 +110,6 @@ def scheme(
         the same name; one for single tops replaces one for every top.
     top : str, iterable of str, or None
         Name (``Top.form``) of the top that the scheme integrates, or names of several; None for every top.
-    title : str, optional
-        Title on one line; by default the first line of the docstring, and the description what follows.
     order : int or None
         Order of convergence; None for an exact solution, or if the order follows from a tolerance.
     explicit : bool
@@ -132,10 +117,6 @@ def scheme(
     self_adjoint : bool
         True if a step with -h inverts a step with h. Steps of a self-adjoint scheme of order 2 can be composed into
         a scheme of higher order.
-    citation : str, optional
-        Source of the method; by default the section ``Source``.
-    equations : str, optional
-        Numbers of the equations in the source, or the formula of the step; by default the section ``Equations``.
     conserves : iterable of str or callable, optional
         Names of the invariants that the scheme conserves to round-off for every h, or a function ``conserves(top)``
         that returns these names.
@@ -177,10 +158,14 @@ def scheme(
     >>> def step(y, h, p):
     ...     f = field(y, p)
     ...     return (y[0] + h * f[0], y[1] + h * f[1], y[2] + h * f[2])
-    >>> @topcli.scheme("euler-rule", top="euler", title="Euler's rule", order=1, explicit=True, self_adjoint=False,
-    ...                citation="Euler 1768", equations="y' = y + h f(y)")
+    >>> @topcli.scheme("euler-rule", top="euler", order=1, explicit=True, self_adjoint=False)
     ... def build(top, options):
-    ...     '''Euler's rule, the simplest scheme.'''
+    ...     '''Euler's rule.
+    ...
+    ...     Source
+    ...     ------
+    ...     Euler 1768
+    ...     '''
     ...     return Stepper(step, 3)
     >>> build(None, None).step((1.0, 2.0, 3.0), 0.5, (3.0, 2.0, 1.0, 1.0, -2.0, 1.0))
     (4.0, -1.0, 4.0)
@@ -190,25 +175,25 @@ def scheme(
     def register(build: B) -> B:
         key, origin = name.lower(), origin_of(build)
         _require_declaration(key, forms, options, build)
-        parts = sections_of(build.__doc__ or "")
+        parts = parts_of(build.__doc__ or "")
         first, _, rest = parts["Description"].partition("\n\n")
-        shared = sections_of(getattr(build, "__globals__", {}).get("__doc__") or "")["Limits"]
+        shared = parts_of(getattr(build, "__globals__", {}).get("__doc__") or "")
         traits = {
-            "title": title or first.rstrip(".") or key,
+            "title": first.rstrip(".") or key,
             "order": order,
             "explicit": explicit,
             "self_adjoint": self_adjoint,
             "conserves": conserves,
-            "citation": citation or " ".join(parts["Source"].split()),
-            "equations": equations or " ".join(parts["Equations"].split()),
+            "citation": " ".join((parts["Source"] or shared["Source"]).split()),
+            "equations": " ".join(parts["Equations"].split()),
             "build": build if origin == "topcli" else _checked(build, key),
             "maker": build,
             "options": options,
             "modified": modified,
             "adaptive": adaptive,
-            "limits": f"{shared}\n{parts['Limits']}",
+            "limits": f"{shared['Limits']}\n{parts['Limits']}",
             "longest_step": longest_step,
-            "doc": (parts["Description"] if title else rest) or title or first,
+            "doc": rest or first,
             "origin": origin,
             "order_with": order_with,
             "formula": parts["Formula"],
@@ -219,15 +204,8 @@ def scheme(
     return register
 
 
-def sections_of(doc: str) -> dict[str, str]:
-    """Description in the docstring of a scheme, and its sections; empty if missing."""
-    head, *parts = re.split(rf"^({'|'.join(SECTIONS)})\n-+\n", inspect.cleandoc(doc), flags=re.MULTILINE)
-    texts = dict.fromkeys(SECTIONS, "") | dict(zip(parts[::2], parts[1::2], strict=True))
-    return {name: text.strip() for name, text in {"Description": head, **texts}.items()}
-
-
 def _limits(text: str, form: str) -> dict[str, str]:
-    """Reasons in the section ``Limits`` by name, of the limits that concern a form of a top."""
+    """Reasons in the part ``Limits`` by name, of the limits that concern a form of a top."""
     limits = {}
     for names, reason in re.findall(r"^(\S.*)\n((?:    .*\n?)+)", text, re.MULTILINE):
         for name, forms in re.findall(r"([^,()]+?)(?: \((.*?)\))?(?:, |$)", names):
@@ -298,8 +276,7 @@ def _bound(declaration: Declaration, cls: type[Top], composition: Composition | 
                 what = f"scheme {declaration.name!r} conserves {conserved!r}, no invariant of top {cls.form!r}"
                 raise UsageError(f"{line_of(traits['maker'])}: {what}; {nearest(conserved, names)}")
     with suppress(ValidationError):  # options without defaults
-        declared = getattr(cls, "hk", None)  # integrals of the map, some of them for special parameters
-        if traits["modified"] and not declared and not traits["modified"](top, 0.1, traits["options"]()):
+        if traits["modified"] and not cls.hk and not traits["modified"](top, 0.1, traits["options"]()):
             traits["modified"] = None
     scheme = Scheme(name=declaration.name, top=cls.form, **traits)
     has_steps = scheme.order is not None and not scheme.adaptive
@@ -372,6 +349,10 @@ def all_invariants(top: Top) -> tuple[str, ...]:
     return tuple(invariant.name for invariant in top.invariants())
 
 
+closed_form = partial(scheme, "exact", order=None, explicit=True, self_adjoint=True, conserves=all_invariants)
+"""Decorator of a solution in closed form of the tops ``top``, under the name ``exact``."""
+
+
 # look-up
 
 
@@ -439,8 +420,8 @@ def find_scheme(name: str, top: str) -> Scheme:
 def _not_found(name: str, cls: type[Top]) -> UsageError:
     """Error for a scheme that does not exist, or not for this top."""
     names = names_for(cls.form)
-    if name in _SUCCESSORS:
-        return UnknownNameError(f"there is no scheme {name!r} any more; use {_SUCCESSORS[name]}")
+    if instead := successor(f"scheme {name}"):
+        return UnknownNameError(f"there is no scheme {name!r} any more; {instead}")
     reasons = dict.fromkeys(misfit(declaration, cls) for declaration in SCHEMES.get(name, ()))
     if reasons:
         return SchemeMisfitError(

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from textwrap import fill
 from typing import Any
 
-from topcli.contracts import Block, Scheme, Top
+from topcli.contracts import Block, Scheme, Top, parts_of
 from topcli.errors import UsageError
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.registry import names_for
@@ -109,7 +109,7 @@ def top_data(top: Top) -> dict[str, Any]:
         "kind": top.kind,
         "form": top.form,
         "title": top.title,
-        "doc": inspect.getdoc(type(top)) or "",
+        "doc": parts_of(type(top).__doc__ or "")["Description"],
         "citation": top.citation,
         "parameters": {
             name: {"value": getattr(top, name), "description": field.description or ""}

@@ -42,7 +42,7 @@ BUILT_IN = {
     "euler+gamma": "euler.EulerGamma",
     "lagrange": "lagrange.Lagrange",
     "lagrange/inertial": "lagrange.LagrangeInertial",
-    "heavy": "heavy.Heavy",
+    "heavy": "declared",
     **dict.fromkeys(CATALOGUE, "declared"),
 }
 """Module and class of each built-in form. A form is its kind, or begins with its kind and + or /."""

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from fractions import Fraction
-from typing import Any, cast
 
 import numpy as np
 
-from topcli.contracts import EulerPoisson, Top
+from topcli.contracts import Array, EulerPoisson, Top
 from topcli.errors import UsageError
+from topcli.field.integrals import rates_along, slopes
 from topcli.field.polynomial import Polynomial, exact_top, required_field
 
 _ROUNDING = 1e-12
 """Relative difference of coefficients that rounded parameters may leave."""
 MOVED = 1e-6
-"""Relative change of a vertical that finite differences may leave."""
-_EPS = 2.0**-50
-"""Rounding error of a vertical, which finite differences divide by their step."""
+"""Change of a vertical that differences may leave, relative to the vertical and to its rate of change."""
+_EPS = 1e-6
+"""Part of it that rounding errors of the differences may be, relative to the vertical times the field."""
 _PROBES = 4
 """States at which a vertical is tried."""
 
@@ -51,26 +52,22 @@ def checked_equations(top: Top, needed_by: str) -> EulerPoisson:
 
 
 def _difference(top: Top, equations: EulerPoisson, needed_by: str) -> str:
-    """Component of the field that differs from the equations, and by what term; empty if none does."""
-    d = len(top.components)
+    """Component of the field that differs from the equations, and both rates; empty if none does."""
+    d, sign = len(top.components), equations.omega_sign
     if not all(isinstance(value, int | float | Fraction) for value in top.constants()):
         return ""  # numbers of another precision; the same formulas have passed in doubles
     if d not in (3, 6):
         return f"its state has {d} components; expected omega (3), or omega and gamma (6)"
-    field, exact, sign = required_field(top, needed_by), exact_top(top).euler_poisson(), equations.omega_sign
-    omega = [sign * Polynomial.variable(i) for i in range(3)]
-    gamma = [Polynomial.variable(i) if d == 6 else Polynomial.of(0) for i in range(3, 6)]
-    moments, gravity = (tuple(map(Polynomial.of, values)) for values in (exact.moments, exact.gravity))
-    rates = EulerPoisson(cast(Any, moments), cast(Any, gravity)).rates((*omega, *gamma))
-    for i, name in enumerate(top.components):
-        expected = rates[i] * (sign if i < 3 else 1)
-        for monomial in sorted({*expected.terms, *field[i].terms}):
-            a, b = field[i].terms.get(monomial, 0), expected.terms.get(monomial, 0)
-            if abs(a - b) > Fraction(_ROUNDING) * max(abs(a), abs(b)):
-                factors = "*".join(top.components[k] for k in monomial) or "1"
-                return (
-                    f"{name}' is {float(a):.10g}*{factors} by the field and {float(b):.10g}*{factors} by the equations"
-                )
+    signs = (sign,) * 3 + (1,) * 3
+    y = [Polynomial.variable(i) * signs[i] if i < d else Polynomial.of(0) for i in range(6)]
+    rates = [
+        Polynomial.of(rate) * sign for rate, sign in zip(exact_top(top).euler_poisson().rates(y), signs, strict=True)
+    ]
+    for name, rate, expected in zip(top.components, required_field(top, needed_by), rates, strict=False):
+        sizes = (rate.magnitudes() + expected.magnitudes()).terms
+        if any(abs(c) > Fraction(_ROUNDING) * sizes[monomial] for monomial, c in (rate - expected).terms.items()):
+            texts = rate.text(top.components), expected.text(top.components)
+            return f"{name}' is {texts[0]} by the field and {texts[1]} by the equations"
     return ""
 
 
@@ -78,52 +75,53 @@ def checked_rotation(top: Top, needed_by: str) -> None:
     """Check that ``top`` gives its angular velocity, and that its ``vertical`` is fixed in space.
 
     In the body's frame, the rate of change of the vertical must be vertical x angular velocity. This is tested at
-    several states by finite differences. ``needed_by`` has the same meaning as in ``checked_equations``.
+    several states by differences. ``needed_by`` has the same meaning as in ``checked_equations``.
 
     Raises
     ------
     UsageError
         If the top gives no angular velocity, or if its vertical moves.
     """
-    velocity, vertical = type(top).angular_velocity, type(top).vertical
-    if velocity is None:
+    if type(top).angular_velocity is None:
         raise UsageError(
             f"top {top.kind!r}: {needed_by} needs its angular velocity, which it does not declare; if it turns like a "
             "body, define angular_velocity, three numbers in the body's frame"
         )
-    p, d = top.constants(), len(top.components)
-    errors: list[Exception] = []
-    for probe in range(_PROBES):
-        y = np.cos(np.arange(1.0, d + 1.0) + d * probe)  # in general position
-        try:
-            rates = np.array(top.field(tuple(y.tolist()), p), dtype=float)
-            if not (step := 1e-4 / max(1.0, float(np.abs(rates).max()))):
-                continue  # beyond the range of a double there is nothing to compare
-            values = [velocity(tuple(y.tolist()), p)]
-            values += [vertical(tuple((y + k * step * rates).tolist()), p) for k in (-1, 0, 1) if vertical]
-        except (ArithmeticError, ValueError) as error:  # outside the domain of a root or a logarithm, perhaps
-            errors.append(error)
-            continue
-        for name, value in zip(("angular_velocity", "vertical"), values, strict=False):
-            if not isinstance(value, tuple) or len(value) != 3:
-                raise UsageError(f"top {top.kind!r}: {name} must return a tuple of three numbers, not {value!r}")
-        if vertical is None:
-            return
-        with np.errstate(all="ignore"):
-            omega, before, here, after = np.array(values, dtype=float)
-            rate, turn = (after - before) / (2.0 * step), np.cross(here, omega)
-            size = np.abs(here).max() * (MOVED * (1.0 + np.abs(omega).max()) + _EPS / step) + MOVED * np.abs(rate).max()
-            if np.abs(rate - turn).max() > size:
+    d = len(top.components)
+    states = np.cos(np.arange(1.0, _PROBES * d + 1.0)).reshape(_PROBES, d)  # in general position
+    names = ("angular_velocity", "vertical")[: 1 + (type(top).vertical is not None)]
+    values = [_vectors(top, name, states) for name in names]
+    for name, value in zip(names, values, strict=True):
+        if np.isnan(value).all():
+            raise UsageError(f"top {top.kind!r}: {name} has no value at any state that was tried")
+    if len(values) == 1:
+        return
+    omega, here = values
+    rates = [rates_along(top, lambda y, i=i: _vectors(top, "vertical", y)[:, i], states)[0] for i in range(3)]
+    with np.errstate(all="ignore"):
+        turns, speed = np.cross(here, omega), np.linalg.norm(slopes(top, states), axis=1)
+        for y, rate, turn, vertical, size in zip(states, np.transpose(rates), turns, here, speed, strict=True):
+            largest = np.abs(turn).max() + np.abs(rate).max() + np.abs(vertical).max() * (1.0 + size * _EPS)
+            # beyond the range of a double there is nothing to compare
+            if np.abs(rate - turn).max() > MOVED * largest and np.isfinite(rate).all():
                 texts = [", ".join(f"{value:.6g}" for value in vector) for vector in (rate, turn, y)]
                 raise UsageError(
                     f"top {top.kind!r}: its vertical is not fixed in space: it changes by ({texts[0]}), and "
                     f"vertical x angular_velocity is ({texts[1]}), at ({texts[2]})"
                 )
-    if len(errors) == _PROBES:
-        reason = f"{type(errors[-1]).__name__}: {errors[-1]}"
-        raise UsageError(
-            f"top {top.kind!r}: angular_velocity or vertical fails at every state that was tried: {reason}"
-        )
+
+
+def _vectors(top: Top, name: str, states: Array) -> Array:
+    """Values (m, 3) of a vector of the body at ``states`` (m, d); nan where it has none."""
+    function, p = getattr(type(top), name), top.constants()
+    vectors = np.full((len(states), 3), np.nan)
+    for row, y in zip(vectors, states.tolist(), strict=True):
+        with suppress(ArithmeticError, ValueError):  # outside the domain of a root or a logarithm, perhaps
+            value = function(tuple(y), p)
+            if not isinstance(value, tuple) or len(value) != 3:
+                raise UsageError(f"top {top.kind!r}: {name} must return a tuple of three numbers, not {value!r}")
+            row[:] = value
+    return vectors
 
 
 def moment_warnings(top: Top) -> list[str]:

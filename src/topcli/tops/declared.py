@@ -41,8 +41,6 @@ class Declared(Top):
 
     declaration: ClassVar[Mapping[str, Any]]
     """The section, as it is written, without its kind and parameters."""
-    hk: ClassVar[Mapping[str, Integral]]
-    """Integrals of the HK map, functions of the state and of the constants with h after them."""
     conditions: ClassVar[Mapping[str, Callable[..., Any]]]
     """Functions of the parameters that are zero where an integral exists, by its name."""
     body_numbers: ClassVar[Callable[..., Any] | None]
@@ -131,19 +129,15 @@ def name_fault(name: str, what: str, earlier: Mapping[str, str]) -> str:
     ``earlier`` says what the names are that are given already.
     """
     if not NAME.fullmatch(name):
-        article = "an" if what[0] in "aeiou" else "a"
-        return f"a name has letters, digits and _, and begins with a letter; {name[:40]!r} cannot name {article} {what}"
+        return f"a name has letters, digits and _, and begins with a letter; {name[:40]!r} cannot name the {what}"
     if name in earlier:
-        article = "an" if earlier[name][0] in "aeiou" else "a"
-        return f"{name!r} names {article} {earlier[name]} already; choose another name"
-    if what in ("component", "parameter") and iskeyword(name):
-        return f"{name!r} is a word of Python, which no formula contains; choose another name for the {what}"
+        return f"{name!r} already names the {earlier[name]}; choose another name"
     of_models = what == "component" and name in dir(BaseModel)
     declared = hasattr(Custom, name) or any(name in get_annotations(base) for base in Custom.__mro__)
     of_tops = what == "parameter" and (declared or name == "cls" or name[:6] == "model_")
-    if name in _TAKEN or of_models or of_tops:
-        return f"{name!r} is taken; choose another name for the {what}"
-    return ""
+    of_python = what in ("component", "parameter") and iskeyword(name)
+    taken = name in _TAKEN or of_models or of_tops or of_python
+    return f"{name!r} is taken; choose another name for the {what}" if taken else ""
 
 
 _classes: dict[tuple[str, tuple[str, ...]], type[Custom]] = {}
@@ -269,18 +263,15 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
         value.__doc__ = symbols[name][2] if name in symbols else name
         return value
 
-    relations = {
-        key: {name: part if isinstance(part, Mapping) else {"value": part} for name, part in full[key].items()}
-        for key in ("invariants", "hk")
-        if full.get(key)
-    }
-    integrals, modified = (
-        {name: integral(name, part["value"], more) for name, part in relations.get(key, {}).items()}
-        for key, more in (("invariants", ()), ("hk", ("h",)))
-    )
-    every = [(name, part) for parts in relations.values() for name, part in parts.items()]
-    if base is Custom and "energy" not in symbols and "E" not in (*components, *names, *integrals):
-        symbols["energy"] = ("E", "E")
+    def relations(key: str) -> dict[str, Mapping[str, Any]]:
+        """Integrals by name, each with its ``value`` and the conditions ``on`` and ``if``."""
+        parts = full.get(key) or {}
+        return {name: part if isinstance(part, Mapping) else {"value": part} for name, part in parts.items()}
+
+    invariants, modified = relations("invariants"), relations("hk")
+    every = [*invariants.items(), *modified.items()]
+    if base is Custom and "energy" not in symbols and "E" not in (*components, *names, *invariants):
+        symbols["energy"] = ("E", "E", "energy")
 
     # a class, since a top is a type with parameters for all that follows, from defaults to several instances
     namespace: dict[str, Any] = {
@@ -291,8 +282,8 @@ def _new(base: type[Any], declaration: Mapping[str, Any], parameters: Mapping[st
         "declaration": declaration,
         "components": components,
         "field": staticmethod(function("field", [full["field"][name] for name in components])),
-        "integrals": integrals,
-        "hk": modified,
+        "integrals": {name: integral(name, part["value"], ()) for name, part in invariants.items()},
+        "hk": {name: integral(name, part["value"], ("h",)) for name, part in modified.items()},
         "holds_on": {name: part["on"] for name, part in every if part.get("on")},
         "conditions": {name: function("condition", [part["if"]], ()) for name, part in every if part.get("if")},
         "symbols": {name: tuple(texts[:2]) for name, texts in symbols.items()},

@@ -51,22 +51,26 @@ def euler_m_gamma(y: Floats, p: Floats) -> Any:
 
 
 class Euler(Top):
-    """Euler top with moments of inertia (A, B, C) and no torque; dimensionless.
+    r"""Euler top (free rigid body).
 
-    The state is the angular velocity omega in the body frame.
+    The moments of inertia are (A, B, C), and there is no torque. The state is the angular velocity omega in the body
+    frame. All quantities are dimensionless.
 
     Moments that violate the triangle inequality, such as A > B + C, cause a warning, not an error: no rigid body has
     such moments, but the equations are still defined.
+
+    Source
+    ------
+    Euler 1765; Sogo, Discrete Spinning Tops, section 1.2
+
+    Formula
+    -------
+    A\dot\omega_1 = (B - C)\,\omega_2\omega_3, \qquad B\dot\omega_2 = (C - A)\,\omega_3\omega_1, \qquad
+    C\dot\omega_3 = (A - B)\,\omega_1\omega_2
     """
 
     kind = "euler"
     form = "euler"
-    title = "Euler top (free rigid body)"
-    citation = "Euler 1765; Sogo, Discrete Spinning Tops, section 1.2"
-    formula = r"""
-A\dot\omega_1 = (B - C)\,\omega_2\omega_3, \qquad B\dot\omega_2 = (C - A)\,\omega_3\omega_1, \qquad
-C\dot\omega_3 = (A - B)\,\omega_1\omega_2
-"""
     components = ("omega1", "omega2", "omega3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"omega": (0, 3)}
     energy = "m_omega"
@@ -106,16 +110,19 @@ C\dot\omega_3 = (A - B)\,\omega_1\omega_2
 
 
 class EulerGamma(Euler):
-    """Euler top with the vertical gamma, a direction fixed in space, expressed in the body frame."""
+    r"""Euler top (free rigid body) with the vertical.
+
+    The vertical gamma is a direction fixed in space, expressed in the body frame.
+
+    Formula
+    -------
+    A\dot\omega_1 = (B - C)\,\omega_2\omega_3, \qquad B\dot\omega_2 = (C - A)\,\omega_3\omega_1, \qquad
+    C\dot\omega_3 = (A - B)\,\omega_1\omega_2
+
+    \dot\gamma = \gamma\times\omega
+    """
 
     form = "euler+gamma"
-    title = "Euler top (free rigid body) with the vertical"
-    formula = (
-        Euler.formula
-        + r"""
-\dot\gamma = \gamma\times\omega
-"""
-    )
     components = BodyTop.components
     vectors = BodyTop.vectors
     vertical = BodyTop.vertical

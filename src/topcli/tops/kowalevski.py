@@ -26,22 +26,26 @@ def field(y: Floats, p: Floats) -> Floats:
 
 
 class Kowalevski(BodyTop):
-    """Kowalevski top with the moments of inertia (A, A, A/2) and mg(x0, y0, z0) = (c0, 0, 0); dimensionless.
+    r"""Kowalevski top (A = B = 2C, centre of gravity on the first axis).
 
-    The paper (Sogo, Discrete Spinning Tops) sets A = B = 2, C = 1 "without loss of generality"; these are the defaults.
-    For another A, the equations of motion divided by C = A/2 are those of the paper with c = c0/C instead of c0. The
-    angular momentum 2l about the vertical and the energy E are then C times the expressions of the paper, and
-    k² = |(omega1 + i omega2)² - c (gamma1 + i gamma2)|². With c0 = 0 the top is the free symmetric top.
+    The moments of inertia are (A, A, A/2), and mg(x0, y0, z0) = (c0, 0, 0). All quantities are dimensionless. The paper
+    (Sogo, Discrete Spinning Tops) sets A = B = 2, C = 1 "without loss of generality"; these are the defaults. For
+    another A, the equations of motion divided by C = A/2 are those of the paper with c = c0/C instead of c0. The
+    angular momentum 2l about the vertical and the energy E are then C times the expressions of the paper, and k² =
+    |(omega1 + i omega2)² - c (gamma1 + i gamma2)|². With c0 = 0 the top is the free symmetric top.
+
+    Source
+    ------
+    Kowalevski 1889; Sogo, Discrete Spinning Tops, section 3
+
+    Formula
+    -------
+    2\dot\omega_1 = \omega_2\omega_3, \qquad 2\dot\omega_2 = -\omega_3\omega_1 + c\,\gamma_3, \qquad
+    \dot\omega_3 = -c\,\gamma_2, \qquad \dot\gamma = \gamma\times\omega, \qquad c = \frac{c_0}{C}
     """
 
     kind = "kowalevski"
     form = "kowalevski"
-    title = "Kowalevski top (A = B = 2C, centre of gravity on the first axis)"
-    citation = "Kowalevski 1889; Sogo, Discrete Spinning Tops, section 3"
-    formula = r"""
-2\dot\omega_1 = \omega_2\omega_3, \qquad 2\dot\omega_2 = -\omega_3\omega_1 + c\,\gamma_3, \qquad
-\dot\omega_3 = -c\,\gamma_2, \qquad \dot\gamma = \gamma\times\omega, \qquad c = \frac{c_0}{C}
-"""
     swing = "gamma1"
     step_constants = ("c = c0/C",)
     field = staticmethod(field)

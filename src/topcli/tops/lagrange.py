@@ -42,22 +42,26 @@ def spherical_omega(y: Floats, p: Floats) -> Floats:
 
 
 class Lagrange(BodyTop):
-    """Lagrange top with moments of inertia (A, A, C) and mg(x0, y0, z0) = (0, 0, mu), in the body frame; dimensionless.
+    r"""Lagrange top (A = B, centre of gravity on the third axis).
 
-    mu is the weight times the third coordinate of the centre of gravity. If mu > 0, the centre of gravity
-    is above the fixed point when gamma3 = 1. With mu = 0 the top is the free symmetric top. The state consists of
-    omega, the angular velocity, and gamma, the vertical as seen from the body.
+    The moments of inertia are (A, A, C), and mg(x0, y0, z0) = (0, 0, mu). All quantities are dimensionless. mu is the
+    weight times the third coordinate of the centre of gravity. If mu > 0, the centre of gravity is above the fixed
+    point when gamma3 = 1. With mu = 0 the top is the free symmetric top. The state consists of omega, the angular
+    velocity, and gamma, the vertical as seen from the body.
+
+    Source
+    ------
+    Lagrange 1788; Sogo, Discrete Spinning Tops, section 2
+
+    Formula
+    -------
+    A\dot\omega_1 = (A - C)\,\omega_2\omega_3 + \mu\,\gamma_2, \qquad
+    A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
+    \dot\omega_3 = 0, \qquad \dot\gamma = \gamma\times\omega
     """
 
     kind = "lagrange"
     form = "lagrange"
-    title = "Lagrange top (A = B, centre of gravity on the third axis)"
-    citation = "Lagrange 1788; Sogo, Discrete Spinning Tops, section 2"
-    formula = r"""
-A\dot\omega_1 = (A - C)\,\omega_2\omega_3 + \mu\,\gamma_2, \qquad
-A\dot\omega_2 = -(A - C)\,\omega_3\omega_1 - \mu\,\gamma_1, \qquad
-\dot\omega_3 = 0, \qquad \dot\gamma = \gamma\times\omega
-"""
     swing = "gamma3"
     step_constants = ("alpha = (A - C)/A", "nu = mu/A")
     field = staticmethod(field)
@@ -136,18 +140,23 @@ def inertial_energy(y: Floats, p: Floats) -> Any:
 
 
 class LagrangeInertial(Top):
-    """Lagrange top in the inertial frame, in units where A = mg z0 = 1 (Sogo, section 2.3).
+    r"""Lagrange top in the inertial frame (dimensionless: A = B = mg z0 = 1).
 
     The state is the angular momentum m and the unit vector a of the top's axis. The third moment of inertia C does not
     occur in the equations. The initial state determines the angular momentum m·a about the axis, which is C omega3 in
     the body frame.
+
+    Source
+    ------
+    Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3
+
+    Formula
+    -------
+    \dot m = p\times a, \qquad \dot a = m\times a, \qquad p = e_3
     """
 
     kind = "lagrange"
     form = "lagrange/inertial"
-    title = "Lagrange top in the inertial frame (dimensionless: A = B = mg z0 = 1)"
-    citation = "Bobenko, Suris 1999; Sogo, Discrete Spinning Tops, section 2.3"
-    formula = r"\dot m = p\times a, \qquad \dot a = m\times a, \qquad p = e_3"
     components = ("m1", "m2", "m3", "a1", "a2", "a3")
     vectors: ClassVar[Mapping[str, tuple[int, int]]] = {"m": (0, 3), "a": (3, 6)}
     unit_vectors = ("a",)

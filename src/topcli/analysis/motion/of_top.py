@@ -27,7 +27,6 @@ from topcli.errors import UsageError
 from topcli.schemes.classical.euler import free_motion
 from topcli.schemes.classical.lagrange import ROOT_DIGITS, AsymptoticError, oscillation
 from topcli.tops.euler import Euler, EulerGamma
-from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
@@ -71,15 +70,15 @@ def motion_of(top: Top, y0: Floats) -> Motion:
 
 def closed_form_top(top: Top) -> Top:
     """Return ``top``; in place of a heavy top the Euler, Lagrange or Kowalevski top with its parameters, if any."""
-    if not isinstance(top, Heavy):
+    if top.form != "heavy":
         return top
-    A, B, C = top.A, top.B, top.C
-    if top.x0 == top.y0 == top.z0 == 0.0:
+    (A, B, C), (x0, y0, z0) = top.euler_poisson().moments, top.euler_poisson().gravity
+    if x0 == y0 == z0 == 0.0:
         return EulerGamma(A=A, B=B, C=C)
-    if A == B and top.x0 == top.y0 == 0.0:
-        return Lagrange(A=A, C=C, mu=top.z0)
-    if A == B == 2.0 * C and top.y0 == top.z0 == 0.0:
-        return Kowalevski(A=A, c0=top.x0)
+    if A == B and x0 == y0 == 0.0:
+        return Lagrange(A=A, C=C, mu=z0)
+    if A == B == 2.0 * C and y0 == z0 == 0.0:
+        return Kowalevski(A=A, c0=x0)
     return top
 
 

@@ -4,6 +4,10 @@ For the Euler top, m is rotated by a Cayley rotation about the old omega (``bs``
 (``bs-implicit``, by Newton's method in three unknowns, started from the step about the old omega). p = (A, B, C,
 alpha_1, alpha_2, alpha_3) with alpha_1 = (B - C)/A and cyclically, d = h/2, c_i = d alpha_i. Every function returns the
 change of omega, whose rounding errors are proportional to it.
+
+Source
+------
+Sogo, Discrete Spinning Tops, section 1.2, after Bobenko, Suris 1999
 """
 
 from __future__ import annotations
@@ -123,14 +127,10 @@ bobenko_suris = partial(
     order=1,
     self_adjoint=False,
     conserves=rotation_invariants,
-    citation="Sogo, Discrete Spinning Tops, section 1.2, after Bobenko, Suris 1999",
 )
 
 
-@bobenko_suris(
-    "bs",
-    explicit=True,
-)
+@bobenko_suris("bs", explicit=True)
 def build_bs(top: Top, options: NoOptions) -> Stepper:
     r"""Bobenko-Suris (BS) scheme with the old omega.
 
@@ -151,10 +151,7 @@ def build_bs(top: Top, options: NoOptions) -> Stepper:
     return stepper(explicit_change(d), d)
 
 
-@bobenko_suris(
-    "bs-implicit",
-    explicit=False,
-)
+@bobenko_suris("bs-implicit", explicit=False)
 def build_bs_implicit(top: Top, options: NoOptions) -> Stepper:
     r"""Bobenko-Suris (BS) scheme with the new omega.
 

@@ -26,7 +26,7 @@ from topcli.arithmetic.multiprecision import Real, digits, mp, real
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.any_top.hk_integrals import euler_hk_integrals
-from topcli.schemes.registry import all_invariants, scheme
+from topcli.schemes.registry import closed_form, scheme
 
 Rationals = Sequence[Fraction]
 
@@ -185,14 +185,7 @@ def euler_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     return np.hstack([omega, _gamma(free, omega, psi, y0, moments)])
 
 
-@scheme(
-    "exact",
-    top=("euler", "euler+gamma"),
-    order=None,
-    explicit=True,
-    self_adjoint=True,
-    conserves=all_invariants,
-)
+@closed_form(top=("euler", "euler+gamma"))
 def build_euler(top: Top, options: NoOptions) -> Sampler:
     r"""Solution in closed form.
 

@@ -28,7 +28,7 @@ from topcli.arithmetic.elliptic import Argument, phase
 from topcli.arithmetic.multiprecision import Real, cubic_roots, digits, mp, real
 from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
-from topcli.schemes.registry import all_invariants, scheme
+from topcli.schemes.registry import closed_form
 
 MAX_SAMPLES = 1 << 15
 _NOTHING = 1e-30
@@ -258,14 +258,7 @@ def body_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> Array:
     return np.column_stack([omega.real, omega.imag, np.full(len(n), s), vertical.real, vertical.imag, a3])
 
 
-@scheme(
-    "exact",
-    top=("lagrange", "lagrange/inertial"),
-    order=None,
-    explicit=True,
-    self_adjoint=True,
-    conserves=all_invariants,
-)
+@closed_form(top=("lagrange", "lagrange/inertial"))
 def build_lagrange(top: Top, options: NoOptions) -> Sampler:
     r"""Closed form by elliptic functions.
 

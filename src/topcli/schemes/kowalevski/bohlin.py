@@ -5,6 +5,10 @@ Performance:
 - the angle follows directly from gamma', without omega3'; small angles need polynomials with fused sums, not libm;
 - the square root is algebraic; its division and the choice of its sign overlap with the square root instruction.
 
+Source
+------
+Sogo, Discrete Spinning Tops, section 3.2.2
+
 Limits
 ------
 homoclinic-spacing
@@ -121,7 +125,6 @@ bohlin = partial(
     explicit=True,
     self_adjoint=False,
     conserves=("gamma_sq", "k_sq"),
-    citation="Sogo, Discrete Spinning Tops, section 3.2.2",
     options=BranchOptions,
 )
 

@@ -20,7 +20,7 @@ from topcli.contracts import Array, Floats, NoOptions, Sampler, Top
 from topcli.errors import RunError
 from topcli.schemes.kowalevski.curve import REFUSED, Integrals
 from topcli.schemes.kowalevski.separation import EPS, Separated, separated_motion
-from topcli.schemes.registry import scheme
+from topcli.schemes.registry import closed_form
 
 MOVE = tuple(Fraction(n, 1024 << 200) for n in (713, -431, 577, 389, -631, 467))
 """Change of a state with equal roots, in no special direction."""
@@ -126,14 +126,7 @@ def kowalevski_states(y0: Array, h: float, n: NDArray[np.int64], p: Floats) -> A
     return _with_integrals(states, y, c)
 
 
-@scheme(
-    "exact",
-    top="kowalevski",
-    order=None,
-    explicit=True,
-    self_adjoint=True,
-    conserves=("gamma_sq", "two_l", "energy", "k_sq"),
-)
+@closed_form(top="kowalevski")
 def build_kowalevski(top: Top, options: NoOptions) -> Sampler:
     r"""Closed form by separation of variables.
 
