@@ -16,13 +16,13 @@ import topcli
 from reading_html import Element, read_html
 from resuming import after
 from stored_results import BASE, experiment, store_comparison, store_ensemble, store_run, store_sweep
+from topcli.cli.reports import rows_table, stored_record
 from topcli.config.load import load_experiment
 from topcli.contracts import stopping_when
 from topcli.errors import RunError, TopcliError, UsageError
 from topcli.figures.run import run_pictures
 from topcli.runs.report import report_tables
 from topcli.runs.run import run_experiment
-from topcli.show.reports import rows_table, stored_record
 from topcli.store.files import SEAL, sealed_text
 from topcli.studies.page import page_of
 from topcli.studies.report import Report, Table

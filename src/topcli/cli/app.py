@@ -24,8 +24,8 @@ _FIRST = ("compare", "order", "bench", "analyse")
 """Studies among the commands that most users need."""
 GROUPS = {
     "Run and compare": {
-        "run": ("topcli.cli.run", "Run experiments and report on their conservation laws."),
-        "sweep": ("topcli.cli.run", "Run all combinations of the values in a sweep file."),
+        "run": ("topcli.cli.running", "Run experiments and report on their conservation laws."),
+        "sweep": ("topcli.cli.running", "Run all combinations of the values in a sweep file."),
         **{name: STUDIES[name] for name in _FIRST},
     },
     "Studies": {name: place for name, place in STUDIES.items() if name not in _FIRST},
@@ -44,8 +44,8 @@ GROUPS = {
         "schema": ("topcli.cli.reference", "Print the JSON Schema of the config."),
     },
 }
-"""Module and first line of the help of each command, by the group in which the help lists them; the function in the
-module has the name of the command."""
+"""Module and first line of the help of each command, by the group in which the help lists them; the function of NAME in
+the module is ``NAME_command``, and that of a study has its name."""
 COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
 GONE = Path(__file__).with_name("gone.toml")
 """File of the replacements of commands and options of earlier versions."""
@@ -53,9 +53,7 @@ GONE = Path(__file__).with_name("gone.toml")
 
 def command_function(name: str) -> Callable[..., Any]:
     """Function of the command called ``name``."""
-    if name in STUDIES:
-        return find_study(name)
-    return getattr(import_module(COMMANDS[name][0]), "list_" if name == "list" else name)
+    return find_study(name) if name in STUDIES else getattr(import_module(COMMANDS[name][0]), f"{name}_command")
 
 
 class Command(TyperCommand):

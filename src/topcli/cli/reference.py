@@ -121,7 +121,9 @@ OF_A_TOP: Sequence[_Kind] = ("schemes", "scenes", "cases")
 """Lists of which ``--top`` chooses a part."""
 
 
-def list_(items: _Kind, *, top: str | None = None, results: Path = Path("results"), screen: Screen) -> CommandResult:
+def list_command(
+    items: _Kind, *, top: str | None = None, results: Path = Path("results"), screen: Screen
+) -> CommandResult:
     """List tops, schemes, scenes, figures, runs and more.
 
     Scenes are packaged configs, which run by name; sweeps are packaged sweep files. The outcome of a run is "running"
@@ -180,7 +182,7 @@ def forms_of(top: str | None) -> Sequence[str]:
     return [form.form for form in forms(top)] if top else list(TOPS)
 
 
-def cite(cited: Sequence[str] = (), *, screen: Screen) -> CommandResult:
+def cite_command(cited: Sequence[str] = (), *, screen: Screen) -> CommandResult:
     """Print the BibTeX of a scheme, a top, or topcli itself.
 
     Parameters
@@ -197,7 +199,7 @@ def cite(cited: Sequence[str] = (), *, screen: Screen) -> CommandResult:
     return CommandResult({"entries": [{"key": key, "bibtex": bibtex} for key, bibtex in works.items()]})
 
 
-def show(
+def show_command(
     subject: str,
     *,
     row: int | None = None,
@@ -303,7 +305,7 @@ def show_motion(config: str, row: int | None, overrides: Sequence[str], screen: 
     return CommandResult({"config": experiment.resolved(), "digest": experiment.digest, "motion": motion.as_dict()})
 
 
-def init(
+def init_command(
     path: Path = Path("experiment.yaml"), *, config: str = "kowalevski_hk", force: bool = False, screen: Screen
 ) -> CommandResult:
     """Copy a packaged scene as a config to start from.
@@ -333,7 +335,7 @@ def init(
     return CommandResult({"files": [str(path), str(schema_path)]})
 
 
-def schema(*, screen: Screen) -> CommandResult:
+def schema_command(*, screen: Screen) -> CommandResult:
     """Print the JSON Schema of the config."""
     from topcli.config.schema import config_schema
     from topcli.store.files import json_text

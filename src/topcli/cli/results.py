@@ -38,7 +38,7 @@ def require_new_file(path: Path, force: bool, option: str = "--out") -> None:
         files.require_new([path], option)
 
 
-def verify(runs: Sequence[str], *, results: Path = Path("results"), screen: Screen) -> CommandResult:
+def verify_command(runs: Sequence[str], *, results: Path = Path("results"), screen: Screen) -> CommandResult:
     """Verify stored results by their checksums.
 
     Of an unfinished run, the command verifies the checkpoint and the rows before it. The rows of
@@ -62,7 +62,7 @@ def verify(runs: Sequence[str], *, results: Path = Path("results"), screen: Scre
     return CommandResult({"runs": [result.data() for result in checked]}, code)
 
 
-def table(
+def table_command(
     result: str,
     *,
     rows: Sequence[str] = (),
@@ -158,7 +158,7 @@ def table_of_sweep(
     return CommandResult(table.as_dict())
 
 
-def report(
+def report_command(
     runs: Sequence[str], *, out: Path, results: Path = Path("results"), force: bool = False, screen: Screen
 ) -> CommandResult:
     """Write a self-contained HTML page about stored results.
@@ -171,7 +171,7 @@ def report(
     runs : sequence of str
         Folders or names of runs and sweeps, or JSON files.
     """
-    from topcli.show.reports import stored_record
+    from topcli.cli.reports import stored_record
     from topcli.store.files import write_by_ending
     from topcli.studies.page import page_of
 
@@ -184,7 +184,7 @@ def report(
     )
 
 
-def plot(
+def plot_command(
     figures: Sequence[str] = (),
     *,
     every: bool = False,
@@ -312,7 +312,7 @@ def figure_of_sweep(places: Sequence[str], axes: dict[str, Any], results: Path) 
     return sweep_figure(rows, Choice(**axes), ", ".join([rows.attrs["name"], *where]), takes)
 
 
-def animate(
+def animate_command(
     result: str,
     *,
     out: Path,
