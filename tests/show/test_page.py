@@ -20,7 +20,7 @@ from topcli.cli.reports import rows_table, stored_record
 from topcli.config.load import load_experiment
 from topcli.contracts import stopping_when
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.figures.run import run_pictures
+from topcli.figures.stored import run_pictures
 from topcli.runs.report import report_tables
 from topcli.runs.run import run_experiment
 from topcli.store.files import SEAL, sealed_text

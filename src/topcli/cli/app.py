@@ -6,6 +6,7 @@ import difflib
 import platform
 import re
 from collections.abc import Callable
+from contextlib import closing
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -110,17 +111,13 @@ def all_commands() -> dict[str, Any]:
 def perform(name: str, function: Callable[..., Any], values: dict[str, Any]) -> None:
     """Call the function of a command, print its result, and exit with its code."""
     as_json, quiet, _ = (values.pop(parameter) for parameter in ("as_json", "quiet", "plugin"))
-    screen = Screen(as_json, quiet)
-    try:
+    with closing(Screen(as_json, quiet)) as screen:
         if options.is_study(function):
             code = perform_study(function, values, screen)
         else:
-            outcome = options.call_with(function, values, screen)
-            code = outcome.code
+            data, code = options.call_with(function, values, screen)
             if as_json:
-                print_document({"schema_version": 1, "command": name, **outcome.data})
-    finally:
-        screen.close()
+                print_document({"schema_version": 1, "command": name, **data})
     if code:
         raise typer.Exit(code)
 
@@ -132,13 +129,14 @@ def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Scr
     from topcli.studies.report import PICTURES, TABLES
 
     plot, save, force, verbose = (values.pop(parameter) for parameter in ("plot", "save", "force", "verbose"))
-    for name, path, endings in (("--plot", plot, PICTURES), ("--save", save, (".json", *TABLES))):
-        if path is not None and path.suffix not in endings:
-            last = f"{', '.join(endings[:-1])} or {endings[-1]}"
-            raise UsageError(f"{name} {path}: unknown type of file; use a name ending in {last}")
-        if path is not None:
-            require_new_file(path, force, name)
+    paths = {"--plot": (plot, PICTURES), "--save": (save, (".json", *TABLES))}
+    files = {option: (path, endings) for option, (path, endings) in paths.items() if path is not None}
     # wrong names of files are refused before the study, which may take long
+    for option, (path, endings) in files.items():
+        if path.suffix not in endings:
+            last = f"{', '.join(endings[:-1])} or {endings[-1]}"
+            raise UsageError(f"{option} {path}: unknown type of file; use a name ending in {last}")
+        require_new_file(path, force, option)
     report = options.call_with(study, values, screen)
     if screen.as_json:
         print_document(report.as_dict())
@@ -146,16 +144,13 @@ def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Scr
     for table in report.tables:
         if table.rows and (verbose or table.detail is not True):
             screen.show("", table.cells(verbose))
-    for path in (plot, save):
-        if path is not None:
-            screen.say(f"wrote {report.save(path)}")
+    for path, _ in files.values():
+        screen.say(f"wrote {report.save(path)}")
     for line in report.notes:
         screen.say(line)
-    for line in report.errors:
-        print_message(f"error: {line}")
-    for failure in FAILURES.values():
-        if not any(failure in line for line in report.errors):
-            print_message(failure)
+    unnamed = [failure for failure in FAILURES.values() if not any(failure in line for line in report.errors)]
+    for line in (*(f"error: {line}" for line in report.errors), *unnamed):
+        print_message(line)
     return report.code
 
 
@@ -177,6 +172,8 @@ def call() -> int | str | None:
 
 def print_usage_error(error: Any) -> None:
     """Report an error of typer in the style of all other errors, with the nearest name."""
+    import tomllib
+
     message = error.format_message().strip()
     if "\n" in message:  # the help, of a command without arguments
         print_lines(message)
@@ -184,8 +181,9 @@ def print_usage_error(error: Any) -> None:
     ctx = getattr(error, "ctx", None)
     path = ctx.command_path if ctx is not None else "topcli"
     unknown = re.match(r"No such (?:command|option):? '?([\w-]+)'?", message)
-    if unknown and (instead := replacement(" ".join([*path.split()[1:], unknown[1]]))):
-        print_message(f"error: n{unknown[0][1:]}; {instead}")
+    replacements = tomllib.loads(GONE.read_text(encoding="utf-8")) if unknown else {}
+    if unknown and (replacement := replacements.get(" ".join([*path.split()[1:], unknown[1]]))):
+        print_message(f"error: n{unknown[0][1:]}; {replacement}")
         return
     message = re.sub(r"(?: \(Possible options: .*\)|\. Did you mean .*\?)$", "", message).removesuffix(".")
     choice = re.search(r"(?:Value error, )?'(\S*)' is not one of (.*)$", message)
@@ -195,13 +193,6 @@ def print_usage_error(error: Any) -> None:
         message = f"{message[: choice.start()]}'{choice[1]}' is not one of {', '.join(names)}"
     hint = f"; did you mean '{near[0]}'?" if near else ""
     print_message(f"error: {shortened(message[:1].lower() + message[1:], 240)}{hint} (see {path} --help)")
-
-
-def replacement(name: str) -> str:
-    """Replacement of a command or option of an earlier version; empty for an unknown one."""
-    import tomllib
-
-    return tomllib.loads(GONE.read_text(encoding="utf-8")).get(name, "")
 
 
 def _print_version(asked: bool) -> None:

@@ -17,8 +17,8 @@ from topcli.config.load import load
 from topcli.contracts import Outcome
 from topcli.errors import ExitCode, UsageError, counted, nearest, quoted
 from topcli.figures.figure import picture_of
-from topcli.figures.run import draw_series, recorded_vectors, run_figure, series_of
-from topcli.figures.sweep import draw_points, points_of, usual_choices
+from topcli.figures.stored import draw_series, recorded_vectors, run_figure, series_of
+from topcli.figures.sweep import draw_sweep, points_of, usual_choices
 from topcli.runs.report import ensemble_statements, precision_note, report_tables, warning_of
 from topcli.runs.run import RunResult
 from topcli.store.results import MANIFEST, REPORT, StoredResult, intact_result
@@ -207,7 +207,7 @@ class SweepReport(Report):
         def draw(canvas: Any) -> None:
             grid = canvas.subplots(len(panels), 1, squeeze=False, height_ratios=heights)
             for axes, points in zip(grid[:, 0], panels, strict=True):
-                draw_points(axes, points)
+                draw_sweep(axes, points)
 
         return picture_of(draw, (5.6, sum(heights)), form)
 
@@ -223,7 +223,7 @@ def report_on_sweep(stored: StoredResult) -> SweepReport:
         [rows_table(rows)],
         code=ExitCode.SUCCESS if set(outcomes) <= {COMPLETED} else ExitCode.PARTLY_FAILED,
         config=stored_sweep_file(stored.folder).resolved(),
-        draw=None if choice is None else lambda axes, looks: draw_points(axes, points_of(rows, choice)),
+        draw=None if choice is None else lambda axes, looks: draw_sweep(axes, points_of(rows, choice)),
         stored=stored,
     )
 
