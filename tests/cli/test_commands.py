@@ -253,6 +253,8 @@ def test_a_sweep_and_its_rows_are_shown_and_run_to_the_same_numbers(cli: Cli, st
     (energy,) = [each for each in report["invariants"] if each["name"] == "energy"]
     assert [report[key] for key in ("name", "scheme", "h", "N")] == ["study_3", "rk4", 0.02, 70]
     assert energy["max_deviation"] == rows()[3]["max_deviation.energy"]
+    motions = [cli("show", *words, "--motion").out for words in (("row.yaml",), ("results/study", "--row", "3"))]
+    assert motions[0].partition(": ")[2] == motions[1].partition(": ")[2] != ""
     study.write_text(file.out)
     assert "(0 ran)" in cli("sweep", "study.yaml").err
     said = cli("run", "kowalevski_hk", "--set", "N=10", "--set", "name=study")

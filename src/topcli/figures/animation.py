@@ -18,7 +18,7 @@ from topcli.contracts import Array, Outcome, Top
 from topcli.engine.columns import quaternions_of
 from topcli.errors import RunError, UsageError
 from topcli.figures.space import SPATIAL, START, TRACE, axis, curve, draw_globe, set_view, sphere, surface
-from topcli.figures.style import halo, labelled, literal, scheme_label, styled
+from topcli.figures.style import halo, labelled, plain_text, scheme_label, styled
 from topcli.store.files import io_failure, require_writable, write_whole
 from topcli.store.results import intact_result
 from topcli.store.series import read_series
@@ -199,7 +199,7 @@ class BodyFigure:
         self.axes = self.canvas.add_axes((0.0, 0.0, 0.62, 1.0), projection=SPATIAL)
         self.camera = draw_space(self.axes, self.body, self.path[0])
         self.fixed = set(self.axes.get_children())
-        self.canvas.text(0.62, 0.965, literal(experiment.name[:25]), fontsize=14, va="top")
+        self.canvas.text(0.62, 0.965, plain_text(experiment.name[:25]), fontsize=14, va="top")
         scheme = f"{scheme_label(experiment)[:24]}, $h = {experiment.h:g}$"
         self.canvas.text(0.62, 0.895, scheme, fontsize=12, color="0.35", va="top")
         self.time = self.canvas.text(0.62, 0.785, "", fontsize=14, va="top")

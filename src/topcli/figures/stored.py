@@ -16,7 +16,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.errors import UsageError, nearest, quoted
 from topcli.figures.figure import Columns, Drawing, Figure
-from topcli.figures.style import column_label, component_symbol, labelled, legend_above, literal, scheme_label
+from topcli.figures.style import column_label, component_symbol, labelled, legend_above, plain_text, scheme_label
 from topcli.schemes.display import display_name
 from topcli.store.envelope import envelope
 from topcli.store.results import StoredResult, read_result
@@ -30,7 +30,7 @@ EXPLODED = 1e3
 """Components of an exploding motion are drawn up to this multiple of their initial value."""
 LARGEST_DEVIATION = 1e100
 """Larger deviations have no place on an axis."""
-TINTS = ("#0072B2", "#D55E00", "#999999", "#000000", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+_TINTS = ("#0072B2", "#D55E00", "#999999", "#000000", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 """Colours of the orbits of a section; the first of them are those of the verdicts."""
 MOST_SIZE, INK = 2.0, 3000.0
 """Largest size of a point of a section in printer's points, and the sum of the sizes, if there are many."""
@@ -73,7 +73,7 @@ def draw_series(
     vector = next(
         (vector for vector, columns in recorded_vectors(names, experiment).items() if columns == list(names)), ""
     )
-    label = IN_WORDS.get(vector, literal(vector)) or ", ".join(line.get_label() for line in axes.lines)
+    label = IN_WORDS.get(vector, plain_text(vector)) or ", ".join(line.get_label() for line in axes.lines)
     limits = sorted(map(float, data["t"][[0, -1]]))
     options: dict[str, Any] = {"xlim": limits} if limits[0] < limits[1] else {}
     options |= {"yscale": "log"} if deviation else {}
@@ -116,7 +116,7 @@ def run_figure(run: StoredResult) -> Figure:
         panels = canvas.subplots(count, 1, squeeze=False)[:, 0]
         for axes, picture in zip(panels, run_pictures(columns, experiment), strict=True):
             picture(axes)
-        canvas.suptitle(f"{literal(name)}: {scheme_label(experiment)}, $h = {experiment.h:g}$", fontsize="medium")
+        canvas.suptitle(f"{plain_text(name)}: {scheme_label(experiment)}, $h = {experiment.h:g}$", fontsize="medium")
 
     return Figure(name, name, lambda: series, draw, (6.4, 0.6 + 2.1 * count), lambda: takes)
 
@@ -147,7 +147,7 @@ def section_figure(folder: Path, x: str | None, y: str | None, colour: str | Non
         axes = canvas.subplots()
         size = max(0.2, min(MOST_SIZE, INK / len(points["orbit"])))
         look = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0, "rasterized": True}
-        tints: Any = dict(zip(Verdict, TINTS, strict=False)) if colour else dict(enumerate(TINTS))
+        tints: Any = dict(zip(Verdict, _TINTS, strict=False)) if colour else dict(enumerate(_TINTS))
         kinds = points["verdict"] if colour else points["orbit"] % len(tints)
         for kind in filter(kinds.tolist().__contains__, tints):
             here = kinds == kind

@@ -64,7 +64,7 @@ def styled(style: Mapping[str, Any] | None = None) -> Iterator[None]:
         yield
 
 
-def literal(text: str) -> str:
+def plain_text(text: str) -> str:
     """Text that matplotlib shows as it is, without reading it as mathematics."""
     return text.replace("$", r"\$")
 
@@ -85,7 +85,7 @@ def column_label(experiment: Experiment, column: str) -> str:
     if column in experiment.top.components:
         return component_symbol(column)
     tex = SYMBOLS.get(column) or integrals.get(column)
-    return f"${tex}$" if tex else literal(column)
+    return f"${tex}$" if tex else plain_text(column)
 
 
 def scheme_label(experiment: Experiment) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from topcli.analysis.order import convergence
 from topcli.errors import UsageError
 from topcli.figures.figure import Figure
-from topcli.figures.style import labelled, literal, looks
+from topcli.figures.style import labelled, looks, plain_text
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.store.files import sha256_of
@@ -172,18 +172,18 @@ def draw_sweep(axes: Any, points: Points, title: str = "") -> None:
     title = ", ".join(filter(None, [title, *lost]))
 
     around = "" if choice.colour else SPREADS.get(choice.aggregate or "")
-    label = literal(in_words(choice.measure)) + (f" ({choice.aggregate}{around})" if choice.aggregate else "")
+    label = plain_text(in_words(choice.measure)) + (f" ({choice.aggregate}{around})" if choice.aggregate else "")
     if choice.colour:
         _heat(axes, table["value"].where(drawn).unstack(choice.x), scale, label)
     else:
         _curves(axes, table[drawn], scale, choice)
-    x, y = (KEYS_IN_WORDS.get(key, literal(key)) for key in (choice.x, choice.y))
-    labelled(axes, x, y if choice.colour else label, literal(title))
+    x, y = (KEYS_IN_WORDS.get(key, plain_text(key)) for key in (choice.x, choice.y))
+    labelled(axes, x, y if choice.colour else label, plain_text(title))
 
 
 def _texts(values: Sequence[Any]) -> list[str]:
     """Names of keys on an axis; those of schemes as people read them."""
-    return [f"{value:.4g}" if isinstance(value, float) else literal(display_name(str(value))) for value in values]
+    return [f"{value:.4g}" if isinstance(value, float) else plain_text(display_name(str(value))) for value in values]
 
 
 def _heat(axes: Any, table: Frame, scale: Scale, label: str) -> None:
@@ -222,7 +222,7 @@ def _curves(axes: Any, table: Frame, scale: Scale, choice: Choice) -> None:
     for i, (key, curve) in enumerate(groups.items()):
         # markers of later curves are smaller, and names have one after the other, so that all are seen
         style = styles[str(key)] | {"markersize": 4.6 - 1.8 * i / len(groups)}
-        text = literal(display_name(str(key)))
+        text = plain_text(display_name(str(key)))
         if choice.by and isinstance(key, float | int):
             text = f"{choice.by} = {key:.6g}"
         curve = curve if names else curve.sort_index(level=choice.x)
