@@ -22,7 +22,7 @@ from topcli.cli.reports import rows_table, stored_record
 from topcli.config.load import load_experiment
 from topcli.contracts import stopping_when
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.figures.stored import run_pictures
+from topcli.figures.stored import draw_series, panels_of
 from topcli.runs.report import report_tables
 from topcli.runs.run import run_experiment
 from topcli.store.files import SEAL, sealed_text
@@ -121,16 +121,16 @@ def test_the_works_of_the_schemes_and_tops_that_took_part_are_cited(copied: Path
 
 def test_deviations_are_from_the_first_value_and_leave_out_constants() -> None:
     data = {"t": np.arange(4.0), "energy": np.array([2.0, 2.0, 1.5, 2.25]), "m_sq": np.ones(4)}
-    (picture,) = run_pictures(data, load_experiment("euler_hk"))
-    axes = Figure().subplots()
-    picture(axes)
+    experiment, axes = load_experiment("euler_hk"), Figure().subplots()
+    ((names, deviation),) = panels_of(data, experiment)
+    draw_series(axes, data, names, experiment, deviation)
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [np.nan, np.nan, 0.5, 0.25])
 
 
 def test_motion_is_drawn_up_to_its_explosion() -> None:
     data = {"t": np.arange(5.0), "omega1": np.array([2.0, 3.0, 1999.0, 2001.0, np.nan])}
     axes = Figure().subplots()
-    run_pictures(data, load_experiment("euler_hk"))[0](axes)
+    draw_series(axes, data, ["omega1"], load_experiment("euler_hk"))
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [2.0, 3.0, 1999.0, np.nan, np.nan])
     assert axes.get_title(loc="left") == "not shown: values beyond 2000"
 

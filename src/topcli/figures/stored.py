@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.errors import UsageError, nearest, quoted
-from topcli.figures.figure import Columns, Drawing, Figure
+from topcli.figures.figure import Columns, Figure
 from topcli.figures.style import column_label, component_symbol, labelled, legend_above, plain_text, scheme_label
 from topcli.schemes.display import display_name
 from topcli.store.envelope import envelope
@@ -44,17 +44,17 @@ def recorded_vectors(names: Sequence[str], experiment: Experiment) -> dict[str, 
     return {vector: columns for vector, columns in present.items() if columns}
 
 
-def series_of(path: Path, h: float, names: Sequence[str] | None = None) -> dict[str, Array]:
-    """Columns ``names`` of a stored series at the rows that a picture needs, by default all, and the times ``t``.
+def series_of(path: Path, h: float) -> dict[str, Array]:
+    """Columns of a stored series at the rows that a picture needs, and the times ``t``; empty without rows or times.
 
-    Empty without rows or times. Raises RunError if the file is damaged.
+    Raises RunError if the file is damaged.
     """
-    stored = [column for column in series_names(path) if column not in WORDS]
-    time = next((name for name in ("t", "n") if name in stored), None)
-    if time is None:
+    names = [name for name in series_names(path) if name not in WORDS]
+    if not {"t", "n"} & set(names):
         return {}
-    data = envelope(path, list(dict.fromkeys([time, *(stored if names is None else names)])))
-    data.setdefault("t", data[time] * h)
+    data = envelope(path, names)
+    if "t" not in data:
+        data["t"] = data["n"] * h
     return data if len(data["t"]) else {}
 
 
@@ -70,9 +70,8 @@ def draw_series(
         drawn = (np.abs(values) <= beyond) & ((values > 0.0) | (not deviation))
         title = title if deviation or drawn.all() else f"not shown: values beyond {beyond:.4g}"
         axes.plot(data["t"], np.where(drawn, values, np.nan), label=column_label(experiment, name))
-    vector = next(
-        (vector for vector, columns in recorded_vectors(names, experiment).items() if columns == list(names)), ""
-    )
+    vectors = {tuple(columns): vector for vector, columns in recorded_vectors(names, experiment).items()}
+    vector = vectors.get(tuple(names), "")
     label = IN_WORDS.get(vector, plain_text(vector)) or ", ".join(line.get_label() for line in axes.lines)
     limits = sorted(map(float, data["t"][[0, -1]]))
     options: dict[str, Any] = {"xlim": limits} if limits[0] < limits[1] else {}
@@ -82,18 +81,13 @@ def draw_series(
         legend_above(axes)
 
 
-def run_pictures(data: Mapping[str, Array], experiment: Experiment) -> list[Drawing]:
-    """Pictures of the columns of one trajectory: one for each vector and quantity, and the deviations of the others."""
-    vectors = recorded_vectors(list(data), experiment)
-    moving = [component for components in vectors.values() for component in components]
-    quantities = [column for column in experiment.output.quantities or () if column in data]
-    apart = {"t", *INTEGERS, *moving, *quantities, *experiment.output.attitude_columns}
-    panels = [*vectors.values(), *([column] for column in quantities)]
-    pictures: list[Drawing] = [partial(draw_series, data=data, names=names, experiment=experiment) for names in panels]
-    if moved := [name for name in data if name not in apart and (data[name] != data[name][0]).any()]:
-        names = moved[:MOST_LINES]
-        pictures.append(partial(draw_series, data=data, names=names, experiment=experiment, deviation=True))
-    return pictures
+def panels_of(data: Mapping[str, Array], experiment: Experiment) -> list[tuple[list[str], bool]]:
+    """Columns of each panel: those of a vector, a quantity, and, as deviations (True), the others that move."""
+    vectors = list(recorded_vectors(list(data), experiment).values())
+    quantities = [[column] for column in experiment.output.quantities or () if column in data]
+    apart = {"t", *INTEGERS, *experiment.output.attitude_columns, *itertools.chain(*vectors, *quantities)}
+    moved = [name for name in data if name not in apart and (data[name] != data[name][0]).any()]
+    return [(names, False) for names in (*vectors, *quantities)] + [(moved[:MOST_LINES], True)] * bool(moved)
 
 
 def _digests(run: StoredResult) -> str:
@@ -108,17 +102,17 @@ def run_figure(run: StoredResult) -> Figure:
         raise UsageError(f"{run.folder}: is an ensemble; draw one of its trajectories, run by itself, or its section")
     experiment = load_experiment(run.manifest["config"], any_precision=True)
     series = series_of(run.series, float(Fraction(report["h"])))
-    count = len(run_pictures(series, experiment)) if series else 0
-    if not count:
+    panels = panels_of(series, experiment) if series else []
+    if not panels:
         raise UsageError(f"{run.folder}: nothing to draw: no rows with times")
 
     def draw(canvas: Any, columns: Columns) -> None:
-        panels = canvas.subplots(count, 1, squeeze=False)[:, 0]
-        for axes, picture in zip(panels, run_pictures(columns, experiment), strict=True):
-            picture(axes)
+        grid = canvas.subplots(len(panels), 1, squeeze=False)
+        for axes, (names, deviation) in zip(grid.flat, panels, strict=True):
+            draw_series(axes, columns, names, experiment, deviation)
         canvas.suptitle(f"{plain_text(name)}: {scheme_label(experiment)}, $h = {experiment.h:g}$", fontsize="medium")
 
-    return Figure(name, name, lambda: series, draw, (6.4, 0.6 + 2.1 * count), lambda: takes)
+    return Figure(name, name, lambda: series, draw, (6.4, 0.6 + 2.1 * len(panels)), lambda: takes)
 
 
 def section_figure(folder: Path, x: str | None, y: str | None, colour: str | None) -> Figure:
@@ -129,7 +123,15 @@ def section_figure(folder: Path, x: str | None, y: str | None, colour: str | Non
     """
     if colour not in (None, "verdict"):
         raise UsageError(f"--colour {quoted(colour)}: a section is coloured by orbit, or with --colour verdict")
-    run = _run_with_section(folder)
+    run = read_result(folder)
+    if run is None or run.outcome is None:
+        raise UsageError(f"{folder}: no finished run here; topcli run CONFIG makes one")
+    if "section" not in run.manifest["config"]:
+        example = "--set section.component=gamma2 --set section.value=0"
+        raise UsageError(f"{folder}: the run recorded steps, not a section; run it with, for example, {example}")
+    report = run.report()
+    if not report["section"]["crossings"]:
+        raise UsageError(f"{folder}: nothing to draw: {report['message']}")
     experiment, takes = load(dict(run.manifest["config"])), _digests(run)
     section: Any = experiment.section
     columns = [name for name in experiment.recorded if name not in ("n", "t")]
@@ -163,22 +165,6 @@ def section_figure(folder: Path, x: str | None, y: str | None, colour: str | Non
 
     name = "-".join(filter(None, ["section", run.folder.name, across, up, colour]))
     return Figure(name, f"Section of {run.folder.name}", data, draw, (5.0, 4.2), lambda: takes)
-
-
-def _run_with_section(folder: Path) -> StoredResult:
-    """Run in ``folder``. Raises UsageError if there is none, or none with crossings."""
-    run = read_result(folder)
-    if run is None or run.outcome is None:
-        raise UsageError(f"{folder}: no finished run here; topcli run CONFIG makes one")
-    if "section" not in run.manifest["config"]:
-        raise UsageError(
-            f"{folder}: the run recorded steps, not a section; "
-            "run it with, for example, --set section.component=gamma2 --set section.value=0"
-        )
-    report = run.report()
-    if not report["section"]["crossings"]:
-        raise UsageError(f"{folder}: nothing to draw: {report['message']}")
-    return run
 
 
 def _verdicts(experiment: Experiment) -> np.ndarray:

@@ -101,9 +101,9 @@ def labelled(axes: Any, x: str, y: str, title: str = "", **options: Any) -> None
     axes.set_title(title, loc="left")
 
 
-def legend_above(axes: Any, ncols: int = 4) -> None:
+def legend_above(axes: Any) -> None:
     """Put the legend above the axes on the right."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=ncols, borderaxespad=0.2)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2)
 
 
 def legend_below(canvas: Any, ncols: int, **options: Any) -> None:
@@ -116,7 +116,7 @@ def legend_below(canvas: Any, ncols: int, **options: Any) -> None:
     canvas.legend(entries.values(), entries, ncols=ncols, **look)
 
 
-def halo(text: Any, width: float = 2.5) -> None:
+def halo(text: Any, width: float) -> None:
     """Surround a text by white, so that it can be read over lines."""
     from matplotlib.patheffects import withStroke
 

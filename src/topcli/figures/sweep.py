@@ -124,26 +124,18 @@ def points_of(rows: Frame, choice: Choice) -> Points:
     return Points(choice, table, len(rows), int(rows[choice.measure].isna().sum()))
 
 
-def sweep_figure(
-    folder: Path,
-    x: str | None,
-    y: str | None,
-    by: str | None = None,
-    colour: str | None = None,
-    aggregate: str | None = None,
-    where: Sequence[str] = (),
-) -> Figure:
+def sweep_figure(folder: Path, where: Sequence[str], x: str | None, y: str | None, **parts: str | None) -> Figure:
     """The figure of ``topcli plot sweep``: a choice of the rows that satisfy ``where`` of the sweep in ``folder``.
 
-    Raises UsageError for a choice that the rows do not have.
+    ``parts`` are the further attributes of ``Choice``. Raises UsageError for a choice that the rows do not have.
     """
     rows = read_rows(folder, where)
     if x is None or y is None:
         hint = "plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE"
         raise UsageError(hint, names_hint(rows))
-    choice = Choice(x, y, by, colour, aggregate)
+    choice = Choice(x, y, **parts)
     points, sweep = points_of(rows, choice), rows.attrs["name"]
-    over = ["by", by] if by else [y] * bool(colour)
+    over = ["by", choice.by] if choice.by else [y] * bool(choice.colour)
     name = "_".join([sweep, choice.measure, "over", x, *over]).replace("/", "-")
     columns = {str(key): values.to_numpy() for key, values in points.table.reset_index().items()}
     takes = f"{sha256_of(Path(rows.attrs['path']))} {where} {choice}"
