@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import platform
 import re
 from collections.abc import Callable
@@ -185,14 +184,10 @@ def print_usage_error(error: Any) -> None:
     if unknown and (replacement := replacements.get(" ".join([*path.split()[1:], unknown[1]]))):
         print_message(f"error: n{unknown[0][1:]}; {replacement}")
         return
-    message = re.sub(r"(?: \(Possible options: .*\)|\. Did you mean .*\?)$", "", message).removesuffix(".")
-    choice = re.search(r"(?:Value error, )?'(\S*)' is not one of (.*)$", message)
-    names = re.findall(r"'(\S+)'", choice[2]) if choice else getattr(error, "possibilities", None) or COMMANDS
-    near = difflib.get_close_matches(choice[1] if choice else unknown[1] if unknown else "", names, 1)
-    if choice:
-        message = f"{message[: choice.start()]}'{choice[1]}' is not one of {', '.join(names)}"
-    hint = f"; did you mean '{near[0]}'?" if near else ""
-    print_message(f"error: {shortened(message[:1].lower() + message[1:], 240)}{hint} (see {path} --help)")
+    message = re.sub(r" \(Possible options: .*\)$", "", message.removesuffix(".").replace("Value error, ", ""))
+    nearest = [f"; did you mean '{name}'?" for name in getattr(error, "possibilities", None) or ()]
+    message = message.replace(". Did you", "; did you") + "".join(nearest[:1])
+    print_message(f"error: {message[:1].lower()}{shortened(message[1:], 240)} (see {path} --help)")
 
 
 def _print_version(asked: bool) -> None:

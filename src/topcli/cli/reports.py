@@ -38,14 +38,35 @@ MOST_ROWS, MOST_PICTURES = 200, 6
 """Largest numbers of rows and measures of a sweep on a page."""
 
 
-def provenance_of(stored: StoredResult) -> dict[str, Any]:
-    """Times, digests and versions of a manifest."""
-    times = {key: stored.manifest[key] for key in _PROVENANCE if stored.manifest.get(key)}
-    return times | stored.manifest["environment"]
+@dataclass(frozen=True, repr=False)
+class StoredReport(Report):
+    """Report on a result in a folder.
+
+    Attributes
+    ----------
+    stored : StoredResult
+        The folder of the result with its manifest, the description of the run or sweep.
+    """
+
+    stored: StoredResult = field(kw_only=True)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.title}: {self.answer}>"
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the result."""
+        return self.stored.folder
+
+    def record(self) -> dict[str, Any]:
+        """Everything that a page shows, with the environment in which the result was computed."""
+        manifest = self.stored.manifest
+        times = {key: manifest[key] for key in _PROVENANCE if manifest.get(key)}
+        return super().record() | {"environment": times | manifest["environment"]}
 
 
 @dataclass(frozen=True, repr=False)
-class RunReport(Report):
+class RunReport(StoredReport):
     """Report on a stored run or ensemble, as returned by ``topcli.run``.
 
     ``report[name]`` is the column called ``name`` of the series, which contains the recorded rows of the run. The
@@ -54,19 +75,10 @@ class RunReport(Report):
     Attributes
     ----------
     result : RunResult
-        The folder of the run with its manifest (the description of the run), the content of ``report.json``, and
-        ``status``.
+        The folder of the run, the content of ``report.json``, and ``status``.
     """
 
     result: RunResult = field(kw_only=True)
-
-    def __repr__(self) -> str:
-        return f"<RunReport of {self.title}: {self.answer}>"
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the run."""
-        return self.result.stored.folder
 
     @property
     def outcome(self) -> Outcome:
@@ -94,26 +106,22 @@ class RunReport(Report):
         """DataFrame of all stored rows. Raises RunError if the file is damaged."""
         import pandas as pd
 
-        return pd.DataFrame(read_series(self.result.stored.series))
+        return pd.DataFrame(read_series(self.stored.series))
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Column of the series by name, shape (m,). Raises UsageError for an unknown name."""
-        names = series_names(self.result.stored.series)
+        names = series_names(self.stored.series)
         if name not in names:
             raise UsageError(f"unknown column {quoted(name)}; {nearest(name, names)}")
-        return read_series(self.result.stored.series, [name])[name]
+        return read_series(self.stored.series, [name])[name]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of ``report.json``, with the ``folder`` and the ``status``."""
         return {"folder": str(self.folder), "status": self.status, **self.result.report}
 
-    def record(self) -> dict[str, Any]:
-        """Everything that a page shows, with the environment in which the run was computed."""
-        return super().record() | {"environment": provenance_of(self.result.stored)}
-
     def picture(self, form: str) -> bytes:
         """Picture of all columns in a format, "png", "pdf" or "svg". Raises UsageError for an ensemble."""
-        figure = run_figure(self.result.stored)
+        figure = run_figure(self.stored)
         return picture_of(lambda canvas: figure.draw(canvas, figure.data()), figure.size, form)
 
 
@@ -136,6 +144,7 @@ def report_on_run(result: RunResult) -> RunReport:
         code=code_of_run(result),
         config=stored.manifest["config"],
         draw=None if many else lambda axes, looks: _draw_last_vector(stored, axes),
+        stored=stored,
         result=result,
     )
 
@@ -149,27 +158,12 @@ def _draw_last_vector(stored: StoredResult, axes: Axes) -> None:
 
 
 @dataclass(frozen=True, repr=False)
-class SweepReport(Report):
+class SweepReport(StoredReport):
     """Report on a finished sweep, as returned by ``topcli.sweep``.
 
     The report draws the first measure against the numeric key with the most values, with a curve for each scheme or
     top. ``table`` gives the rows for other plots.
-
-    Attributes
-    ----------
-    stored : StoredResult
-        The folder of the sweep with its manifest.
     """
-
-    stored: StoredResult = field(kw_only=True)
-
-    def __repr__(self) -> str:
-        return f"<SweepReport of {self.title}: {self.answer}>"
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the sweep."""
-        return self.stored.folder
 
     @property
     def outcomes(self) -> Mapping[str, int]:
@@ -191,10 +185,6 @@ class SweepReport(Report):
             "outcomes": dict(self.outcomes),
             "rows": table.astype(object).where(table.notna(), None).to_dict("records"),
         }
-
-    def record(self) -> dict[str, Any]:
-        """Everything that a page shows, with the environment in which the rows were computed."""
-        return super().record() | {"environment": provenance_of(self.stored)}
 
     def picture(self, form: str) -> bytes:
         """Picture of the first measures in a format, "png", "pdf" or "svg". Raises UsageError if no key varies."""

@@ -243,9 +243,9 @@ def print_result(result: RunResult, experiment: Experiment, verbose: bool, title
 
     if code:
         failure = "some trajectories failed" if code is ExitCode.PARTLY_FAILED else outcome
-        rows = "all rows" if outcome == "left_motion" else "the rows before"
+        stored_rows = "all rows" if outcome == "left_motion" else "the rows before"
         more = "; run it again to continue" if code is ExitCode.INTERRUPTED and "precision" not in report else ""
-        print_message(f"error: {name}: {failure}; {rows} are kept{more}")
+        print_message(f"error: {name}: {failure}; {stored_rows} are kept{more}")
 
 
 def sweep(
