@@ -2,8 +2,8 @@
 
 A command is a function. Its positional parameters are arguments, its keyword-only ones options: ``max_steps`` becomes
 ``--max-steps``. The type, the default and the number of values follow from the annotation, and the help is the first
-sentence about the parameter in the docstring. The docstring of ``shared`` describes parameters that mean the same in
-several commands.
+sentence about the parameter in the docstring. Parameters that mean the same in several commands are described in the file
+``options.txt``.
 """
 
 from __future__ import annotations
@@ -22,83 +22,22 @@ from typer.main import get_command
 
 from topcli.errors import shortened
 
+_LINES = Path(__file__).with_suffix(".txt").read_text(encoding="utf-8").splitlines()[1:]
+SHARED = {name: (words.split(), *text) for name, words, *text in (re.split(" {2,}", line) for line in _LINES)}
+"""Spelling and word for a value, and the help if it is the same everywhere, of parameters of several commands.
 
-def shared(*, as_json: bool = False, quiet: bool = False, plugin: Sequence[Path] = ()) -> None:
-    """Options of every command, and the spelling, the word for a value, and the help of parameters of several commands.
+Other whole numbers are N, other numbers X, folders DIR, and texts NAME.
+"""
 
-    Other whole numbers are N, other numbers X, folders DIR, and texts NAME.
 
-    Parameters
-    ----------
-    all_figures : --all
-    as_json : --json
-        Print the result as one JSON document.
-    by, columns, rows, x : KEY
-    cited : SCHEME|TOP
-    colour, value, y : MEASURE
-    config : CONFIG
-        Read the experiment from a config or scene.
-    configs : CONFIG
-    dry_run : flag
-        Print the plan and run nothing.
-    entries : SCHEME[:KEY=VALUE,...]
-    figures : FIGURE
-    file, path : FILE
-    force : flag
-        Replace existing results or files.
-    form : --format FORMAT
-        Write tables as text, csv, markdown or latex, or figures as png, pdf or svg.
-    items : LIST
-    out : PATH
-        Write the result here.
-    overrides : --set KEY=VALUE
-        Set a config key, e.g. h=0.01, T=20 or scheme.branch=sign.
-    plot : FILE
-        Also draw to a .png, .pdf or .svg file.
-    plugin : FILE
-        Load tops, schemes, measures, figures and hard cases from a Python file.
-    quiet : --quiet -q
-        Print only errors.
-    result, runs : RUN
-    results : DIR
-        Look for stored results in this folder.
-    save : FILE
-        Also write the result to a .json, .csv, .md or .tex file.
-    scheme, schemes : SCHEME
-    sizes : --h
-    steps : N
-        Set the number of steps of a run, e.g. 1e6.
-    subject : CONFIG|SCHEME|TOP|FOLDER
-    sweep : SWEEP
-    threads : N
-        Compute with this number of threads; by default all CPUs.
-    top : TOP
-        Choose a top.
-    verbose : --verbose -v
-        Print all columns and tables of the result.
-    where : KEY=VALUE
-    """
+def of_all(*, as_json: bool = False, quiet: bool = False, plugin: Sequence[Path] = ()) -> None:
+    """Options of every command."""
 
 
 def of_studies(
     *, plot: Path | None = None, save: Path | None = None, force: bool = False, verbose: bool = False
 ) -> None:
     """Further options of a study."""
-
-
-def documented(function: Callable[..., Any]) -> dict[str, tuple[str, str]]:
-    """Type and first sentence of each parameter in the NumPy docstring of a function."""
-    section = (function.__doc__ or "").partition("Parameters\n")[2]
-    section = re.split(r"\n *\n *\w+\n *-{3,}", section)[0]
-    entries = re.split(r"^ {4}\*{0,2}(\w[\w, *]*)(?: : (.*))?\n", section, flags=re.MULTILINE)[1:]
-    parameters: dict[str, tuple[str, str]] = {}
-    for names, kind, text in zip(entries[::3], entries[1::3], entries[2::3], strict=True):
-        sentence = re.split(r"(?<=\.) (?=[A-Z])", " ".join(text.split()))[0]
-        parameters |= dict.fromkeys(names.split(", "), (kind or "", sentence))
-    return parameters
-
-
-SHARED = documented(shared)
 
 
 def load_plugins(paths: list[Path] | None) -> None:
@@ -161,10 +100,13 @@ def is_study(function: Callable[..., Any]) -> bool:
 
 def command_of(function: Callable[..., Any], name: str, perform: Callable[[Any], None]) -> Any:
     """Command of typer for a function; ``perform`` gets the values of the parameters as attributes."""
-    doc, helps = inspect.cleandoc(function.__doc__ or "").partition("Parameters\n")[0], documented(function)
+    doc, helps = (
+        inspect.cleandoc(function.__doc__ or "").partition("Parameters\n")[0],
+        parameter_helps(function.__doc__),
+    )
     fields = [
-        option_of(parameter, helps.get(parameter.name, ("", ""))[1])
-        for each in (function, *((of_studies,) if is_study(function) else ()), shared)
+        option_of(parameter, helps.get(parameter.name, ""))
+        for each in (function, *((of_studies,) if is_study(function) else ()), of_all)
         for parameter in inspect.signature(each, eval_str=True).parameters.values()
         if parameter.kind is not parameter.VAR_KEYWORD and parameter.name not in ("watch", "screen")
     ]
@@ -187,11 +129,11 @@ def option_of(parameter: inspect.Parameter, text: str) -> tuple[str, Any, Any]:
     argument, name = takes_argument(parameter), parameter.name
     kind, several = value_type(parameter.annotation)
     several = several or parameter.kind is parameter.VAR_POSITIONAL
-    type_words, common = SHARED.get(name, ("", ""))
-    spelt = [word for word in type_words.split() if word.startswith("-")] or [f"--{name.replace('_', '-')}"]
+    words, *common = SHARED.get(name, ([],))
+    spelt = [word for word in words if word.startswith("-")] or [f"--{name.replace('_', '-')}"]
     word = {int: "N", float: "X", str: "NAME", Path: "DIR"}.get(kind) or "|".join(get_args(kind))
-    metavar = next((word for word in type_words.split() if word.isupper()), word)
-    details: dict[str, Any] = {"help": text if argument or not common else common, "metavar": metavar or None}
+    metavar = next((word for word in words if word.isupper()), word)
+    details: dict[str, Any] = {"help": text if argument or not common else common[0], "metavar": metavar or None}
     if kind is int:
         details |= {"min": 1} if name == "threads" else {"parser": whole_number}
     if not get_args(kind):
@@ -219,6 +161,15 @@ def value_type(annotation: Any) -> tuple[Any, bool]:
     plain = [kind for kind in kinds if kind in (bool, int, float) or get_origin(kind) is Literal]
     plain += [Path] if kinds[0] is Path and not plain else []
     return (plain or [str])[0], False
+
+
+def parameter_helps(doc: str | None) -> dict[str, str]:
+    """First sentence on each parameter of a NumPy docstring."""
+    section = (doc or "").partition("Parameters\n")[2]
+    section = re.split(r"\n *\n *\w+\n *-{3,}", section)[0]
+    entries = re.split(r"^ {4}\*{0,2}([\w, *]+)(?: : .*)?\n", section, flags=re.MULTILINE)[1:]
+    texts = (" ".join(text.split()) for text in entries[1::2])
+    return dict(zip(entries[::2], (re.split(r"(?<=\.) (?=[A-Z])", text)[0] for text in texts), strict=True))
 
 
 def call_with(function: Callable[..., Any], values: Mapping[str, Any], screen: Any) -> Any:
