@@ -33,7 +33,7 @@ CODE = (
 """Options and commands in a help text."""
 KEYS = ("key", "type", "default", "meaning")
 TYPES = (
-    *("studies.report.Report", "table.Table", "show.reports.RunReport", "show.reports.SweepReport"),
+    *("studies.report.Report", "table.Table", "cli.reports.RunReport", "cli.reports.SweepReport"),
     *("contracts.Stepper", "contracts.Scheme", "contracts.Invariant", "contracts.Sampler"),
     *("contracts.Block", "sweeps.batch.Batch"),
 )
@@ -44,8 +44,8 @@ MEMBERS = {
     "Motion": "",
     "studies.report.Report": "table, plot, save, as_dict",
     "table.Table": "frame, text",
-    "show.reports.RunReport": "folder, outcome, status, series, table, as_dict",
-    "show.reports.SweepReport": "folder, outcomes, table, as_dict",
+    "cli.reports.RunReport": "folder, outcome, status, series, table, as_dict",
+    "cli.reports.SweepReport": "folder, outcomes, table, as_dict",
     "contracts.Scheme": "",
 }
 """Members of classes that the page shows."""

@@ -1,14 +1,14 @@
 from topcli.analysis.motion import Motion as Motion
 from topcli.analysis.trajectory import Trajectory as Trajectory
+from topcli.cli.running import motion as motion
+from topcli.cli.running import run as run
+from topcli.cli.running import sweep as sweep
 from topcli.contracts import Top as Top
 from topcli.figures.catalogue import figure as figure
 from topcli.paper.claims import claims as claims
 from topcli.runs.simulate import simulate as simulate
 from topcli.runs.step_map import step as step
 from topcli.schemes.registry import scheme as scheme
-from topcli.show.results import motion as motion
-from topcli.show.results import run as run
-from topcli.show.results import sweep as sweep
 from topcli.studies.analyse import analyse as analyse
 from topcli.studies.bench import bench as bench
 from topcli.studies.check import check as check

@@ -23,7 +23,7 @@ from topcli import STUDIES, __version__
 from topcli.__main__ import main
 from topcli.cli.app import COMMANDS, GROUPS, all_commands, command_function
 from topcli.cli.options import complete
-from topcli.cli.run import code_of_sweep
+from topcli.cli.running import code_of_sweep
 from topcli.config.files import scene_files
 from topcli.config.load import load_experiment
 from topcli.store.series import read_series
@@ -68,7 +68,7 @@ def test_warm_run_is_light(tmp_path: Path) -> None:
     topcli_process("run", HYBRID, "--set", "N=10", cwd=tmp_path)
     looks = "from pydantic.plugin import _loader; print(set(started) <= {'git'}, _loader._plugins)"
     modules = imported_by(tmp_path, "run", "--force", "-q", "--set", "N=10", HYBRID, after=looks)
-    others = "cli.reference cli.results studies.report tops.euler tops.lagrange"
+    others = "cli.reference cli.results cli.reports studies.report tops.euler tops.lagrange"
     assert not (HEAVY | {f"topcli.{name}" for name in others.split()}) & set(modules)
     assert modules[0] == "True None"
 
@@ -253,6 +253,8 @@ def test_a_sweep_and_its_rows_are_shown_and_run_to_the_same_numbers(cli: Cli, st
     (energy,) = [each for each in report["invariants"] if each["name"] == "energy"]
     assert [report[key] for key in ("name", "scheme", "h", "N")] == ["study_3", "rk4", 0.02, 70]
     assert energy["max_deviation"] == rows()[3]["max_deviation.energy"]
+    motions = [cli("show", *words, "--motion").out for words in (("row.yaml",), ("results/study", "--row", "3"))]
+    assert motions[0].partition(": ")[2] == motions[1].partition(": ")[2] != ""
     study.write_text(file.out)
     assert "(0 ran)" in cli("sweep", "study.yaml").err
     said = cli("run", "kowalevski_hk", "--set", "N=10", "--set", "name=study")

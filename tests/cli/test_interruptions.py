@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import signal
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,9 @@ import pytest
 from conftest import ROOT
 from faults import Disk
 from injected import command_in_fork, signal_to_self, topcli_process
+from topcli.cli.output import Progress
 from topcli.engine import integration
 from topcli.runs.run import RunOptions
-from topcli.show.progress import Progress
 from topcli.sweeps.store import RowStore
 
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
@@ -162,7 +163,7 @@ def test_progress_in_a_log_is_rare_and_survives_a_terminal_that_is_gone() -> Non
     def gone(line: str) -> None:
         raise OSError(5, "Input/output error")
 
-    with Progress(True, gone, clock) as silent:
+    with closing(Progress(True, gone, clock)) as silent:
         silent.begin("long")
         clock.now += 100.0
         silent(1, 10)

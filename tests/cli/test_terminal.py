@@ -18,7 +18,7 @@ from terminal import in_terminal
 from topcli.cli.output import table_lines
 from topcli.config.files import scene_files
 from topcli.errors import ExitCode, UsageError, printable, quoted
-from topcli.table import plus_minus, rounded_up
+from topcli.table import Cells, plus_minus, rounded_up
 
 EVIL = "\x1b]0;own\x07\x1b[31m\u202egnp\x9b2J\x7f\n\r\tx[link=http://evil]y[/link]:boom:"
 """ESC, BEL, bidi, C1, DEL, line ends and rich's markup."""
@@ -109,10 +109,11 @@ def test_every_packaged_scene_prints_at_most_12_lines_of_80_columns(tmp_path: Pa
 
 
 def test_a_wide_table_is_printed_in_blocks_that_begin_with_the_keys() -> None:
-    lines = table_lines(["name", "one", "two"], [["a", "1" * 9, "2" * 9], ["b", "3", "4"]], [1, 2], width=18)
+    lines = table_lines(Cells("", ["name", "one", "two"], [["a", "1" * 9, "2" * 9], ["b", "3", "4"]]), width=18)
     assert lines == ["name        one", "a     111111111", "b             3", "", *[
         "name        two", "a     222222222", "b             4"]]  # fmt: skip
-    coloured = table_lines(["k", "v"], [["a", "lost"]], colours={"lost": "31"}, rule=True)
+    marked = Cells("", ["k", "v"], [["a", "lost"]], numbers=False, marks={"lost": "bad"})
+    coloured = table_lines(marked, rule=True, coloured=True)
     assert coloured == ["k  v", "─" * 7, "a  \x1b[31mlost\x1b[0m"]
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from attitude_runs import TURNED, stored
 from cases import table_of
 from conftest import Said
-from topcli.figures.animation import BodyMotion, Stage, animate, frame_times, stored_body_motion
+from topcli.figures.animation import BodyFigure, BodyMotion, frame_times, stored_body_motion, write_animation
 from topcli.figures.style import styled
 
 
@@ -35,7 +35,7 @@ def test_frames_show_the_run_at_their_times(motion: BodyMotion) -> None:
     """Time, and the end of the axis on the great circle between two rows."""
     times = frame_times(motion, 20)
     with styled({"figure.constrained_layout.use": False}):
-        stage = Stage(motion, times, 300)
+        stage = BodyFigure(motion, times, 300)
         stage.show(12)
     row = int(np.searchsorted(motion.t, times[12], side="right")) - 1
     assert stage.time.get_text() == f"$t = {times[12]:.2f}$"
@@ -72,7 +72,7 @@ def test_the_command_writes_all_frames(folder: Path, cli: Callable[..., Said]) -
 @pytest.mark.slow
 def test_mp4_is_playable(tmp_path: Path, motion: BodyMotion) -> None:
     program = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
-    animate(motion, frame_times(motion, 10), tmp_path / "a.mp4", 241)
+    write_animation(motion, frame_times(motion, 10), tmp_path / "a.mp4", 241)
     decode = [program, "-i", str(tmp_path / "a.mp4"), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     output = subprocess.run(decode, check=True, capture_output=True)
     assert len(np.frombuffer(output.stdout, dtype=np.uint8).reshape(-1, 160, 240, 3)) == 10

@@ -9,7 +9,7 @@ import pytest
 
 from topcli.config.load import load
 from topcli.errors import UsageError
-from topcli.figures.section import section_figure
+from topcli.figures.stored import section_figure
 from topcli.runs.run import run_experiment
 
 CONFIG = {

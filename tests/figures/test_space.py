@@ -10,7 +10,7 @@ import pytest
 
 from declared import Heavy
 from topcli.contracts import Top
-from topcli.figures.body import body_of
+from topcli.figures.animation import body_of
 from topcli.figures.figure import canvas_of
 from topcli.figures.space import SPATIAL, draw_trace, polhodes
 from topcli.tops.euler import Euler, EulerGamma, field

@@ -18,7 +18,7 @@ from cases import table_of
 from sweep_rows import write_rows
 from topcli.errors import UsageError
 from topcli.figures.figure import canvas_of
-from topcli.figures.sweep import Choice, draw_points, is_geometric, points_of, scale_of
+from topcli.figures.sweep import Choice, draw_sweep, is_geometric, points_of, scale_of
 from topcli.sweeps.table import read_rows
 
 SCHEMES = {"hk": 2.0, "rk4": 4.0, "bohlin-a": 1.0}
@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def figure_of(rows: pd.DataFrame, choice: Choice) -> Figure:
-    return canvas_of(lambda canvas: draw_points(canvas.subplots(), points_of(rows, choice), "mine"), (6.4, 3.8))
+    return canvas_of(lambda canvas: draw_sweep(canvas.subplots(), points_of(rows, choice), "mine"), (6.4, 3.8))
 
 
 def test_curves_are_medians_with_quartiles_and_slopes(folder: Path) -> None:

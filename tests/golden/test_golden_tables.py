@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ def test_report(name: str, tmp_path: Path) -> None:
     data = recorded(name, tmp_path)
     table = report_tables(data.get("report", data))[0]
     cells = table.cells()
-    terminal = table_lines(cells.header, cells.lines, range(1, len(cells.header)), 100, keys=cells.keys)
+    terminal = table_lines(replace(cells, numbers=True))
     texts = {form: table.text(form).splitlines() for form in ("markdown", "latex", "csv")}
     golden.check(
         f"report_{name}", {"terminal": terminal, "caption": cells.caption, "marks": dict(cells.marks), **texts}

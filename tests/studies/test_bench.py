@@ -19,8 +19,8 @@ from topcli.analysis.reference import distances, reference_states
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
 from topcli.errors import SchemeCodeError
-from topcli.figures.bench import draw_work_precision, work_precision
 from topcli.figures.figure import NothingMeasuredError
+from topcli.figures.schemes import draw_work_precision, work_precision
 from topcli.studies.bench import DECADES, PEERS, Peer, answer_of, decade_rows, point_rows, take_turns
 from topcli.studies.ladder import ErrorCurve, NoResultError, ladder
 from topcli.studies.report import Report

@@ -12,9 +12,9 @@ from cases import MOTIONS
 from topcli.analysis.motion import Motion
 from topcli.analysis.motion.of_top import motion_of
 from topcli.analysis.reference import reference_states
+from topcli.cli.running import motion as shown_motion
 from topcli.contracts import Top
 from topcli.errors import UsageError
-from topcli.show.results import motion as shown_motion
 from topcli.tops import TOPS
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.kowalevski import Kowalevski

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 import platform
 import re
 from collections.abc import Callable
+from contextlib import closing
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -23,8 +23,8 @@ _FIRST = ("compare", "order", "bench", "analyse")
 """Studies among the commands that most users need."""
 GROUPS = {
     "Run and compare": {
-        "run": ("topcli.cli.run", "Run experiments and report on their conservation laws."),
-        "sweep": ("topcli.cli.run", "Run all combinations of the values in a sweep file."),
+        "run": ("topcli.cli.running", "Run experiments and report on their conservation laws."),
+        "sweep": ("topcli.cli.running", "Run all combinations of the values in a sweep file."),
         **{name: STUDIES[name] for name in _FIRST},
     },
     "Studies": {name: place for name, place in STUDIES.items() if name not in _FIRST},
@@ -43,16 +43,14 @@ GROUPS = {
         "schema": ("topcli.cli.reference", "Print the JSON Schema of the config."),
     },
 }
-"""Module and first line of the help of each command, by the group in which the help lists them; the function in the
-module has the name of the command."""
+"""Module and first line of the help of each command, by the group in which the help lists them; the function of NAME in
+the module is ``NAME_command``, and that of a study has its name."""
 COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
 
 
 def command_function(name: str) -> Callable[..., Any]:
     """Function of the command called ``name``."""
-    if name in STUDIES:
-        return find_study(name)
-    return getattr(import_module(COMMANDS[name][0]), "list_" if name == "list" else name)
+    return find_study(name) if name in STUDIES else getattr(import_module(COMMANDS[name][0]), f"{name}_command")
 
 
 class Command(TyperCommand):
@@ -109,17 +107,13 @@ def all_commands() -> dict[str, Any]:
 def perform(name: str, function: Callable[..., Any], values: dict[str, Any]) -> None:
     """Call the function of a command, print its result, and exit with its code."""
     as_json, quiet, _ = (values.pop(parameter) for parameter in ("as_json", "quiet", "plugin"))
-    screen = Screen(as_json, quiet)
-    try:
+    with closing(Screen(as_json, quiet)) as screen:
         if options.is_study(function):
             code = perform_study(function, values, screen)
         else:
-            outcome = options.call_with(function, values, screen)
-            code = outcome.code
+            data, code = options.call_with(function, values, screen)
             if as_json:
-                print_document({"schema_version": 1, "command": name, **outcome.data})
-    finally:
-        screen.close()
+                print_document({"schema_version": 1, "command": name, **data})
     if code:
         raise typer.Exit(code)
 
@@ -131,13 +125,14 @@ def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Scr
     from topcli.studies.report import PICTURES, TABLES
 
     plot, save, force, verbose = (values.pop(parameter) for parameter in ("plot", "save", "force", "verbose"))
-    for name, path, endings in (("--plot", plot, PICTURES), ("--save", save, (".json", *TABLES))):
-        if path is not None and path.suffix not in endings:
-            last = f"{', '.join(endings[:-1])} or {endings[-1]}"
-            raise UsageError(f"{name} {path}: unknown type of file; use a name ending in {last}")
-        if path is not None:
-            require_new_file(path, force, name)
+    paths = {"--plot": (plot, PICTURES), "--save": (save, (".json", *TABLES))}
+    files = {option: (path, endings) for option, (path, endings) in paths.items() if path is not None}
     # wrong names of files are refused before the study, which may take long
+    for option, (path, endings) in files.items():
+        if path.suffix not in endings:
+            last = f"{', '.join(endings[:-1])} or {endings[-1]}"
+            raise UsageError(f"{option} {path}: unknown type of file; use a name ending in {last}")
+        require_new_file(path, force, option)
     report = options.call_with(study, values, screen)
     if screen.as_json:
         print_document(report.as_dict())
@@ -145,16 +140,13 @@ def perform_study(study: Callable[..., Any], values: dict[str, Any], screen: Scr
     for table in report.tables:
         if table.rows and (verbose or table.detail is not True):
             screen.show("", table.cells(verbose))
-    for path in (plot, save):
-        if path is not None:
-            screen.say(f"wrote {report.save(path)}")
+    for path, _ in files.values():
+        screen.say(f"wrote {report.save(path)}")
     for line in report.notes:
         screen.say(line)
-    for line in report.errors:
-        print_message(f"error: {line}")
-    for failure in FAILURES.values():
-        if not any(failure in line for line in report.errors):
-            print_message(failure)
+    unnamed = [failure for failure in FAILURES.values() if not any(failure in line for line in report.errors)]
+    for line in (*(f"error: {line}" for line in report.errors), *unnamed):
+        print_message(line)
     return report.code
 
 
@@ -176,6 +168,7 @@ def call() -> int | str | None:
 
 def print_usage_error(error: Any) -> None:
     """Report an error of typer in the style of all other errors, with the nearest name."""
+
     message = error.format_message().strip()
     if "\n" in message:  # the help, of a command without arguments
         print_lines(message)
@@ -186,14 +179,10 @@ def print_usage_error(error: Any) -> None:
     if unknown and (instead := successor(" ".join([*path.split()[1:], unknown[1]]))):
         print_message(f"error: n{unknown[0][1:]}; {instead}")
         return
-    message = re.sub(r"(?: \(Possible options: .*\)|\. Did you mean .*\?)$", "", message).removesuffix(".")
-    choice = re.search(r"(?:Value error, )?'(\S*)' is not one of (.*)$", message)
-    names = re.findall(r"'(\S+)'", choice[2]) if choice else getattr(error, "possibilities", None) or COMMANDS
-    near = difflib.get_close_matches(choice[1] if choice else unknown[1] if unknown else "", names, 1)
-    if choice:
-        message = f"{message[: choice.start()]}'{choice[1]}' is not one of {', '.join(names)}"
-    hint = f"; did you mean '{near[0]}'?" if near else ""
-    print_message(f"error: {shortened(message[:1].lower() + message[1:], 240)}{hint} (see {path} --help)")
+    message = re.sub(r" \(Possible options: .*\)$", "", message.removesuffix(".").replace("Value error, ", ""))
+    nearest = [f"; did you mean '{name}'?" for name in getattr(error, "possibilities", None) or ()]
+    message = message.replace(". Did you", "; did you") + "".join(nearest[:1])
+    print_message(f"error: {message[:1].lower()}{shortened(message[1:], 240)} (see {path} --help)")
 
 
 def _print_version(asked: bool) -> None:

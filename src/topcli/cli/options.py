@@ -2,8 +2,8 @@
 
 A command is a function. Its positional parameters are arguments, its keyword-only ones options: ``max_steps`` becomes
 ``--max-steps``. The type, the default and the number of values follow from the annotation, and the help is the first
-sentence about the parameter in the docstring. A parameter of ``HELP`` means the same in all commands and is described
-there.
+sentence about the parameter in the docstring. Parameters that mean the same in several commands are described in the file
+``options.txt``.
 """
 
 from __future__ import annotations
@@ -22,54 +22,22 @@ from typer.main import get_command
 
 from topcli.errors import shortened
 
-_NAMES = {
-    "as_json": ("--json",),
-    "every": ("--all",),
-    "form": ("--format",),
-    "overrides": ("--set",),
-    "quiet": ("--quiet", "-q"),
-    "sizes": ("--h",),
-    "verbose": ("--verbose", "-v"),
-}
-"""Options that have another name than their parameter."""
-METAVARS = {
-    "CONFIG": "config configs",
-    "CONFIG|SCHEME|TOP|FOLDER": "subject",
-    "FIGURE": "figures",
-    "FILE": "file path plot plugin save",
-    "FORMAT": "form",
-    "KEY": "by columns rows x",
-    "KEY=VALUE": "overrides where",
-    "LIST": "items",
-    "MEASURE": "colour value y",
-    "PATH": "out",
-    "RUN": "result runs",
-    "SCHEME": "scheme schemes",
-    "SCHEME[:KEY=VALUE,...]": "entries",
-    "SCHEME|TOP": "cited",
-    "SWEEP": "sweep",
-    "TOP": "top",
-}
-"""Parameters by the word for their values in the help; whole numbers are N, others X, folders DIR, and texts NAME."""
-HELP = {
-    "as_json": "Print the result as one JSON document.",
-    "config": "Read the experiment from a config or scene.",
-    "dry_run": "Print the plan and run nothing.",
-    "force": "Replace existing results or files.",
-    "form": "Write tables as text, csv, markdown or latex, or figures as png, pdf or svg.",
-    "out": "Write the result here.",
-    "overrides": "Set a config key, e.g. h=0.01, T=20 or scheme.branch=sign.",
-    "plot": "Also draw to a .png, .pdf or .svg file.",
-    "plugin": "Load tops, schemes, measures, figures and hard cases from a Python file.",
-    "quiet": "Print only errors.",
-    "results": "Look for stored results in this folder.",
-    "save": "Also write the result to a .json, .csv, .md or .tex file.",
-    "steps": "Set the number of steps of a run, e.g. 1e6.",
-    "threads": "Compute with this number of threads; by default all CPUs.",
-    "top": "Choose a top.",
-    "verbose": "Print all columns and tables of the result.",
-}
-"""Help of the options that several commands have."""
+_LINES = Path(__file__).with_suffix(".txt").read_text(encoding="utf-8").splitlines()[1:]
+SHARED = {name: (words.split(), *text) for name, words, *text in (re.split(" {2,}", line) for line in _LINES)}
+"""Spelling and word for a value, and the help if it is the same everywhere, of parameters of several commands.
+
+Other whole numbers are N, other numbers X, folders DIR, and texts NAME.
+"""
+
+
+def of_all(*, as_json: bool = False, quiet: bool = False, plugin: Sequence[Path] = ()) -> None:
+    """Options of every command."""
+
+
+def of_studies(
+    *, plot: Path | None = None, save: Path | None = None, force: bool = False, verbose: bool = False
+) -> None:
+    """Further options of a study."""
 
 
 def load_plugins(paths: list[Path] | None) -> None:
@@ -80,16 +48,6 @@ def load_plugins(paths: list[Path] | None) -> None:
         load_plugin_file(path)
 
 
-def common(*, as_json: bool = False, quiet: bool = False, plugin: Sequence[Path] = ()) -> None:
-    """Options of every command."""
-
-
-def of_studies(
-    *, plot: Path | None = None, save: Path | None = None, force: bool = False, verbose: bool = False
-) -> None:
-    """Further options of a study."""
-
-
 def complete(kinds: str, beginning: str) -> list[str]:
     """Names of some kinds, such as ``CONFIG|SCHEME``, that begin with ``beginning``."""
     names = [name for kind in kinds.split("|") for name in completions_of(kind, beginning.lower())]
@@ -98,18 +56,19 @@ def complete(kinds: str, beginning: str) -> list[str]:
 
 def completions_of(kind: str, beginning: str) -> Sequence[str]:
     """Names of a kind that may begin with ``beginning``; compositions of a scheme only after a +."""
-    if kind in ("SCHEME", "TOP"):
-        from topcli.schemes.compose import COMPOSITIONS, composition_obstacle
-        from topcli.schemes.registry import all_schemes
+    if kind == "TOP":
         from topcli.tops import top_names
 
-        if kind == "TOP":
-            return sorted(top_names())
-        base, plus, _ = beginning.partition("+")
-        composed = (
-            any(scheme.name == base and not composition_obstacle(scheme) for scheme in all_schemes()) if plus else False
-        )
-        return [f"{base}+{name}" for name in COMPOSITIONS if composed] + sorted({each.name for each in all_schemes()})
+        return sorted(top_names())
+    if kind == "SCHEME":
+        from topcli.schemes.compose import COMPOSITIONS, composition_obstacle
+        from topcli.schemes.registry import all_schemes
+
+        schemes = all_schemes()
+        bases = {each.name for each in schemes if beginning.startswith(f"{each.name}+")}
+        composed = [each.name for each in schemes if each.name in bases and not composition_obstacle(each)]
+        compositions = {f"{name}+{composition}" for name in composed for composition in COMPOSITIONS}
+        return sorted(compositions | {each.name for each in schemes})
     if kind == "FIGURE":
         from topcli.figures.catalogue import FIGURES
 
@@ -141,11 +100,13 @@ def is_study(function: Callable[..., Any]) -> bool:
 
 def command_of(function: Callable[..., Any], name: str, perform: Callable[[Any], None]) -> Any:
     """Command of typer for a function; ``perform`` gets the values of the parameters as attributes."""
-    doc = inspect.cleandoc(function.__doc__ or "").partition("Parameters\n")[0]
-    helps = parameter_helps(function.__doc__)
+    doc, helps = (
+        inspect.cleandoc(function.__doc__ or "").partition("Parameters\n")[0],
+        parameter_helps(function.__doc__),
+    )
     fields = [
         option_of(parameter, helps.get(parameter.name, ""))
-        for each in (function, *((of_studies,) if is_study(function) else ()), common)
+        for each in (function, *((of_studies,) if is_study(function) else ()), of_all)
         for parameter in inspect.signature(each, eval_str=True).parameters.values()
         if parameter.kind is not parameter.VAR_KEYWORD and parameter.name not in ("watch", "screen")
     ]
@@ -160,38 +121,35 @@ def command_of(function: Callable[..., Any], name: str, perform: Callable[[Any],
 
 def takes_argument(parameter: inspect.Parameter) -> bool:
     """True for a positional parameter other than the overrides, which is an argument of the command."""
-    return parameter.kind is not parameter.KEYWORD_ONLY and parameter.name not in _NAMES
+    return parameter.kind is not parameter.KEYWORD_ONLY and parameter.name != "overrides"
 
 
 def option_of(parameter: inspect.Parameter, text: str) -> tuple[str, Any, Any]:
-    """Field of the options for a ``parameter``: name, type with the option, and default."""
+    """Field of the options for a ``parameter``, whose own help is ``text``: name, type with the option, and default."""
+    argument, name = takes_argument(parameter), parameter.name
     kind, several = value_type(parameter.annotation)
     several = several or parameter.kind is parameter.VAR_POSITIONAL
+    words, *common = SHARED.get(name, ([],))
+    spelt = [word for word in words if word.startswith("-")] or [f"--{name.replace('_', '-')}"]
     word = {int: "N", float: "X", str: "NAME", Path: "DIR"}.get(kind) or "|".join(get_args(kind))
-    metavar = next((word for word, names in METAVARS.items() if parameter.name in names.split()), word)
-    text = text if takes_argument(parameter) else HELP.get(parameter.name, text)
-    details: dict[str, Any] = {"help": text, "metavar": metavar or None}
+    metavar = next((word for word in words if word.isupper()), word)
+    details: dict[str, Any] = {"help": text if argument or not common else common[0], "metavar": metavar or None}
     if kind is int:
-        details |= {"min": 1} if parameter.name == "threads" else {"parser": whole_number}
+        details |= {"min": 1} if name == "threads" else {"parser": whole_number}
     if not get_args(kind):
-        kinds = metavar.partition("[")[0]
 
         def names(incomplete: str) -> list[str]:
-            return complete(kinds, incomplete)
+            return complete(metavar.partition("[")[0], incomplete)
 
         details["autocompletion"] = names
-    if parameter.name == "plugin":  # before all others, whose completion knows what a plugin defines
+    if name == "plugin":  # before all others, whose completion knows what a plugin defines
         details |= {"callback": load_plugins, "is_eager": True}
     required = parameter.default is parameter.empty and parameter.kind is not parameter.VAR_POSITIONAL
     default = None if parameter.default in (parameter.empty, ()) else parameter.default
-    if takes_argument(parameter):
-        declared = typer.Argument(**details)
-    else:
-        spelt = _NAMES.get(parameter.name, ("--" + parameter.name.replace("_", "-"),))
-        declared = typer.Option(*spelt, **details)
+    declared = typer.Argument(**details) if argument else typer.Option(*spelt, **details)
     annotation = list[kind] if several else kind
     annotated = Annotated[annotation if required or default is not None else annotation | None, declared]
-    return parameter.name, annotated, field() if required else field(default=default)
+    return name, annotated, field() if required else field(default=default)
 
 
 def value_type(annotation: Any) -> tuple[Any, bool]:
@@ -232,7 +190,7 @@ class PlainCommand(TyperCommand):
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Pieces of the usage, without braces around required arguments."""
-        return [piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)]
+        return [re.sub("[{}]", "", piece) for piece in super().collect_usage_pieces(ctx)]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments and the options."""
@@ -246,14 +204,11 @@ def parameter_rows(command: Any, ctx: Any) -> dict[str, list[tuple[str, str]]]:
     """Names and help texts of the arguments and of the options of a command, as its help lists them."""
     rows: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
     for parameter in command.get_params(ctx):
-        if (record := parameter.get_help_record(ctx)) is None:
-            continue
-        name, text = (
-            re.sub(r" <[^>]*>$", "", record[0]),
-            re.sub(r"\[default: \((.*)\)(?=[];])", r"[default: \1", record[1]),
-        )
-        option = parameter.param_type_name == "option"
-        if option and parameter.multiple:
-            text = f"{text[:-1]}; repeatable]" if text.endswith("]") else f"{text}  [repeatable]"
-        rows["Options" if option else "Arguments"].append((name, text))
+        if record := parameter.get_help_record(ctx):
+            name = re.sub(r" <[^>]*>$", "", record[0])
+            text = re.sub(r"(\[default: )\((.*)\)(?=[];])", r"\1\2", record[1])
+            option = parameter.param_type_name == "option"
+            if option and parameter.multiple:
+                text = f"{text[:-1]}; repeatable]" if text.endswith("]") else f"{text}  [repeatable]"
+            rows["Options" if option else "Arguments"].append((name, text))
     return rows

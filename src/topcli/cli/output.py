@@ -1,6 +1,7 @@
-"""Output of the commands: data on stdout, messages on stderr, colours and progress only on a terminal.
+"""Output of the commands: data on stdout, messages on stderr, and the progress of commands and functions.
 
-A table is printed in aligned columns; one that is too wide, in blocks of columns.
+A table is printed in aligned columns; one that is too wide, in blocks of columns. Colours and bars are only for a
+terminal.
 """
 
 from __future__ import annotations
@@ -10,21 +11,27 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Collection, Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping
+from datetime import timedelta
+from importlib.util import find_spec
 from textwrap import fill
-from types import MappingProxyType
 from typing import Any, NamedTuple, TextIO
 
 from topcli.errors import ExitCode, TopcliError, printable
-from topcli.show.progress import Progress
+from topcli.studies import Watch
 from topcli.table import Cells
 
 WIDTH = 100
 """Characters in a line of a table or text that does not go to a terminal."""
 _COLOURS = {"good": "32", "middling": "33", "bad": "31"}
 """Parameters of the control sequences for the marks of cells: green, yellow and red."""
-GAP = 2
-"""Spaces between columns."""
+GAP = "  "
+"""Space between columns."""
+_PATIENCE = 0.5
+"""Seconds before any progress is shown."""
+FIRST_LINE, LAST_PAUSE = 15.0, 600.0
+"""Seconds before the first line in a log, and the longest pause between two lines; pauses grow with the work."""
 
 
 def width_of(stream: TextIO) -> int:
@@ -77,6 +84,87 @@ class CommandResult(NamedTuple):
     code: ExitCode = ExitCode.SUCCESS
 
 
+class Progress(Watch):
+    """Progress of some work, called with (done, total).
+
+    Parameters
+    ----------
+    visible : bool, optional
+        False to show nothing.
+    log : callable, optional
+        Called with lines on the progress where no bar can be drawn; by default, nothing is shown there.
+    clock : callable, optional
+        Time in seconds.
+    """
+
+    def __init__(
+        self,
+        visible: bool = True,
+        log: Callable[[str], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._visible, self._log, self._clock = visible, log, clock
+        self._bar: Any = None
+        self.begin("")
+
+    def begin(self, name: str, *experiments: Any, unit: str = "steps") -> None:
+        """Begin work of this name."""
+        self.close()
+        self._name, self._unit = printable(name), unit
+        self._began = self._reported = self._clock()
+
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Show that ``done`` of ``total`` are done, and a ``note`` behind it."""
+        now = self._clock()
+        if not self._visible or now - self._began < _PATIENCE:
+            return
+        try:
+            self._show(now, done, total, f", {note}" if note else "")
+        except OSError:  # the terminal is gone; the work continues without it
+            self._visible = False
+
+    def _show(self, now: float, done: int, total: int, note: str) -> None:
+        if self._bar is None:
+            self._bar = bar(self._clock)
+            self._bar.add_task(self._name, total=total, rate="")
+            self._bar.start()
+        (task,) = self._bar.tasks
+        self._bar.update(task.id, completed=done, total=total)
+        share = f"{1000 * done // total / 10:.1f}%"  # rounded down: 100% means completed
+        rate = ""
+        if task.speed:
+            left = timedelta(seconds=round(min((total - done) / task.speed, 1e12)))  # its largest value is 1e14 s
+            rate = f"{task.speed:.3g} {self._unit}/s, {left} left"
+        self._bar.update(task.id, rate=f"{share}  {rate}{note}")
+        pause = min(max(FIRST_LINE, 0.2 * (now - self._began)), LAST_PAUSE)
+        if self._log is not None and self._bar.disable and now - self._reported > pause:
+            self._reported = now
+            self._log(f"{self._name}: {share}, {done} of {total} {self._unit}{', ' * bool(rate)}{rate}{note}")
+
+    def close(self) -> None:
+        """Remove the bar."""
+        if self._bar is not None:
+            with contextlib.suppress(OSError):
+                self._bar.stop()
+            self._bar = None
+
+
+def bar(clock: Callable[[], float]) -> Any:
+    """Bar of rich in a notebook with widgets or on a terminal; anywhere else, one that only measures the rate."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+    drawn = find_spec("ipywidgets") if console.is_jupyter else console.is_terminal and not console.is_dumb_terminal
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.fields[rate]}", markup=False),
+    )
+    return Bar(*columns, console=console, transient=True, disable=not drawn, get_time=clock)
+
+
 class Screen(Progress):
     """Output of a command while it works: everything, only messages beside one document of JSON, or only errors."""
 
@@ -117,69 +205,44 @@ class Screen(Progress):
 def print_cells(cells: Cells, width: int) -> None:
     """Print a table in blocks that fit; on a terminal ruled and, without NO_COLOR, coloured."""
     terminal = sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
-    marks = cells.marks if terminal and not os.environ.get("NO_COLOR") else {}
-    colours = {text: _COLOURS[mark] for text, mark in marks.items()}
-    header, *rows = [[printable(cell) for cell in line] for line in (cells.header, *cells.lines)]
     if cells.title:
         emit(wrapped(cells.title, sys.stdout))
-    for line in table_lines(header, rows, cells.right, width, cells.keys, terminal, colours):
+    for line in table_lines(cells, width, terminal, terminal and not os.environ.get("NO_COLOR")):
         print(line)
     if cells.caption:
         emit(wrapped(cells.caption, sys.stdout))
 
 
-def table_lines(
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    right: Collection[int] = (),
-    width: int = WIDTH,
-    keys: int = 1,
-    rule: bool = False,
-    colours: Mapping[str, str] = MappingProxyType({}),
-) -> list[str]:
-    """Lines of a table in blocks of columns that fit ``width``; a last column of text may be wider.
+def table_lines(cells: Cells, width: int = WIDTH, rule: bool = False, coloured: bool = False) -> list[str]:
+    """Lines of a table in blocks of columns that fit ``width``, each of which begins with the columns that name a row.
 
-    Parameters
-    ----------
-    header : sequence of str
-        Names of the columns; an empty one prints no header.
-    rows : sequence of sequences of str
-        Cells, as many in each row as there are columns.
-    right : collection of int
-        Indices of the right-aligned columns.
-    width : int
-        Characters in a line.
-    keys : int
-        Leading columns that name a row, with which each block begins.
-    rule : bool
-        Draw a line under the header.
-    colours : mapping of str to str
-        Parameters of the control sequences around cells with these texts.
+    A last column of text may be wider. A ``rule`` is a line under the header; marked cells may be ``coloured``.
     """
-    table = [header, *rows] if header else list(rows)
+    table = [[printable(cell) for cell in line] for line in (cells.header, *cells.lines) if line]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    colours = {text: _COLOURS[mark] for text, mark in cells.marks.items()} if coloured else {}
 
     # blocks: the columns that name a row, and as many more as fit
-    first = list(range(min(keys, len(widths))))
+    first = list(range(min(cells.keys, len(widths))))
     blocks = [[*first]]
     for i in range(len(first), len(widths)):
-        used = sum(widths[j] + GAP for j in blocks[-1]) + widths[i]
-        text = i == len(widths) - 1 and i not in right
+        used = sum(widths[j] + len(GAP) for j in blocks[-1]) + widths[i]
+        text = i == len(widths) - 1 and i not in cells.right
         if used > width and not text and len(blocks[-1]) > len(first):
             blocks.append([*first])
         blocks[-1].append(i)
 
     # padding counts letters, not the control sequences of colours
+    def padded(text: str, i: int) -> str:
+        padding, colour = " " * (widths[i] - len(text)), colours.get(text)
+        text = f"\x1b[{colour}m{text}\x1b[0m" if colour and text else text
+        return padding + text if i in cells.right else text + padding
+
     lines: list[str] = []
     for block in blocks if table else ():
         lines += [""] if lines else []
-        for number, row in enumerate(table):
-            cells = []
-            for i in block:
-                padding, colour = " " * (widths[i] - len(row[i])), colours.get(row[i])
-                text = f"\x1b[{colour}m{row[i]}\x1b[0m" if colour and row[i] else row[i]
-                cells.append(padding + text if i in right else text + padding)
-            lines.append((" " * GAP).join(cells).rstrip())
-            if rule and header and number == 0:
-                lines.append("─" * min(sum(widths[i] + GAP for i in block) - GAP, width))
+        rows = [GAP.join(padded(row[i], i) for i in block).rstrip() for row in table]
+        if rule and cells.header:
+            rows.insert(1, "─" * min(sum(widths[i] for i in block) + len(GAP) * (len(block) - 1), width))
+        lines += rows
     return lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import sys
@@ -9,12 +10,15 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from topcli.cli.output import WIDTH, CommandResult, Screen, print_message, width_of
 from topcli.cli.results import require_new_file, stored_place
 from topcli.errors import UsageError, quoted
 from topcli.table import DASH, Cells
+
+if TYPE_CHECKING:
+    from topcli.config.models import Experiment
 
 Item = dict[str, Any]
 _Kind = Literal["tops", "schemes", "compositions", "scenes", "sweeps", "cases", "measures", "figures", "runs"]
@@ -43,8 +47,7 @@ def schemes(top: str | None) -> Iterable[Item]:
     from topcli.studies.describe import scheme_data
 
     forms = forms_of(top)
-    for item in (scheme_data(scheme) for scheme in all_schemes() if scheme.top in forms):
-        yield item | {"options": {name: str(option["default"]) for name, option in item["options"].items()}}
+    return [scheme_data(scheme) for scheme in all_schemes() if scheme.top in forms]
 
 
 def compositions() -> Iterable[Item]:
@@ -116,12 +119,12 @@ LISTS: dict[_Kind, tuple[Callable[..., Iterable[Item]], str]] = {
     "figures": (figures, "name title"),
     "runs": (runs, "name kind outcome step N scheme h ended"),
 }
-"""Function and columns of each list; the function takes the name of a top, the folder of results, or nothing."""
-OF_A_TOP: Sequence[_Kind] = ("schemes", "scenes", "cases")
-"""Lists of which ``--top`` chooses a part."""
+"""Function and columns of each list; the function takes the ``top`` or the folder of ``results``, or nothing."""
 
 
-def list_(items: _Kind, *, top: str | None = None, results: Path = Path("results"), screen: Screen) -> CommandResult:
+def list_command(
+    items: _Kind, *, top: str | None = None, results: Path = Path("results"), screen: Screen
+) -> CommandResult:
     """List tops, schemes, scenes, figures, runs and more.
 
     Scenes are packaged configs, which run by name; sweeps are packaged sweep files. The outcome of a run is "running"
@@ -137,10 +140,11 @@ def list_(items: _Kind, *, top: str | None = None, results: Path = Path("results
 
     for failure in plugin_failures().values():  # items of installed packages are listed too
         print_message(failure)
-    if top is not None and items not in OF_A_TOP:
-        raise UsageError(f"--top: not for topcli list {items}; it chooses {', '.join(OF_A_TOP)}")
     function, columns = LISTS[items]
-    listed = list(function(*([top] if items in OF_A_TOP else [results] if items == "runs" else [])))
+    takes = inspect.signature(function).parameters
+    if top is not None and "top" not in takes:
+        raise UsageError(f"--top: not for topcli list {items}; it chooses schemes, scenes and cases")
+    listed = list(function(**{name: value for name, value in (("top", top), ("results", results)) if name in takes}))
     if listed:
         screen.show(list_table(listed, columns.split()), width=10**6)
     else:
@@ -180,7 +184,7 @@ def forms_of(top: str | None) -> Sequence[str]:
     return [form.form for form in forms(top)] if top else list(TOPS)
 
 
-def cite(cited: Sequence[str] = (), *, screen: Screen) -> CommandResult:
+def cite_command(cited: Sequence[str] = (), *, screen: Screen) -> CommandResult:
     """Print the BibTeX of a scheme, a top, or topcli itself.
 
     Parameters
@@ -197,7 +201,7 @@ def cite(cited: Sequence[str] = (), *, screen: Screen) -> CommandResult:
     return CommandResult({"entries": [{"key": key, "bibtex": bibtex} for key, bibtex in works.items()]})
 
 
-def show(
+def show_command(
     subject: str,
     *,
     row: int | None = None,
@@ -222,18 +226,19 @@ def show(
         Show the class, frequencies and periods of the exact motion.
     """
     from topcli.config.files import is_config, scene_files
-    from topcli.config.load import load
+    from topcli.config.load import load, load_experiment
     from topcli.errors import UnknownNameError, nearest
     from topcli.schemes.registry import all_schemes
     from topcli.studies import describe
     from topcli.studies.entries import schemes_called
     from topcli.tops import forms, top_names
 
-    folder = Path(subject)
+    folder, config = Path(subject), Path(subject) / "config.yaml"
+    if row is not None or (folder.is_dir() and not config.is_file()):
+        return show_sweep(stored_place(subject, results), row, overrides, motion, screen)
+    config = str(config) if folder.is_dir() else subject
     if motion:
-        return show_motion(subject, row, overrides, screen)
-    if row is not None or (folder.is_dir() and not (folder / "config.yaml").is_file()):
-        return show_sweep(stored_place(subject, results), row, overrides, screen)
+        return show_experiment(load_experiment(config, overrides, any_precision=True), motion, screen)
     # one word may be a scene, a scheme or a top; files, folders and changed configs are none of the latter two
     is_name = not overrides and not folder.suffix and not folder.is_dir()
     names = {scheme.name for scheme in all_schemes()} if is_name else set()
@@ -254,56 +259,47 @@ def show(
         screen.show(describe.schemes_text(of_name, width))
         return CommandResult({"schemes": [describe.scheme_data(scheme) for scheme in of_name]})
     if is_name and not is_config(subject):
-        names |= {*scene_files(), *top_names()}
-        raise UnknownNameError(
-            f"no packaged scene, scheme or top is called {quoted(subject)} (configs end in .yaml, .yml or .toml); "
-            + nearest(subject, names, "topcli list scenes")
-        )
-    return show_config(
-        load(str(folder / "config.yaml") if folder.is_dir() else subject, overrides, rename=True), screen
-    )
+        hint = nearest(subject, {*names, *scene_files(), *top_names()}, "topcli list scenes")
+        files = "(configs end in .yaml, .yml or .toml)"
+        raise UnknownNameError(f"no packaged scene, scheme or top is called {quoted(subject)} {files}; {hint}")
+    return show_experiment(load(config, overrides, rename=True), motion, screen)
 
 
-def show_config(experiment: Any, screen: Screen) -> CommandResult:
-    """Print the resolved config of an experiment."""
-    screen.show(experiment.to_yaml().removesuffix("\n"))
-    return CommandResult({"config": experiment.resolved(), "digest": experiment.digest})
+def show_experiment(experiment: Experiment, motion: bool, screen: Screen) -> CommandResult:
+    """Print the resolved config of an experiment, or what the closed form says about its ``motion``."""
+    data = {"config": experiment.resolved(), "digest": experiment.digest}
+    if not motion:
+        screen.show(experiment.to_yaml().removesuffix("\n"))
+        return CommandResult(data)
+    from topcli.analysis.motion import motion_table
+    from topcli.analysis.motion.of_top import motion_of
+
+    of_top = motion_of(experiment.top, experiment.y0)
+    screen.show(replace(motion_table(of_top).cells(), title=f"{experiment.name}: {of_top.title}"))
+    return CommandResult({**data, "motion": of_top.as_dict()})
 
 
-def show_sweep(folder: Path, number: int | None, overrides: Sequence[str], screen: Screen) -> CommandResult:
-    """Print the config of a row of the sweep in ``folder``, or the whole sweep file if ``number`` is None."""
+def show_sweep(
+    folder: Path, number: int | None, overrides: Sequence[str], motion: bool, screen: Screen
+) -> CommandResult:
+    """Print a row of the sweep in ``folder``, or the whole sweep file if ``number`` is None."""
     from topcli.config.load import load_experiment
     from topcli.sweeps.store import stored_sweep_file
 
     sweep = stored_sweep_file(folder, overrides if number is None else [])
     if number is None:
+        if motion:
+            raise UsageError("--motion: needs a single experiment; choose a row of the sweep with --row")
         screen.show(sweep.to_yaml().removesuffix("\n"))
         return CommandResult({"sweep": sweep.resolved(), "digest": sweep.digest})
     try:
         row = sweep.row(number)
     except IndexError as error:
         raise UsageError(f"{folder}: {error}") from None
-    return show_config(load_experiment(row.resolved(), overrides, any_precision=True), screen)
+    return show_experiment(load_experiment(row.resolved(), overrides, any_precision=True), motion, screen)
 
 
-def show_motion(config: str, row: int | None, overrides: Sequence[str], screen: Screen) -> CommandResult:
-    """Print what the closed form says about the motion of a config. Raises UsageError for a sweep or an ensemble."""
-    from topcli.analysis.motion import motion_table
-    from topcli.analysis.motion.of_top import motion_of
-    from topcli.config.load import load_experiment
-
-    if row is not None or Path(config).is_dir():
-        raise UsageError(
-            "--motion: needs a single experiment, not a sweep; "
-            "save a row with `topcli show SWEEP --row NUMBER > FILE.yaml` and name that file"
-        )
-    experiment = load_experiment(config, overrides, any_precision=True)
-    motion = motion_of(experiment.top, experiment.y0)
-    screen.show(replace(motion_table(motion).cells(), title=f"{experiment.name}: {motion.title}"))
-    return CommandResult({"config": experiment.resolved(), "digest": experiment.digest, "motion": motion.as_dict()})
-
-
-def init(
+def init_command(
     path: Path = Path("experiment.yaml"), *, config: str = "kowalevski_hk", force: bool = False, screen: Screen
 ) -> CommandResult:
     """Copy a packaged scene as a config to start from.
@@ -333,7 +329,7 @@ def init(
     return CommandResult({"files": [str(path), str(schema_path)]})
 
 
-def schema(*, screen: Screen) -> CommandResult:
+def schema_command(*, screen: Screen) -> CommandResult:
     """Print the JSON Schema of the config."""
     from topcli.config.schema import config_schema
     from topcli.store.files import json_text

@@ -38,7 +38,7 @@ def require_new_file(path: Path, force: bool, option: str = "--out") -> None:
         files.require_new([path], option)
 
 
-def verify(runs: Sequence[str], *, results: Path = Path("results"), screen: Screen) -> CommandResult:
+def verify_command(runs: Sequence[str], *, results: Path = Path("results"), screen: Screen) -> CommandResult:
     """Verify stored results by their checksums.
 
     Of an unfinished run, the command verifies the checkpoint and the rows before it. The rows of
@@ -58,11 +58,11 @@ def verify(runs: Sequence[str], *, results: Path = Path("results"), screen: Scre
         if not result.damage:
             state = "finished" if result.finished else "unfinished"
             screen.show(f"{result.folder}: {state}, {counted(len(result.files), 'file')} intact")
-    code = ExitCode.FAILED if any(result.damage for result in checked) else ExitCode.SUCCESS
-    return CommandResult({"runs": [result.data() for result in checked]}, code)
+    damaged = any(result.damage for result in checked)
+    return CommandResult({"runs": [result.data() for result in checked]}, ExitCode(int(damaged)))
 
 
-def table(
+def table_command(
     result: str,
     *,
     rows: Sequence[str] = (),
@@ -100,21 +100,29 @@ def table(
         Show only this table of the result; by default all, in CSV the main table.
     """
     from topcli.sweeps.store import is_sweep
+    from topcli.sweeps.table import names_hint, read_rows, sweep_table
 
-    folder = stored_place(result, results)
-    if is_sweep(folder) or rows or value or columns or aggregate or where:
-        return table_of_sweep(folder, rows, columns, value, aggregate, where, form, screen)
-    data, tables = tables_of(folder)
+    place = stored_place(result, results)
+    if is_sweep(place) or rows or value or columns or aggregate or where:
+        frame = read_rows(place, where)
+        if not (rows and value):
+            raise UsageError(f"{place}: is a sweep; give --rows KEY and --value MEASURE", names_hint(frame))
+        swept = sweep_table(frame, list(rows), columns, list(value), aggregate)
+        screen.show(swept.cells if form == "text" else swept.text(form).removesuffix("\n"))
+        for note in swept.notes:
+            screen.warn(note)
+        return CommandResult(swept.as_dict())
+    data, tables = tables_of(place)
     names = [each.name for each in tables]
     if table is not None and table not in names:
         raise UsageError(f"--table {quoted(table)}: no such table; {nearest(table, names)}")
     tables = [each for each in tables if table in (None, each.name)]
-    filled = [each for each in tables if each.rows]
     if form == "csv":
         screen.show(tables[0].text(form).removesuffix("\n"))
         if len(tables) > 1:
             screen.say(f"this is the main table; choose another with --table: {', '.join(names)}")
-    for number, each in enumerate(filled if form != "csv" else ()):
+        return CommandResult({"result": data})
+    for number, each in enumerate(each for each in tables if each.rows):
         screen.show(*([""] if number else []), each.cells() if form == "text" else each.text(form).removesuffix("\n"))
     return CommandResult({"result": data})
 
@@ -135,30 +143,7 @@ def tables_of(place: Path) -> tuple[dict[str, Any], list[Table]]:
     return data, [Table(each["heading"], each["rows"], stored=stored_cells(each)) for each in data["tables"]]
 
 
-def table_of_sweep(
-    folder: Path,
-    rows: Sequence[str],
-    columns: str | None,
-    value: Sequence[str],
-    aggregate: str | None,
-    where: Sequence[str],
-    form: str,
-    screen: Screen,
-) -> CommandResult:
-    """Table of measures of a sweep. Raises UsageError."""
-    from topcli.sweeps.table import names_hint, read_rows, sweep_table
-
-    frame = read_rows(folder, where)
-    if not (rows and value):
-        raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", names_hint(frame))
-    table = sweep_table(frame, list(rows), columns, list(value), aggregate)
-    screen.show(table.cells if form == "text" else table.text(form).removesuffix("\n"))
-    for note in table.notes:
-        screen.warn(note)
-    return CommandResult(table.as_dict())
-
-
-def report(
+def report_command(
     runs: Sequence[str], *, out: Path, results: Path = Path("results"), force: bool = False, screen: Screen
 ) -> CommandResult:
     """Write a self-contained HTML page about stored results.
@@ -171,7 +156,7 @@ def report(
     runs : sequence of str
         Folders or names of runs and sweeps, or JSON files.
     """
-    from topcli.show.reports import stored_record
+    from topcli.cli.reports import stored_record
     from topcli.store.files import write_by_ending
     from topcli.studies.page import page_of
 
@@ -184,10 +169,10 @@ def report(
     )
 
 
-def plot(
+def plot_command(
     figures: Sequence[str] = (),
     *,
-    every: bool = False,
+    all_figures: bool = False,
     form: Sequence[str] = (),
     out: Path = Path("results/figures"),
     results: Path = Path("results"),
@@ -212,7 +197,7 @@ def plot(
     ----------
     figures : sequence of str, optional
         Names of figures or stored runs, or the word sweep and a stored sweep, or section and a stored run.
-    every : bool, optional
+    all_figures : bool, optional
         Draw all figures, but measure nothing that takes minutes.
     x : str, optional
         Put this key of a sweep, or column of a section, on the x axis.
@@ -229,26 +214,27 @@ def plot(
     """
     from topcli.figures.catalogue import FIGURES
     from topcli.figures.figure import DEFAULT_FORMATS, IMAGE_FORMATS, NothingMeasuredError
+    from topcli.figures.stored import section_figure
+    from topcli.figures.sweep import sweep_figure
     from topcli.plugins import plugin_failures
 
-    if bool(figures) == every:
+    if bool(figures) == all_figures:
         raise UsageError(f"give either names of figures or --all; figures: {', '.join(FIGURES)}")
     if unknown := [name for name in form if name not in IMAGE_FORMATS]:
         raise UsageError(f"--format {quoted(unknown[0])}: unknown format; use png, pdf or svg")
     word, places = (figures[0].lower(), figures[1:]) if figures else ("", ())
-    axes = {"x": x, "y": y, "by": by, "colour": colour, "aggregate": aggregate, "where": where}
-    if word == "sweep":
-        chosen = [figure_of_sweep(places, axes, results)]
-    elif word == "section" and not (by or aggregate or where):
-        from topcli.figures.section import section_figure
-
-        if len(places) != 1:
-            raise UsageError("plot section: name one run, as in: topcli plot section DIR/NAME --colour verdict")
-        chosen = [section_figure(stored_place(places[0], results), x, y, colour)]
-    elif option := next((name for name, choice in axes.items() if choice), ""):
+    choice = {"x": x, "y": y, "colour": colour, "by": by, "aggregate": aggregate, "where": where}
+    unfit = () if word == "sweep" else list(choice)[3 if word == "section" else 0 :]
+    if option := next((name for name in unfit if choice[name]), ""):
         raise UsageError(f"--{option} is only for sweeps: topcli plot sweep DIR/NAME --x KEY --y MEASURE")
+    if word in ("sweep", "section"):
+        example = "--x h --y max_error --by scheme" if word == "sweep" else "--colour verdict"
+        if len(places) != 1:
+            raise UsageError(f"plot {word}: name one folder, as in: topcli plot {word} DIR/NAME {example}")
+        place = stored_place(places[0], results)
+        chosen = [sweep_figure(place, **choice) if word == "sweep" else section_figure(place, x, y, colour)]
     else:
-        for failure in plugin_failures().values() if every else ():
+        for failure in plugin_failures().values() if all_figures else ():
             print_message(failure)
         chosen = [figure_called(name, results) for name in figures] or list(FIGURES.values())
 
@@ -261,7 +247,7 @@ def plot(
         try:
             files[figure.name] = list(map(str, figure.make(out, tuple(dict.fromkeys(form)) or DEFAULT_FORMATS, force)))
         except TopcliError as error:
-            if every and isinstance(error, NothingMeasuredError):
+            if all_figures and isinstance(error, NothingMeasuredError):
                 print_message(f"{figure.name}: skipped: {error}")
                 continue
             if len(chosen) == 1:
@@ -287,32 +273,13 @@ def figure_called(name: str, results: Path) -> Figure:
         if os.path.isdir(place) and is_sweep(place):
             raise UsageError(f"{place} is a sweep; draw it with: topcli plot sweep {place} --x KEY --y MEASURE")
         if os.path.isdir(place) and (run := read_result(place)) and run.outcome:
-            from topcli.figures.run import run_figure
+            from topcli.figures.stored import run_figure
 
             return run_figure(run)
     return find_figure(name)
 
 
-def figure_of_sweep(places: Sequence[str], axes: dict[str, Any], results: Path) -> Figure:
-    """The figure of a sweep that the options describe."""
-    from topcli.figures.sweep import Choice, sweep_figure
-    from topcli.store.files import sha256_of
-    from topcli.sweeps.table import names_hint, read_rows
-
-    if len(places) != 1:
-        raise UsageError(
-            "plot sweep: name one folder, as in: topcli plot sweep DIR/NAME --x h --y max_error --by scheme"
-        )
-    where = axes.pop("where")
-    rows = read_rows(stored_place(places[0], results), where)
-    if axes["x"] is None or axes["y"] is None:
-        hint = "plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE"
-        raise UsageError(hint, names_hint(rows))
-    takes = f"{sha256_of(Path(rows.attrs['path']))} {where}"
-    return sweep_figure(rows, Choice(**axes), ", ".join([rows.attrs["name"], *where]), takes)
-
-
-def animate(
+def animate_command(
     result: str,
     *,
     out: Path,
@@ -337,8 +304,7 @@ def animate(
     size : int, optional
         Set the width in pixels; the height is 2/3 of the width.
     """
-    from topcli.figures.animation import FPS, frame_times, require_format, stored_body_motion
-    from topcli.figures.animation import animate as draw
+    from topcli.figures.animation import FPS, frame_times, require_format, stored_body_motion, write_animation
 
     if not WIDTHS[0] <= size <= WIDTHS[1]:
         raise UsageError(f"--size {size}: must be {WIDTHS[0]} to {WIDTHS[1]} pixels")
@@ -354,7 +320,7 @@ def animate(
     if end != last:
         screen.warn(f"{name}: shows t = {begin:g} to {end:.4g} of {last:g}; more --seconds show more")
     screen.begin(str(out), unit="frames")
-    draw(motion, times, out, size, screen)
+    write_animation(motion, times, out, size, screen)
     frames, width, height = len(times), 2 * (size // 2), 2 * round(size / 3.0)
     screen.show(f"{name}: {frames} frames, {width} x {height} -> {out}")
     content = {"file": str(out), "frames": frames, "fps": FPS, "width": width, "height": height}

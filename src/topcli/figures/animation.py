@@ -1,10 +1,11 @@
-"""Animations of stored runs: the motion of the body, and its video files by matplotlib's writers."""
+"""Animations of stored runs: the spinning body, made from its moments of inertia, and video files of its motion."""
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,16 +14,15 @@ import numpy as np
 
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Outcome
+from topcli.contracts import Array, Outcome, Top
 from topcli.engine.columns import quaternions_of
 from topcli.errors import RunError, UsageError
-from topcli.figures.body import DOT, Body, body_of, draw_body, draw_space
-from topcli.figures.labels import escaped, labelled, scheme_label
-from topcli.figures.space import SPATIAL, TRACE
-from topcli.figures.style import styled
+from topcli.figures.space import SPATIAL, START, TRACE, axis, curve, draw_globe, set_view, sphere, surface
+from topcli.figures.style import halo, labelled, plain_text, scheme_label, styled
 from topcli.store.files import io_failure, require_writable, write_whole
 from topcli.store.results import intact_result
 from topcli.store.series import read_series
+from topcli.tops.bodies import checked_equations
 
 FPS = 25
 """Frames in a second."""
@@ -34,6 +34,104 @@ INCHES = 7.2
 """Width of a frame in inches, to which the sizes of letters refer."""
 GIF_FRAMES = 2500
 """Largest number of frames of a GIF, which are all held in memory."""
+LONGITUDES, LATITUDES = 56, 28
+PALE, BLUE, MARK = (0.93, 0.90, 0.83), (0.20, 0.47, 0.69), (0.87, 0.42, 0.10)
+"""Colours of the sectors; one of them is marked, so that the spin is seen."""
+_REACH = 0.66
+"""Largest distance of a point of the body from the fixed point; the traces lie on the sphere of radius one."""
+UNKNOWN = (3.0, 2.5, 1.5), (0.0, 0.0, 1.0)
+"""Moments and centre of gravity of a top that does not declare them."""
+SILHOUETTE = ((0.0, 0.86), (0.06, 0.86), (0.28, 0.69), (0.37, 0.57), (0.35, 0.5), (0.06, 0.09), (0.0, 0.0))
+"""Distance from the axis and height of a spinning top, convex, from its upper end to its tip."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """Convex body of a top: its surface (rows, columns, 3) in the body's frame, around the ``axis`` (3,).
+
+    ``axis`` is traced and ``label`` its name; ``vertical`` names the direction fixed in space.
+    """
+
+    surface: Array
+    axis: Array
+    label: str
+    vertical: str
+
+
+def body_of(top: Top, state: Sequence[float]) -> Body:
+    """Body of a top, whose motion starts in ``state``.
+
+    The axis passes through the centre of gravity, or without gravity it is the principal axis that is nearest to the
+    angular momentum at the start. A top with a symmetry axis through its centre of gravity looks like a spinning top;
+    any other is the homogeneous ellipsoid of its moments, or of ``UNKNOWN`` ones.
+    """
+    letter = r"\boldsymbol{m}" if len(top.components) == 3 else r"\boldsymbol{p}"
+    vertical = letter if type(top).vertical else r"\boldsymbol{e}_z"
+    try:
+        top.euler_poisson()
+        equations = checked_equations(top, "the body")
+        moments, gravity = np.array(equations.moments), np.array(equations.gravity)
+    except NotImplementedError:
+        moments, gravity = map(np.array, UNKNOWN)
+    if top.in_space or (moments[0] == moments[1] and gravity[2] and not gravity[:2].any()):
+        label = r"$\boldsymbol{a}$" if top.in_space else r"$\boldsymbol{e}_3$"
+        return Body(_spinning_top(), np.array([0.0, 0.0, 1.0]), label, vertical)
+    momentum = moments * np.array(state[:3], dtype=float)
+    axis = gravity / np.linalg.norm(gravity) if gravity.any() else np.eye(3)[int(np.argmax(np.abs(momentum)))]
+    along, sign = np.flatnonzero(axis), "-" if axis.min() < 0.0 else ""
+    label = rf"${sign}\boldsymbol{{e}}_{along[0] + 1}$" if len(along) == 1 else r"$\boldsymbol{s}$"
+    return Body(_ellipsoid(moments, axis), axis, label, vertical)
+
+
+def _ellipsoid(moments: Array, axis: Array) -> Array:
+    """Surface of the homogeneous ellipsoid with the ``moments``, with poles on ``axis``; no semi-axis is too short."""
+    sizes = np.sqrt(np.maximum(moments.sum() - 2.0 * moments, 0.0))  # A = (b² + c²)/5 of the mass, and so on
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first = first / np.linalg.norm(first)
+    frame = np.stack([first, np.cross(axis, first), axis])
+    return (sphere(LATITUDES, LONGITUDES) @ frame) * _REACH * np.maximum(sizes / sizes.max(), 0.12)
+
+
+def _spinning_top() -> Array:
+    """Surface of a spinning top with its tip in the fixed point."""
+    radius, height = np.array(SILHOUETTE).T
+    at = np.linspace(0.0, len(radius) - 1.0, LATITUDES + 1)
+    points = sphere(LATITUDES, LONGITUDES)
+    points[..., :2] = points[LATITUDES // 2, :, :2] * np.interp(at, np.arange(len(radius)), radius)[:, None, None]
+    points[..., 2] = np.interp(at, np.arange(len(height)), height)[:, None]
+    return points
+
+
+def draw_space(axes: Any, body: Body, start: Array) -> Array:
+    """Draw the unit sphere and the fixed direction; return the camera (3, 3).
+
+    The viewer has the axis of the body on his left at the ``start`` (3,).
+    """
+    upright = np.hypot(start[0], start[1]) < 0.1
+    azimuth = 35.0 if upright else math.degrees(math.atan2(start[1], start[0])) + 70.0
+    camera = set_view(axes, 22.0, azimuth, 1.22, 0.15)
+    draw_globe(axes, camera)
+    axis(axes, np.array([0.0, 0.0, 1.0]), camera, 0.2, body.vertical)
+    return camera
+
+
+def draw_body(axes: Any, camera: Array, body: Body, rotation: Array, path: Array, width: float) -> None:
+    """Draw the body in the attitude ``rotation`` (3, 3) and the ``path`` (m, 3) of its axis up to it."""
+    curve(axes, camera, path, TRACE, width, zorder=20, label="trace of the axis")
+    sector = np.arange(LONGITUDES + 1) * 8 // LONGITUDES
+    colours = np.where((sector % 2 == 0)[:, None], PALE, BLUE)
+    colours = np.where((sector == 0)[:, None], MARK, colours)
+    surface(axes, body.surface @ rotation.T, np.broadcast_to(colours, body.surface.shape), camera, zorder=10)
+
+    # the axis from the surface to the sphere, its end and its name
+    tip = rotation @ body.axis
+    right, up, ahead = camera @ tip
+    reach, level = (np.max(body.surface @ body.axis), 21) if ahead >= 0.0 else (0.0, 3)
+    axes.plot(*np.column_stack([reach * tip, tip]), "-", color="0.1", lw=1.6, solid_capstyle="round", zorder=level)
+    dot = {"color": START, "ms": 5.5, "mec": "white", "mew": 0.8, "zorder": level + 1, "label": "end of the axis"}
+    axes.plot(*tip[:, None], "o", **dot)
+    beside = 0.14 * np.array([right, up]) / max(math.hypot(right, up), 0.15)
+    halo(axes.text(*(tip + beside @ camera[:2]), body.label, ha="center", va="center", zorder=30), 2.2)
 
 
 @dataclass(frozen=True)
@@ -79,7 +177,7 @@ def frame_times(motion: BodyMotion, count: int) -> Array:
     return np.linspace(motion.t[0], motion.t[last], count)
 
 
-class Stage:
+class BodyFigure:
     """A figure that shows the motion at any time: the body on the left, the time and the height of its axis beside."""
 
     def __init__(self, motion: BodyMotion, times: Array, width: int) -> None:
@@ -101,7 +199,7 @@ class Stage:
         self.axes = self.canvas.add_axes((0.0, 0.0, 0.62, 1.0), projection=SPATIAL)
         self.camera = draw_space(self.axes, self.body, self.path[0])
         self.fixed = set(self.axes.get_children())
-        self.canvas.text(0.62, 0.965, escaped(experiment.name[:25]), fontsize=14, va="top")
+        self.canvas.text(0.62, 0.965, plain_text(experiment.name[:25]), fontsize=14, va="top")
         scheme = f"{scheme_label(experiment)[:24]}, $h = {experiment.h:g}$"
         self.canvas.text(0.62, 0.895, scheme, fontsize=12, color="0.35", va="top")
         self.time = self.canvas.text(0.62, 0.785, "", fontsize=14, va="top")
@@ -109,7 +207,7 @@ class Stage:
         heights.plot(dense, self.path[:, 2], "-", color=TRACE, lw=0.9)
         label = f"height of {self.body.label}"
         labelled(heights, "time $t$", "", label, xlim=sorted(times[[0, -1]]), ylim=(-1.08, 1.08))
-        self.dot = heights.plot([], [], "o", color=DOT, ms=5.5)[0]
+        self.dot = heights.plot([], [], "o", color=START, ms=5.5)[0]
         self.show(0)
         self.canvas.legend(*self.axes.get_legend_handles_labels(), loc="upper left", fontsize=12, frameon=False)
 
@@ -151,7 +249,7 @@ def _encoder() -> str:
         return shutil.which("ffmpeg") or "ffmpeg"
 
 
-def animate(
+def write_animation(
     motion: BodyMotion,
     times: Array,
     path: Path,
@@ -166,7 +264,7 @@ def animate(
 
     require_writable(path.parent)
     with styled({"animation.ffmpeg_path": _encoder(), "figure.constrained_layout.use": False}):
-        stage = Stage(motion, times, width)
+        stage = BodyFigure(motion, times, width)
         h264 = ["-pix_fmt", "yuv420p", "-crf", "18"]
         writer: Any = PillowWriter(FPS) if path.suffix.lower() == ".gif" else FFMpegWriter(FPS, extra_args=h264)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from topcli.errors import UnknownNameError, nearest, quoted
-from topcli.figures import bench, diagram, maps, paper, space  # noqa: F401 (they register their figures)
+from topcli.figures import diagram, paper, schemes, space  # noqa: F401 (they register their figures)
 from topcli.figures.figure import FIGURES, Figure, figure
 from topcli.plugins import require_plugin
 

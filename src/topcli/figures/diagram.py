@@ -11,7 +11,7 @@ from topcli.analysis.motion.kowalevski import TORI, branches, regions
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import escaped, labelled, legend_below
+from topcli.figures.style import labelled, legend_below, plain_text
 from topcli.schemes.kowalevski.curve import Integrals
 
 TINTS = ("#FFFFFF", "#DCE9F5", "#E3F0DC", "#F6EBD3", "#F5DDD9", "#E4DCEF")
@@ -87,7 +87,7 @@ def draw_bifurcation(canvas: Any, columns: Columns) -> None:
         present = [kind for kind in _KINDS if f"{name}:{kind}:E" in columns]
         curves = {kind: np.array([columns[f"{name}:{kind}:{axis}"] for axis in ("E", "k_sq")]) for kind in present}
         draw_diagram(axes, window, curves, (E, k_sq, two_l))
-        scene = f", {escaped(name)}" if np.isfinite(E) else ""
+        scene = f", {plain_text(name)}" if np.isfinite(E) else ""
         axes.set_title(rf"({letter}) $2\ell = {two_l:.6g}${scene}", loc="left")
     legend_below(canvas, 4, fontsize=9.0, handlelength=DASHED)
 

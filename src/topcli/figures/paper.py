@@ -15,8 +15,7 @@ import numpy as np
 from topcli.analysis.swings import first_swing_spacing, minima_times, spacing_law
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import labelled, legend_above
-from topcli.figures.style import looks
+from topcli.figures.style import labelled, legend_above, looks
 from topcli.runs.simulate import simulate
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import find_scheme

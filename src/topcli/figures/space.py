@@ -14,7 +14,7 @@ import numpy as np
 
 from topcli.contracts import Array
 from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import halo, legend_below
+from topcli.figures.style import halo, legend_below
 from topcli.runs.simulate import simulate
 
 SPATIAL = "3d"

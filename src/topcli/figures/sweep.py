@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,12 @@ import numpy as np
 from topcli.analysis.order import convergence
 from topcli.errors import UsageError
 from topcli.figures.figure import Figure
-from topcli.figures.labels import escaped, labelled
-from topcli.figures.style import looks
+from topcli.figures.style import labelled, looks, plain_text
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
+from topcli.store.files import sha256_of
 from topcli.sweeps.measures import in_words
-from topcli.sweeps.table import SPREADS, Frame, require_names, sweep_table
+from topcli.sweeps.table import SPREADS, Frame, names_hint, read_rows, require_names, sweep_table
 
 KEYS_IN_WORDS = {"h": "step size h", "N": "number of steps N", "T": "time T"}
 """Keys of a config in words."""
@@ -123,26 +124,32 @@ def points_of(rows: Frame, choice: Choice) -> Points:
     return Points(choice, table, len(rows), int(rows[choice.measure].isna().sum()))
 
 
-def sweep_figure(rows: Frame, choice: Choice, title: str, takes: str) -> Figure:
-    """The figure of ``topcli plot sweep``: the part of the ``rows`` of a sweep that ``choice`` names.
+def sweep_figure(folder: Path, where: Sequence[str], x: str | None, y: str | None, **parts: str | None) -> Figure:
+    """The figure of ``topcli plot sweep``: a choice of the rows that satisfy ``where`` of the sweep in ``folder``.
 
-    ``takes`` is the digest of the rows and conditions. Raises UsageError for a choice that the rows do not have.
+    ``parts`` are the further attributes of ``Choice``. Raises UsageError for a choice that the rows do not have.
     """
+    rows = read_rows(folder, where)
+    if x is None or y is None:
+        hint = "plot sweep: give --x KEY and --y MEASURE, or --x KEY --y KEY --colour MEASURE"
+        raise UsageError(hint, names_hint(rows))
+    choice = Choice(x, y, **parts)
     points, sweep = points_of(rows, choice), rows.attrs["name"]
-    over = ["by", choice.by] if choice.by else [choice.y] * bool(choice.colour)
-    name = "_".join([sweep, choice.measure, "over", choice.x, *over]).replace("/", "-")
+    over = ["by", choice.by] if choice.by else [y] * bool(choice.colour)
+    name = "_".join([sweep, choice.measure, "over", x, *over]).replace("/", "-")
     columns = {str(key): values.to_numpy() for key, values in points.table.reset_index().items()}
+    takes = f"{sha256_of(Path(rows.attrs['path']))} {where} {choice}"
     return Figure(
         name,
         f"{choice.measure} of {sweep}",
         lambda: columns,
-        lambda canvas, columns: draw_points(canvas.subplots(), points, title),
+        lambda canvas, columns: draw_sweep(canvas.subplots(), points, ", ".join([sweep, *where])),
         (6.4, points.height),
-        lambda: f"{takes} {choice}",
+        lambda: takes,
     )
 
 
-def draw_points(axes: Any, points: Points, title: str = "") -> None:
+def draw_sweep(axes: Any, points: Points, title: str = "") -> None:
     """Draw points; the title has the number of values that are missing or have no place on the scale."""
     choice, table = points.choice, points.table
     values = table["value"].to_numpy()
@@ -157,18 +164,18 @@ def draw_points(axes: Any, points: Points, title: str = "") -> None:
     title = ", ".join(filter(None, [title, *lost]))
 
     around = "" if choice.colour else SPREADS.get(choice.aggregate or "")
-    label = escaped(in_words(choice.measure)) + (f" ({choice.aggregate}{around})" if choice.aggregate else "")
+    label = plain_text(in_words(choice.measure)) + (f" ({choice.aggregate}{around})" if choice.aggregate else "")
     if choice.colour:
         _heat(axes, table["value"].where(drawn).unstack(choice.x), scale, label)
     else:
         _curves(axes, table[drawn], scale, choice)
-    x, y = (KEYS_IN_WORDS.get(key, escaped(key)) for key in (choice.x, choice.y))
-    labelled(axes, x, y if choice.colour else label, escaped(title))
+    x, y = (KEYS_IN_WORDS.get(key, plain_text(key)) for key in (choice.x, choice.y))
+    labelled(axes, x, y if choice.colour else label, plain_text(title))
 
 
 def _texts(values: Sequence[Any]) -> list[str]:
     """Names of keys on an axis; those of schemes as people read them."""
-    return [f"{value:.4g}" if isinstance(value, float) else escaped(display_name(str(value))) for value in values]
+    return [f"{value:.4g}" if isinstance(value, float) else plain_text(display_name(str(value))) for value in values]
 
 
 def _heat(axes: Any, table: Frame, scale: Scale, label: str) -> None:
@@ -207,7 +214,7 @@ def _curves(axes: Any, table: Frame, scale: Scale, choice: Choice) -> None:
     for i, (key, curve) in enumerate(groups.items()):
         # markers of later curves are smaller, and names have one after the other, so that all are seen
         style = styles[str(key)] | {"markersize": 4.6 - 1.8 * i / len(groups)}
-        text = escaped(display_name(str(key)))
+        text = plain_text(display_name(str(key)))
         if choice.by and isinstance(key, float | int):
             text = f"{choice.by} = {key:.6g}"
         curve = curve if names else curve.sort_index(level=choice.x)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -33,16 +34,15 @@ HEAD = """<!doctype html>
 """
 LONGEST_TEXT = 400
 """Lines of a config that a page shows; an ensemble may list thousands of states."""
-WRITTEN = ("written", "commit", "dirty")
-"""Entries of a stored record on its origin, besides the environment."""
 
 
 def page_of(records: Sequence[Mapping[str, Any]]) -> str:
-    """Page of reports, each a ``Report.record``; everything in them but the pictures is escaped."""
+    """Page of reports, each a ``Report.record``, under headings if there are several; their texts are escaped."""
     title = text(records[0]["title"] if len(records) == 1 else counted(len(records), "result"))
     styles = STYLES.read_text(encoding="utf-8")
     head = HEAD.format(title=title, styles=styles, version=__version__, written=now())
-    return head + "".join(map(section_html, records)) + "</body>\n</html>\n"
+    sections = [section_html(record, len(records) > 1) for record in records]
+    return head + "".join(sections) + "</body>\n</html>\n"
 
 
 def text(content: object) -> str:
@@ -50,31 +50,26 @@ def text(content: object) -> str:
     return escape(printable(str(content)))
 
 
-def section_html(record: Mapping[str, Any]) -> str:
-    """Section of a page: answer, notes, picture and tables, and the origin folded."""
-    origin = {key: record[key] for key in WRITTEN if record.get(key)} | record["environment"]
-    setup = [
-        ("Config", lines_html(to_yaml(record["config"]) if record["config"] else "")),
-        ("Provenance", table_html(Cells("", (), [[key, str(value)] for key, value in origin.items()]))),
-        ("BibTeX", lines_html("\n\n".join(works(cited(record)).values()))),
-    ]
-    messages = [*record["errors"], *record["notes"]]
-    parts = [
-        f"<h2>{text(record['title'])}</h2>",
-        f'<p class="quiet">topcli {text(record["command"])}</p>',
-        f'<p class="{"bad" if record["code"] else "good"}">{text(record["answer"])}</p>' if record["answer"] else "",
-        f"<ul>{''.join(f'<li>{text(message)}</li>' for message in messages)}</ul>" if messages else "",
-        picture_html(record["picture"], record["title"]) if record["picture"] else "",
-        *(table_html(stored_cells(table)) for table in record["tables"]),
-        *(f"<details><summary>{title}</summary>{content}</details>" for title, content in setup if content),
-    ]
-    return "<section>\n" + "\n".join(filter(None, parts)) + "\n</section>\n"
-
-
-def picture_html(svg: str, title: str) -> str:
-    """Picture, which a browser shows without running anything in it."""
-    source = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
-    return f'<figure><img src="{source}" alt="{text(title)}"></figure>'
+def section_html(record: Mapping[str, Any], titled: bool) -> str:
+    """Section of a page, under a heading if ``titled``: answer, messages, picture and tables, and the origin folded."""
+    origin = {key: record[key] for key in ("written", "commit", "dirty") if record.get(key)} | record["environment"]
+    setup = {
+        "Config": lines_html(to_yaml(record["config"]) if record["config"] else ""),
+        "Provenance": table_html(Cells("", (), [[key, str(value)] for key, value in origin.items()])),
+        "BibTeX": lines_html("\n\n".join(works(record).values())),
+    }
+    parts = [f"<h2>{text(record['title'])}</h2>"] if titled else []
+    parts.append(f'<p class="quiet">topcli {text(record["command"])}</p>')
+    if record["answer"]:
+        parts.append(f'<p class="{"bad" if record["code"] else "good"}">{text(record["answer"])}</p>')
+    if messages := [*record["errors"], *record["notes"]]:
+        parts.append(f"<ul>{''.join(f'<li>{text(message)}</li>' for message in messages)}</ul>")
+    if record["picture"]:  # a browser runs nothing in an image
+        source = "data:image/svg+xml;base64," + base64.b64encode(record["picture"].encode()).decode()
+        parts.append(f'<figure><img src="{source}" alt="{text(record["title"])}"></figure>')
+    parts += [table_html(stored_cells(table)) for table in record["tables"]]
+    parts += [f"<details><summary>{name}</summary>{html}</details>" for name, html in setup.items() if html]
+    return "\n".join(["<section>", *filter(None, parts), "</section>\n"])
 
 
 def table_html(cells: Cells) -> str:
@@ -83,11 +78,10 @@ def table_html(cells: Cells) -> str:
         return ""
 
     def row(line: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(cell(i, content, tag) for i, content in enumerate(line)) + "</tr>\n"
-
-    def cell(i: int, content: str, tag: str) -> str:
-        looks = " ".join(filter(None, ["number" if i in cells.right else "", cells.marks.get(content, "")]))
-        return f'<{tag} class="{looks}">{text(content)}</{tag}>' if looks else f"<{tag}>{text(content)}</{tag}>"
+        looks = (f"{'number' * (i in cells.right)} {cells.marks.get(cell, '')}" for i, cell in enumerate(line))
+        written = zip(map(str.strip, looks), map(text, line), strict=True)
+        parts = [f'<{tag} class="{look}">{cell}</{tag}>'.replace(' class=""', "") for look, cell in written]
+        return f"<tr>{''.join(parts)}</tr>\n"
 
     head = f"<thead>{row(cells.header, 'th')}</thead>" if cells.header else ""
     body = "".join(row(line, "td") for line in cells.lines)
@@ -104,22 +98,19 @@ def lines_html(content: str) -> str:
     return f'<pre tabindex="0">{chr(10).join(map(text, lines))}</pre>' if lines else ""
 
 
-def cited(record: Mapping[str, Any]) -> Iterator[str]:
-    """Names of the tops and schemes that took part: those of the rows, or without any, that of the config."""
+def works(record: Mapping[str, Any]) -> dict[str, str]:
+    """BibTeX of topcli, the paper, and the works behind the tops and schemes that took part, as far as registered here.
+
+    They are those of the rows, or without any, that of the config.
+    """
     rows = [*record.get("rows", ()), *(row for table in record["tables"] for row in table["rows"])]
-    config = record["config"].get("base", record["config"])
+    config, names = record["config"].get("base", record["config"]), []
     for key, part in (("top", "kind"), ("scheme", "name")):
-        in_rows = [row[key] for row in rows if isinstance(row.get(key), str)]
-        in_config = config.get(key) or {}
-        yield from in_rows or [in_config if isinstance(in_config, str) else in_config.get(part, "")]
-
-
-def works(names: Iterable[str]) -> dict[str, str]:
-    """BibTeX of topcli, the paper, and the works behind ``names``, without those that are not registered here."""
+        of_config = config.get(key) or ""
+        of_config = of_config if isinstance(of_config, str) else of_config.get(part, "")
+        names += [row[key] for row in rows if isinstance(row.get(key), str)] or [of_config]
     entries = {key: bibliography()[key][0] for key in ALWAYS}
     for name in dict.fromkeys(re.split("[ :]", name)[0] for name in names):
-        try:
+        with suppress(UnknownNameError):
             entries |= works_of(name)
-        except UnknownNameError:
-            continue
     return entries

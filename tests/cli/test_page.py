@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +18,13 @@ import topcli
 from reading_html import Element, read_html
 from resuming import after
 from stored_results import BASE, experiment, store_comparison, store_ensemble, store_run, store_sweep
+from topcli.cli.reports import rows_table, stored_record
 from topcli.config.load import load_experiment
 from topcli.contracts import stopping_when
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.figures.run import run_pictures
+from topcli.figures.stored import draw_series, panels_of
 from topcli.runs.report import report_tables
 from topcli.runs.run import run_experiment
-from topcli.show.reports import rows_table, stored_record
 from topcli.store.files import SEAL, sealed_text
 from topcli.studies.page import page_of
 from topcli.studies.report import Report, Table
@@ -65,6 +67,7 @@ def cells_of(cells: Cells) -> list[list[str]]:
 def test_a_run_shows_its_verdicts_tables_picture_and_origin(results: Path) -> None:
     manifest, report = (json.loads((results / "one" / f"{name}.json").read_text()) for name in ("manifest", "report"))
     page = page_on(results, "one")
+    assert ([each.text for each in page.all("h1")], page.all("h2")) == (["one"], [])
     conservation, origin = tables(page)
     assert conservation == cells_of(report_tables(report)[0].cells())
     about, *sentences = (item.text for item in page.all("li"))
@@ -85,6 +88,11 @@ def test_a_run_shows_its_verdicts_tables_picture_and_origin(results: Path) -> No
 def test_each_kind_of_result_shows_its_tables_and_pictures(results: Path) -> None:
     many, sweep, compared = page_on(results, "many", "sweep/rows.parquet", "compared.json").all("section")
     assert [len(part.all("img")) for part in (many, sweep, compared)] == [0, 1, 1]
+    assert [part.all("h2")[0].text.partition(":")[0] for part in (many, sweep, compared)] == [
+        "many",
+        "sweep",
+        "compared",
+    ]
     report = json.loads((results / "many" / "report.json").read_text())
     assert tables(many)[0] == cells_of(report_tables(report)[0].cells())
     assert "within round-off" in many.all("li")[1].text
@@ -113,16 +121,16 @@ def test_the_works_of_the_schemes_and_tops_that_took_part_are_cited(copied: Path
 
 def test_deviations_are_from_the_first_value_and_leave_out_constants() -> None:
     data = {"t": np.arange(4.0), "energy": np.array([2.0, 2.0, 1.5, 2.25]), "m_sq": np.ones(4)}
-    (picture,) = run_pictures(data, load_experiment("euler_hk"))
-    axes = Figure().subplots()
-    picture(axes)
+    experiment, axes = load_experiment("euler_hk"), Figure().subplots()
+    ((names, deviation),) = panels_of(data, experiment)
+    draw_series(axes, data, names, experiment, deviation)
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [np.nan, np.nan, 0.5, 0.25])
 
 
 def test_motion_is_drawn_up_to_its_explosion() -> None:
     data = {"t": np.arange(5.0), "omega1": np.array([2.0, 3.0, 1999.0, 2001.0, np.nan])}
     axes = Figure().subplots()
-    run_pictures(data, load_experiment("euler_hk"))[0](axes)
+    draw_series(axes, data, ["omega1"], load_experiment("euler_hk"))
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [2.0, 3.0, 1999.0, np.nan, np.nan])
     assert axes.get_title(loc="left") == "not shown: values beyond 2000"
 
@@ -142,9 +150,11 @@ def test_everything_is_escaped_and_nothing_comes_from_elsewhere() -> None:
     record |= {"picture": "<svg/>", "environment": {HOSTILE: HOSTILE}}
     text = page_of([record])
     text.encode("utf-8")
-    page, visible = read_html(text), HOSTILE.replace("\x1b", r"\x1b").replace("\ud800", r"\ud800")
-    for name in ("title", "h1", "h2", "h3", "p", "li", "th", "td"):
+    page, several = read_html(text), read_html(page_of([record, record]))
+    visible = HOSTILE.replace("\x1b", r"\x1b").replace("\ud800", r"\ud800")
+    for name in ("title", "h1", "h3", "p", "li", "th", "td"):
         assert any(visible in each.text for each in page.all(name)), name
+    assert visible in several.all("h2")[0].text
     assert not {"script", "iframe", "object", "embed", "base", "form", "link"} & {each.name for each in page.all()}
     for each in page.all():
         assert not any(name.startswith("on") for name in each.attributes)
@@ -153,6 +163,33 @@ def test_everything_is_escaped_and_nothing_comes_from_elsewhere() -> None:
     policy = next(each.attributes["content"] for each in page.all("meta") if "http-equiv" in each.attributes)
     assert policy.startswith("default-src 'none';")
     assert "width=device-width" in text
+
+
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome") or ""
+FLAGS = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-sync --hide-scrollbars"
+WATCHED = """<!doctype html><title>-</title>{frames}<script>
+onload = () => document.title = [...document.querySelectorAll("iframe")].map(frame => {{
+  const page = frame.contentDocument, root = page.documentElement;
+  return [root.clientWidth, root.scrollWidth, [...page.images].filter(image => image.naturalWidth).length];
+}}).join(" ")
+</script>"""
+"""Page whose title becomes the width, the scrolled width and the number of drawn pictures of the page in each frame."""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not BROWSER, reason="no browser here")
+def test_a_browser_shows_a_page_within_360_pixels(results: Path, tmp_path: Path) -> None:
+    """In a frame of this width; the second one is a page that is too wide."""
+    page = page_of([stored_record(results / place) for place in ("one", "many", "sweep", "compared.json")])
+    documents = [page, "<p style='width: 500px; margin: 0; position: absolute; left: 0'>wide</p>"]
+    frame = '<iframe width="360" height="640" style="border: 0" srcdoc="{}"></iframe>'
+    path = tmp_path / "watched.html"
+    path.write_text(WATCHED.format(frames="".join(frame.format(escape(each)) for each in documents)))
+    command = [BROWSER, *FLAGS.split(), f"--user-data-dir={tmp_path / 'browser'}", "--dump-dom", path.as_uri()]
+    output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120.0).stdout
+    ours, wide = (words.split(",") for words in re.findall(r"<title>(.*?)</title>", output)[0].split())
+    assert ours == ["360", "360", "3"]
+    assert wide == ["360", "500", "0"]
 
 
 def flip(path: Path) -> None:

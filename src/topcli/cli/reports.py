@@ -1,4 +1,4 @@
-"""Reports on stored runs, ensembles and sweeps: what ``topcli.run`` and ``topcli.sweep`` return and pages show."""
+"""Reports on stored runs, ensembles and sweeps, which ``topcli.run`` and ``topcli.sweep`` return and pages show."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from topcli.cli.running import code_of_run
 from topcli.config.load import load
 from topcli.contracts import Outcome
 from topcli.errors import ExitCode, UsageError, counted, nearest, quoted
 from topcli.figures.figure import picture_of
-from topcli.figures.run import recorded_vectors, run_figure, run_pictures, series_of
-from topcli.figures.sweep import draw_points, points_of, usual_choices
+from topcli.figures.stored import draw_series, recorded_vectors, run_figure, series_of
+from topcli.figures.sweep import draw_sweep, points_of, usual_choices
 from topcli.runs.report import ensemble_statements, precision_note, report_tables, warning_of
 from topcli.runs.run import RunResult
 from topcli.store.results import MANIFEST, REPORT, StoredResult, intact_result
 from topcli.store.series import read_series, series_names
 from topcli.studies.report import Report, read_record
-from topcli.sweeps.store import COMPLETED, ROWS_FILE, SWEEP_FILE, intact_sweep, is_sweep, stored_sweep_file
+from topcli.sweeps.store import COMPLETED, intact_sweep, is_sweep, stored_sweep_file
 from topcli.sweeps.table import Frame, key_labels, read_rows
 from topcli.table import DASH, Table, number, plain
 
@@ -31,22 +32,41 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-ORIGIN = ("started", "ended", "commit", "dirty", "digest", "code")
+_PROVENANCE = ("started", "ended", "commit", "dirty", "digest", "code")
 """Entries of a manifest that a page shows, besides the environment."""
-FILES = (MANIFEST, REPORT, ROWS_FILE, SWEEP_FILE, "config.yaml")
-"""Files that stand for their folder, and so do files of a time series."""
 MOST_ROWS, MOST_PICTURES = 200, 6
 """Largest numbers of rows and measures of a sweep on a page."""
 
 
-def origin_of(stored: StoredResult) -> dict[str, Any]:
-    """Times, digests and versions of a manifest."""
-    times = {key: stored.manifest[key] for key in ORIGIN if stored.manifest.get(key)}
-    return times | stored.manifest["environment"]
+@dataclass(frozen=True, repr=False)
+class StoredReport(Report):
+    """Report on a result in a folder.
+
+    Attributes
+    ----------
+    stored : StoredResult
+        The folder of the result with its manifest, the description of the run or sweep.
+    """
+
+    stored: StoredResult = field(kw_only=True)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.title}: {self.answer}>"
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the result."""
+        return self.stored.folder
+
+    def record(self) -> dict[str, Any]:
+        """Everything that a page shows, with the environment in which the result was computed."""
+        manifest = self.stored.manifest
+        times = {key: manifest[key] for key in _PROVENANCE if manifest.get(key)}
+        return super().record() | {"environment": times | manifest["environment"]}
 
 
 @dataclass(frozen=True, repr=False)
-class RunReport(Report):
+class RunReport(StoredReport):
     """Report on a stored run or ensemble, as returned by ``topcli.run``.
 
     ``report[name]`` is the column called ``name`` of the series, which contains the recorded rows of the run. The
@@ -55,19 +75,10 @@ class RunReport(Report):
     Attributes
     ----------
     result : RunResult
-        The folder of the run with its manifest (the description of the run), the content of ``report.json``, and
-        ``status``.
+        The folder of the run, the content of ``report.json``, and ``status``.
     """
 
     result: RunResult = field(kw_only=True)
-
-    def __repr__(self) -> str:
-        return f"<RunReport of {self.title}: {self.answer}>"
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the run."""
-        return self.result.stored.folder
 
     @property
     def outcome(self) -> Outcome:
@@ -95,30 +106,26 @@ class RunReport(Report):
         """DataFrame of all stored rows. Raises RunError if the file is damaged."""
         import pandas as pd
 
-        return pd.DataFrame(read_series(self.result.stored.series))
+        return pd.DataFrame(read_series(self.stored.series))
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Column of the series by name, shape (m,). Raises UsageError for an unknown name."""
-        names = series_names(self.result.stored.series)
+        names = series_names(self.stored.series)
         if name not in names:
             raise UsageError(f"unknown column {quoted(name)}; {nearest(name, names)}")
-        return read_series(self.result.stored.series, [name])[name]
+        return read_series(self.stored.series, [name])[name]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of ``report.json``, with the ``folder`` and the ``status``."""
         return {"folder": str(self.folder), "status": self.status, **self.result.report}
 
-    def record(self) -> dict[str, Any]:
-        """Everything that a page shows, with the environment in which the run was computed."""
-        return super().record() | {"environment": origin_of(self.result.stored)}
-
     def picture(self, form: str) -> bytes:
         """Picture of all columns in a format, "png", "pdf" or "svg". Raises UsageError for an ensemble."""
-        figure = run_figure(self.result.stored)
+        figure = run_figure(self.stored)
         return picture_of(lambda canvas: figure.draw(canvas, figure.data()), figure.size, form)
 
 
-def run_report(result: RunResult) -> RunReport:
+def report_on_run(result: RunResult) -> RunReport:
     """Report on a finished or interrupted run or ensemble, with a sentence on each invariant as notes."""
     report, stored = result.report, result.stored
     notes = [f"{report['top_title']}; {report['scheme']}: {report['scheme_title']}; h = {report['h']}"]
@@ -134,9 +141,10 @@ def run_report(result: RunResult) -> RunReport:
         report["message"],
         report_tables(report),
         notes,
-        code=ExitCode.SUCCESS if result.outcome is Outcome.COMPLETED else ExitCode.FAILED,
+        code=code_of_run(result),
         config=stored.manifest["config"],
         draw=None if many else lambda axes, looks: _draw_last_vector(stored, axes),
+        stored=stored,
         result=result,
     )
 
@@ -145,32 +153,17 @@ def _draw_last_vector(stored: StoredResult, axes: Axes) -> None:
     """Draw the last vector of the state over time."""
     experiment = load(stored.manifest["config"])
     data = series_of(stored.series, experiment.h)
-    vectors = recorded_vectors(list(data), experiment)  # their pictures come first
-    run_pictures(data, experiment)[len(vectors) - 1](axes)
+    *_, components = recorded_vectors(list(data), experiment).values()
+    draw_series(axes, data, components, experiment)
 
 
 @dataclass(frozen=True, repr=False)
-class SweepReport(Report):
+class SweepReport(StoredReport):
     """Report on a finished sweep, as returned by ``topcli.sweep``.
 
     The report draws the first measure against the numeric key with the most values, with a curve for each scheme or
     top. ``table`` gives the rows for other plots.
-
-    Attributes
-    ----------
-    stored : StoredResult
-        The folder of the sweep with its manifest.
     """
-
-    stored: StoredResult = field(kw_only=True)
-
-    def __repr__(self) -> str:
-        return f"<SweepReport of {self.title}: {self.answer}>"
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the sweep."""
-        return self.stored.folder
 
     @property
     def outcomes(self) -> Mapping[str, int]:
@@ -193,10 +186,6 @@ class SweepReport(Report):
             "rows": table.astype(object).where(table.notna(), None).to_dict("records"),
         }
 
-    def record(self) -> dict[str, Any]:
-        """Everything that a page shows, with the environment in which the rows were computed."""
-        return super().record() | {"environment": origin_of(self.stored)}
-
     def picture(self, form: str) -> bytes:
         """Picture of the first measures in a format, "png", "pdf" or "svg". Raises UsageError if no key varies."""
         rows = read_rows(self.folder)
@@ -208,12 +197,12 @@ class SweepReport(Report):
         def draw(canvas: Any) -> None:
             grid = canvas.subplots(len(panels), 1, squeeze=False, height_ratios=heights)
             for axes, points in zip(grid[:, 0], panels, strict=True):
-                draw_points(axes, points)
+                draw_sweep(axes, points)
 
         return picture_of(draw, (5.6, sum(heights)), form)
 
 
-def sweep_report(stored: StoredResult) -> SweepReport:
+def report_on_sweep(stored: StoredResult) -> SweepReport:
     """Report on a stored sweep."""
     rows = read_rows(stored.folder)
     outcomes, choice = Counter(rows["outcome"]), next(usual_choices(rows), None)
@@ -224,18 +213,18 @@ def sweep_report(stored: StoredResult) -> SweepReport:
         [rows_table(rows)],
         code=ExitCode.SUCCESS if set(outcomes) <= {COMPLETED} else ExitCode.PARTLY_FAILED,
         config=stored_sweep_file(stored.folder).resolved(),
-        draw=None if choice is None else lambda axes, looks: draw_points(axes, points_of(rows, choice)),
+        draw=None if choice is None else lambda axes, looks: draw_sweep(axes, points_of(rows, choice)),
         stored=stored,
     )
 
 
 def rows_table(rows: Frame) -> Table:
-    """The first rows of a sweep with their keys, outcome and measures; whole numbers are counts."""
+    """The first rows of a sweep with their keys, outcome and measures."""
     keys, measures = rows.attrs["keys"], rows.attrs["measures"]
     columns = ["row", *keys, "outcome", *measures]
     first = plain(rows.head(MOST_ROWS)[columns].to_dict("records"))
     formats: dict[str, Any] = {key: partial(_label, key_labels(rows[key])) for key in keys}
-    formats |= {name: ".0f" if _whole(rows[name]) else partial(number, digits=4) for name in measures}
+    formats |= {name: _format_of(rows[name]) for name in measures}
     more = len(rows) - len(first)
     caption = f"The first {MOST_ROWS} rows; {more} more are in {rows.attrs['path']}." if more > 0 else ""
     marks = {outcome: "bad" for outcome in rows["outcome"] if outcome != COMPLETED}
@@ -246,22 +235,22 @@ def _label(labels: Mapping[Any, str], value: Any) -> str:
     return labels.get(value, DASH)
 
 
-def _whole(values: Frame) -> bool:
-    """True for a column of whole numbers, some of which may be missing."""
-    present = values.dropna()
-    return bool(len(present) and (present == np.floor(present)).all() and (abs(present) < 2.0**53).all())
+def _format_of(values: Frame) -> Any:
+    """Format of a measure: that of counts if all values are whole, some of which may be missing."""
+    counts = values.dropna().mod(1).eq(0).all() and values.abs().max() < 2.0**53
+    return ".0f" if counts else partial(number, digits=4)
 
 
 def stored_record(place: Path) -> dict[str, Any]:
-    """``Report.record`` of the result in a folder or file.
+    """``Report.record`` of the result in a folder, which any of its files stands for, or of the file of a study.
 
     Raises UsageError if there is nothing that topcli stored or the result is not finished, and RunError if it is
     damaged.
     """
-    folder = place.parent if place.name in FILES or place.suffix in (".parquet", ".csv") else place
-    if not folder.is_dir():
+    if place.suffix == ".json" and place.name not in (MANIFEST, REPORT):
         return read_record(place)
+    folder = place if place.is_dir() else place.parent
     if is_sweep(folder):
-        return sweep_report(intact_sweep(folder)).record()
+        return report_on_sweep(intact_sweep(folder)).record()
     stored = intact_result(folder)
-    return run_report(RunResult(stored, stored.report(), "up to date")).record()
+    return report_on_run(RunResult(stored, stored.report(), "up to date")).record()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import topcli
-from topcli.figures import maps, paper
+from topcli.figures import paper, schemes
 from topcli.figures.figure import canvas_of
 
 
@@ -18,24 +18,24 @@ def test_chaos_appears_with_the_step_size_in_one_map_only(monkeypatch: pytest.Mo
     for name, value in {
         "MAP_SIZE": 4,
         "MAP_STEPS": 200,
-        "STEPS": 4000,
+        "ORBIT_STEPS": 4000,
         "ORBITS": 64,
         "STEP_SIZES": (0.05, 0.8),
     }.items():
-        monkeypatch.setattr(maps, name, value)
-    columns = maps.chaos()
+        monkeypatch.setattr(schemes, name, value)
+    columns = schemes.chaos()
     assert len(columns["map:exponent"]) == 16
     low, high = columns["share:HK, Kowalevski"]
     assert low < 0.05 < 0.2 < high
     assert not columns["share:HK, Lagrange"].any()
     assert not columns["share:Bäcklund, Kowalevski"].any()
-    canvas_of(partial(maps.draw_chaos, columns=columns), (7.0, 2.9))
+    canvas_of(partial(schemes.draw_chaos, columns=columns), (7.0, 2.9))
 
 
 @pytest.mark.slow
 def test_points_of_the_map_lie_on_the_torus_and_those_of_hk_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(maps, "MAP_POINTS", 30_000)
-    columns = maps.torus_points()
+    monkeypatch.setattr(schemes, "MAP_POINTS", 30_000)
+    columns = schemes.torus_points()
     states = topcli.simulate("kowalevski_generic_backlund", N=29_999).states
     near = states[np.abs(states[:, 0]) < 0.01]
     np.testing.assert_array_equal(columns["backlund:gamma2"], near[:, 4])
@@ -49,15 +49,15 @@ def test_points_of_the_map_lie_on_the_torus_and_those_of_hk_do_not(monkeypatch: 
     assert distances("backlund").max() < 0.03  # the thickness of the section, and the gaps of the flow's points
     assert np.median(distances("hk")) > 0.2
     canvas = canvas_of(
-        partial(maps.draw_torus_points, columns={**columns, "hk:points": np.array([21_499])}), (7.0, 3.8)
+        partial(schemes.draw_torus_points, columns={**columns, "hk:points": np.array([21_499])}), (7.0, 3.8)
     )
     assert canvas.axes[1].get_title(loc="left") == "(b) HK: 21,499 points, then lost"
 
 
 def test_energies_are_the_largest_deviations_of_the_runs_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the formula of the energy, for one scheme of each scene; the control drifts."""
-    monkeypatch.setattr(maps, "ENERGY_STEPS", 1 << 10)
-    columns = maps.long_energy()
+    monkeypatch.setattr(schemes, "ENERGY_STEPS", 1 << 10)
+    columns = schemes.long_energy()
     y = topcli.simulate("kowalevski_generic_hk", scheme="splitting", h=0.05, N=1024).states
     energy = y[:, 0] ** 2 + y[:, 1] ** 2 + 0.5 * y[:, 2] ** 2 + y[:, 3]
     off = np.abs(energy - energy[0]) / (0.49 + 0.16 + 0.5 * 1.69 + 0.6)
@@ -68,7 +68,7 @@ def test_energies_are_the_largest_deviations_of_the_runs_so_far(monkeypatch: pyt
     np.testing.assert_allclose(columns["kowalevski_generic_hk:splitting"], largest, rtol=1e-9)
     assert np.nanmax(columns["euler_hk:dmv"]) < 1e-13
     assert columns["euler_hk:rk4"][-1] > 2.0 * columns["euler_hk:rk4"][-13]
-    canvas_of(partial(maps.draw_long_energy, columns=columns), (7.0, 3.2))
+    canvas_of(partial(schemes.draw_long_energy, columns=columns), (7.0, 3.2))
 
 
 @pytest.mark.slow

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 import topcli
 from reading_html import read_html
 from stored_results import BASE, START
+from topcli.cli.reports import RunReport
 from topcli.errors import RunError, UnknownNameError, UsageError
-from topcli.show.results import RunReport
 from topcli.store.series import read_series
 from topcli.studies.report import PICTURES, Report
 

@@ -1,4 +1,4 @@
-"""Figures of what maps keep and lose: chaos, points on a torus, energies over a long time, modified integrals.
+"""Figures of what schemes conserve and cost: chaos, points on a torus, energies, modified integrals, CPU time.
 
 The HK scheme of Kowalevski's top is not an integrable map: with the step size, chaotic orbits appear and spread. That
 of Lagrange's top is integrable, and so is ``backlund``.
@@ -6,6 +6,7 @@ of Lagrange's top is integrable, and so is ``backlund``.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,15 +14,17 @@ import numpy as np
 from topcli.analysis.lyapunov import Growth, growth_of, shares_of_chaos
 from topcli.contracts import Array
 from topcli.engine.consumers import energy_of
-from topcli.figures.figure import Columns, figure
-from topcli.figures.labels import labelled, legend_above, legend_below
-from topcli.figures.style import DASHES, MARKERS, looks
+from topcli.figures.figure import Columns, NothingMeasuredError, figure
+from topcli.figures.style import DASHES, MARKERS, labelled, legend_above, legend_below, looks
 from topcli.runs.simulate import simulate
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import find_scheme
+from topcli.store.sources import digest_of_texts
+from topcli.studies.bench import draw_points
+from topcli.studies.report import read_record
 from topcli.tops import TOPS
 
-STEPS = 10_000
+ORBIT_STEPS = 10_000
 """Steps of an orbit: 97 % of the verdicts are those of orbits 20 times longer (``benchmarks/indicators.py``)."""
 MAP_STEPS, MAP_SIZE = 4_000, 100
 ORBITS = 1024
@@ -95,7 +98,7 @@ def chaos() -> Columns:
     columns |= {"map:exponent": np.concatenate(rows), "h": np.array(STEP_SIZES)}
     y = random_orbits(ORBITS)
     for label in MAPS:
-        shares = [chaotic_share(_growth(label, h, STEPS, y)) for h in STEP_SIZES]
+        shares = [chaotic_share(_growth(label, h, ORBIT_STEPS, y)) for h in STEP_SIZES]
         columns[f"share:{label}"], columns[f"error:{label}"] = map(np.array, zip(*shares, strict=True))
     return columns
 
@@ -201,7 +204,48 @@ def draw_modified(canvas: Any, columns: Columns) -> None:
 
 
 @figure("modified", "Euler top, HK: an integral, and modified integrals that HK conserves", draw_modified)
-def modified() -> Columns:
+def modified_integrals() -> Columns:
     """Times, an integral and two modified integrals."""
     run = simulate("euler_hk", ["h=0.1", "N=1000"])
     return {"t": run.t, **{name: run[name] for name in MODIFIED}}
+
+
+FOLDER = Path("results") / "bench"
+"""Folder of the reports, ``topcli bench --save results/bench/NAME.json``; there is a panel for each."""
+POINT_KEYS = ("scheme", "peer", "error", "seconds", "set_up")
+"""Keys of the points that are drawn."""
+
+
+def draw_work_precision(canvas: Any, columns: Columns) -> None:
+    """Draw a panel for each scene: our fastest schemes in colours, others in grey."""
+    titles = list(dict.fromkeys(key.partition("|")[0] for key in columns))
+    rows = -(-len(titles) // 2)
+    canvas.set_size_inches(7.0, 1.0 + 2.8 * rows)
+    for i, title in enumerate(titles, 1):
+        values = zip(*(columns[f"{title}|{key}"] for key in POINT_KEYS), strict=True)
+        axes = canvas.add_subplot(rows, min(2, len(titles)), i)
+        draw_points([dict(zip(POINT_KEYS, row, strict=True)) for row in values], axes, looks)
+        axes.set_title(title, loc="left")
+    legend_below(canvas, 3)
+
+
+def stored_digests() -> str:
+    """Digest of the stored reports."""
+    return digest_of_texts(file.read_text(encoding="utf-8") for file in sorted(FOLDER.glob("*.json")))
+
+
+@figure("work-precision", "CPU time against error, of topcli and others", draw_work_precision, takes=stored_digests)
+def work_precision() -> Columns:
+    """Points of all curves, ``scene|key``.
+
+    Raises NothingMeasuredError if no benchmark is stored.
+    """
+    records = [read_record(file) for file in sorted(FOLDER.glob("*.json"))]
+    if not records:
+        raise NothingMeasuredError(f"no report in {FOLDER}; topcli bench --save {FOLDER / 'NAME.json'} writes one")
+    scenes = {record["config"]["name"]: record["tables"][-1]["rows"] for record in records}
+    return {
+        f"{name}|{key}": np.array(["" if row[key] is None else row[key] for row in rows])
+        for name, rows in scenes.items()
+        for key in POINT_KEYS
+    }

@@ -1,1 +1,0 @@
-"""Python functions of the commands, which return results with a table, a plot and files."""
