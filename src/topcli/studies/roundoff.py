@@ -33,7 +33,7 @@ from topcli.engine.timing import nanoseconds_per_step
 from topcli.errors import ExitCode, UsageError, counted
 from topcli.runs.simulate import simulate
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import SCHEME, entry_named, refuse_keys, scene_of
+from topcli.studies.entries import SCENE, SCHEME, entry_named, refuse_keys
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
 
@@ -69,7 +69,7 @@ def roundoff(
     scheme : str
         Name of a scheme, with options if needed.
     config : path, str or mapping, optional
-        Config of the experiment; by default, a packaged scene at h = 0.01.
+        Config of the experiment; by default, a generic motion of the Kowalevski top at h = 0.01.
     overrides : sequence of str, optional
         Override a key of the config, e.g. h=0.01 or top.c0=-1.
     steps : int, optional
@@ -104,7 +104,7 @@ def roundoff(
     if copies < 2:
         raise UsageError(f"--copies {copies}: must be at least 2")
     refuse_keys(overrides, {**SCHEME, **dict.fromkeys("NT", "the number of steps is set by --steps")})
-    scene, first = (scene_of([scheme]), ["h=0.01"]) if config is None else (config, [])
+    scene, first = (SCENE, ["h=0.01"]) if config is None else (config, [])
     base = load_experiment(scene, [*first, *overrides])
     blocks = min(BLOCKS, steps // ROWS)
     every = steps // (blocks * ROWS)
