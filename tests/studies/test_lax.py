@@ -7,15 +7,15 @@ import pytest
 import topcli
 from cases import table_of
 from declared import random_heavy_tops
-from topcli.analysis.lax import (
+from topcli.contracts import EulerPoisson, Floats
+from topcli.errors import UsageError
+from topcli.studies.lax import (
     block_form,
     lagrange_form,
     lax_forms,
     manakov_form,
     spectral_content,
 )
-from topcli.contracts import EulerPoisson, Floats
-from topcli.errors import UsageError
 from topcli.tops.heavy import Heavy
 
 EULER = EulerPoisson((2.0, 1.5, 1.0), (0.0, 0.0, 0.0))
