@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from topcli.store.result_folder import Identity, ResultFolder
+from topcli.store.identity import Identity
+from topcli.store.result_folder import ResultFolder
 from topcli.store.table import GrowingTable
 
 NAME = "odd [name] 'ü' 100%"

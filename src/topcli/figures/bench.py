@@ -10,7 +10,7 @@ import numpy as np
 from topcli.figures.figure import Columns, NothingMeasuredError, figure
 from topcli.figures.labels import legend_below
 from topcli.figures.style import looks
-from topcli.store.sources import digest_of_texts
+from topcli.store.identity import digest_of_texts
 from topcli.studies.bench import draw_points
 from topcli.studies.report import read_record
 

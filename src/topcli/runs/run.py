@@ -17,12 +17,12 @@ from topcli.contracts import Outcome
 from topcli.engine.drive import Chunk, drive
 from topcli.errors import RunError
 from topcli.plugins import own_sources
-from topcli.runs.identity import identity_of
 from topcli.runs.plans import plans
 from topcli.runs.recording import Recording
 from topcli.store.files import json_text
+from topcli.store.identity import Identity, identity_of
 from topcli.store.provenance import git_commit, now
-from topcli.store.result_folder import Identity, ResultFolder, being_computed
+from topcli.store.result_folder import ResultFolder, being_computed
 from topcli.store.results import SWEEP, StoredResult, intact_result, stored_results
 from topcli.tops import top_origin
 

@@ -27,7 +27,7 @@ from topcli.plugins import (
     sources_of,
     users_error,
 )
-from topcli.store.sources import digest_of_texts, package_digest
+from topcli.store.identity import digest_of_texts, package_digest
 from topcli.sweeps.batch import Measuring, evaluate
 from topcli.sweeps.measures import resolve_measures
 from topcli.sweeps.store import FAILED, StoredRow
