@@ -14,7 +14,7 @@ import topcli
 from stored_results import BASE, START
 from test_golden_numbers import repeatable
 from topcli.config.load import load, scene_files
-from topcli.sweeps.table import read_rows, sweep_table
+from topcli.sweeps.aggregates import read_rows, sweep_table
 
 DRAWS = {
     "sphere": {"omega": {"sphere": 2.0}, "gamma": "sphere"},

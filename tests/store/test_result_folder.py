@@ -29,7 +29,7 @@ STATUS = ("ran", "continued", "up to date")
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topcli.store.table.ROW_GROUP", 40)
+    monkeypatch.setattr("topcli.store.growing_table.ROW_GROUP", 40)
     monkeypatch.setattr(result_folder, "LOOK_SECONDS", 0.001)
     monkeypatch.setattr(os, "fsync", lambda handle: None)
 

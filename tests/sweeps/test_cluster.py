@@ -51,7 +51,7 @@ def test_rows_of_a_cluster_are_those_of_threads_and_a_row_that_kills_its_worker_
     sweep(tmp_path / "there", MANY, dask="local:1")
     assert table(tmp_path / "there") == table(tmp_path / "here")
     (tmp_path / "killer.py").write_text(KILLER)
-    monkeypatch.setattr("topcli.sweeps.run.BATCH_ROWS", 4)
+    monkeypatch.setattr("topcli.sweeps.run_sweep.BATCH_ROWS", 4)
     grid = {"initial.omega1": [0.1 * k for k in range(1, 9)]}
     with unchanged_tables():
         load_plugin_file(tmp_path / "killer.py")

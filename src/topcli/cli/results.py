@@ -146,7 +146,7 @@ def table_of_sweep(
     screen: Screen,
 ) -> CommandResult:
     """Table of measures of a sweep. Raises UsageError."""
-    from topcli.sweeps.table import names_hint, read_rows, sweep_table
+    from topcli.sweeps.aggregates import names_hint, read_rows, sweep_table
 
     frame = read_rows(folder, where)
     if not (rows and value):
@@ -297,7 +297,7 @@ def figure_of_sweep(places: Sequence[str], axes: dict[str, Any], results: Path) 
     """The figure of a sweep that the options describe."""
     from topcli.figures.sweep import Choice, sweep_figure
     from topcli.store.files import sha256_of
-    from topcli.sweeps.table import names_hint, read_rows
+    from topcli.sweeps.aggregates import names_hint, read_rows
 
     if len(places) != 1:
         raise UsageError(

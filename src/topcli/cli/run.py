@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from topcli.config.models import Experiment
     from topcli.config.sweep import Sweep
     from topcli.runs.run import RunOptions, RunResult
-    from topcli.sweeps.run import SweepResult
+    from topcli.sweeps.run_sweep import SweepResult
 
 PRINTED_FAILURES = PRINTED_ROWS = 20
 LISTED_ROWS = 1000
@@ -210,7 +210,7 @@ def sweep(
         Use a Dask cluster: tcp://host:port, or local:4 (4 workers).
     """
     from topcli.config.sweep import load_sweep
-    from topcli.sweeps.run import SweepOptions, run_sweep
+    from topcli.sweeps.run_sweep import SweepOptions, run_sweep
 
     if dask is not None and threads is not None:
         raise UsageError("--threads cannot be used with --dask; each worker has its own number of threads")
@@ -244,7 +244,7 @@ def sweep(
 
 def plan_of_sweep(sweep: Sweep, out: Path, screen: Screen) -> CommandResult:
     """Rows that would be run, the first of them with their keys."""
-    from topcli.sweeps.run import planned
+    from topcli.sweeps.run_sweep import planned
 
     plan, waiting = planned(sweep, out)
     rows, to_run, folder = len(plan.digests), int(waiting.sum()), out / sweep.name

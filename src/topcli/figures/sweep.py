@@ -15,8 +15,8 @@ from topcli.figures.labels import escaped, labelled
 from topcli.figures.style import looks
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
+from topcli.sweeps.aggregates import SPREADS, Frame, require_names, sweep_table
 from topcli.sweeps.measures import in_words
-from topcli.sweeps.table import SPREADS, Frame, require_names, sweep_table
 
 KEYS_IN_WORDS = {"h": "step size h", "N": "number of steps N", "T": "time T"}
 """Keys of a config in words."""

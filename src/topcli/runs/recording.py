@@ -20,7 +20,7 @@ from topcli.engine.integration import Integration
 from topcli.engine.rows import Plan, Rows
 from topcli.runs.plans import search_of
 from topcli.runs.report import ensemble_report, quantity_rows, run_report
-from topcli.store.table import GrowingTable
+from topcli.store.growing_table import GrowingTable
 
 _Columns = dict[str, NDArray[Any]]
 

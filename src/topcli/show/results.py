@@ -13,7 +13,7 @@ from topcli.runs.run import RunOptions, run_experiment
 from topcli.show.progress import Progress
 from topcli.show.reports import RunReport, SweepReport, run_report, sweep_report
 from topcli.store.results import read_result
-from topcli.sweeps.run import SweepOptions, run_sweep
+from topcli.sweeps.run_sweep import SweepOptions, run_sweep
 
 
 def run(

@@ -14,7 +14,7 @@ import pytest
 from cases import table_of
 from sweep_rows import write_rows
 from topcli.errors import RunError, UsageError
-from topcli.sweeps.table import SweepTable, aggregate_of, cell_text, key_labels, read_rows, sweep_table
+from topcli.sweeps.aggregates import SweepTable, aggregate_of, cell_text, key_labels, read_rows, sweep_table
 
 SCHEMES, SIZES, SEEDS = ("hk", "a_b"), (0.1, 0.01, 1e-7), (1, 2, 3, 4)
 ROWS = list(product(SCHEMES, SIZES, SEEDS))
