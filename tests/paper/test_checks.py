@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from topcli.paper import checks, formulas
-from topcli.paper.numbers import I_UNIT, MP, Draws, exact, phase, plane, vector_product
+from topcli.paper.numbers import I_UNIT, MP, Draws, exact, plane, unit_complex, vector_product
 from topcli.tops.euler import Euler
 
 WRONG = "does not hold as stated"
@@ -57,7 +57,7 @@ def still(old: Any, new: Any) -> Any:
 
 def euler_rule(c0: Any, h: Any, old: Any, new: Any) -> Any:
     """Bohlin's equation with the old angular velocity alone."""
-    return [formulas.bohlin_equation(c0, phase(-h * old[2]), old, new)]
+    return [formulas.bohlin_equation(c0, unit_complex(-h * old[2]), old, new)]
 
 
 ROUND = "rational top.A=1 top.B=1 top.C=1"

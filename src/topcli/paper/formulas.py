@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from topcli.paper.numbers import I_UNIT, SMALL, Array60, commutator, conj, exact, phase, plane, vector_product
+from topcli.paper.numbers import I_UNIT, SMALL, Array60, commutator, conj, exact, plane, unit_complex, vector_product
 
 HeavyTop = tuple[Array60, Array60]
 """Moments of inertia and gravity."""
@@ -480,4 +480,4 @@ def kepler(w: Array60, v: Array60) -> Any:
 
 def trapezoidal(c0: Any, h: Any, old: Array60, new: Array60) -> Any:
     """Bohlin's equation xi' = e^{-i chi} xi with chi = h/2 (omega_3' + omega_3), section 3.2.2 (2)."""
-    return [bohlin_equation(c0, phase(-h / 2 * (new[2] + old[2])), old, new)]
+    return [bohlin_equation(c0, unit_complex(-h / 2 * (new[2] + old[2])), old, new)]

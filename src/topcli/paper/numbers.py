@@ -42,7 +42,7 @@ def plane(v: Any) -> Any:
     return v[0] + 1j * v[1] if isinstance(v[0], np.ndarray) else MP.mpc(v[0], v[1])
 
 
-def phase(angle: Any) -> Any:
+def unit_complex(angle: Any) -> Any:
     """Complex number e^{i angle}."""
     return np.exp(1j * angle) if isinstance(angle, np.ndarray) else MP.expj(angle)
 
