@@ -96,9 +96,9 @@ def test_sweep(tmp_path: Path) -> None:
     for aggregate in ("median", "mean", "max"):
         pivot = sweep_table(rows, ["scheme"], "h", ["max_error"], aggregate)
         data[aggregate] = {
-            "title": pivot.title,
-            "lines": [pivot.cells.header, *pivot.cells.lines],
-            "notes": pivot.notes,
+            "title": pivot.heading,
+            "lines": [pivot.cells().header, *pivot.cells().lines],
+            "notes": [pivot.caption],
             "csv": pivot.text("csv").splitlines(),
             "latex": pivot.text("latex").splitlines(),
         }

@@ -152,9 +152,7 @@ def table_of_sweep(
     if not (rows and value):
         raise UsageError(f"{folder}: is a sweep; give --rows KEY and --value MEASURE", names_hint(frame))
     table = sweep_table(frame, list(rows), columns, list(value), aggregate)
-    screen.show(table.cells if form == "text" else table.text(form).removesuffix("\n"))
-    for note in table.notes:
-        screen.warn(note)
+    screen.show(table.cells() if form == "text" else table.text(form).removesuffix("\n"))
     return CommandResult(table.as_dict())
 
 
