@@ -12,9 +12,8 @@ import pytest
 
 from topcli.errors import RunError
 from topcli.store import growing_table
-from topcli.store.envelope import envelope
 from topcli.store.growing_table import GrowingTable
-from topcli.store.series import read_metadata, read_series
+from topcli.store.series import envelope, read_metadata, read_series
 
 VALUES = [0.0, -0.0, 0.1, -1e-308, 5e-324, 1.7976931348623157e308, np.inf, -np.inf, np.nan, 1 / 3, 2.0**53 + 2, -7.0]
 
@@ -126,7 +125,7 @@ def thinned(folder: Path, suffix: str, data: dict[str, np.ndarray], stretches: i
 def test_a_picture_keeps_the_extremes_of_every_stretch(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("topcli.store.envelope.PIECE", 4000)
+    monkeypatch.setattr("topcli.store.series.PIECE", 4000)
     noise = np.random.default_rng(5).normal(size=ROWS)
     noise[::2] = np.nan  # which hides no extreme
     data = {"t": np.arange(ROWS) * 0.1, "a": noise, "b": np.arange(ROWS) % 977.0}

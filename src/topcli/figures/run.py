@@ -16,9 +16,8 @@ from topcli.contracts import Array
 from topcli.errors import UsageError
 from topcli.figures.figure import Columns, Drawing, Figure
 from topcli.figures.labels import column_label, escaped, labelled, legend_above, scheme_label
-from topcli.store.envelope import envelope
 from topcli.store.results import StoredResult
-from topcli.store.series import INTEGERS, WORDS, series_names
+from topcli.store.series import INTEGERS, WORDS, envelope, series_names
 
 IN_WORDS = {"omega": "angular velocity ω", "gamma": "vertical γ in the body", "m": "angular momentum m"}
 """Vectors of a state in words."""
