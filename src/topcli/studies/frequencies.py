@@ -21,8 +21,6 @@ from topcli.table import two_digits
 
 MOST_ROWS = 1 << 22
 """Largest number of rows of an orbit."""
-RESOLUTION = 70
-"""Distance of two lines, in cycles over the whole orbit, from which on neither shifts the other by 1e-13 of a cycle."""
 
 
 def frequencies(
@@ -53,7 +51,9 @@ def frequencies(
     Returns
     -------
     Report
-        ``table`` has a row for each measured column.
+        ``table`` has a row for each measured column: the frequency of the strongest line of its spectrum in cycles per
+        unit of time, its change from the first half of the orbit to the second, and the digits to which averages over
+        the halves agree.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def frequencies(
     first = Rows(next(plans(experiment)), np.zeros(1, dtype=np.int64), np.array([experiment.y0], dtype=float))
     first.columns(names)
     watch.begin("frequencies", experiment)
-    orbit, T, spacing = trajectory_of(experiment), experiment.N * experiment.h, experiment.h * experiment.output.every
+    orbit, spacing = trajectory_of(experiment), experiment.h * experiment.output.every
     subject = f"{experiment.scheme.name} on {experiment.name}: {experiment.top.title}"
     title = f"{subject}, h = {experiment.h:g}, N = {experiment.N}"
     measured, notes, answer, errors = [], [], "", []
@@ -90,13 +90,6 @@ def frequencies(
         measured = plain([_line(name, orbit[name], spacing) for name in names])
         judged = [row for row in measured if row["digits"] is not None]
         answer, notes = _answer(judged), _slow(judged)
-        notes += [
-            "frequency: strongest line of the spectrum, in cycles per unit time; change: frequency of the second half "
-            "of the orbit minus that of the first; digits: number of digits to which the averages over the halves "
-            "agree",
-            f"limits of {rows} rows over T = {T:g}: a frequency above {0.5 / abs(spacing):g} appears as a lower one, "
-            f"and two lines closer than about {RESOLUTION / abs(T):.2g} disturb each other",
-        ]
     formats = {"frequency": ".12g", "period": ".6g", "change": two_digits, "digits": ".1f"}
     code = ExitCode.FAILED if errors else ExitCode.SUCCESS
     tables = [Table("Frequencies", measured, formats)]

@@ -48,12 +48,6 @@ WEIGHTS = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
 RANK_TOLERANCE = 1e-9
 _ROWS = 1000
 """Largest number of states of a run that are used."""
-NO_PAIR = (
-    "block: no Lax pair: dL/dt = [M, L] holds for every top, integrable or not: it is another form of the "
-    "Euler-Poisson equations. Conjugation conserves the block traces of L^k, of the diagonal and of the upper 3x3 "
-    "block. They contain only γ² and m·γ, neither the energy nor a fourth integral; the trace tr L^k of the 6x6 matrix "
-    "contains γ² alone"
-)
 
 
 @dataclass(frozen=True)
@@ -97,7 +91,10 @@ def _hat(v: Array) -> Matrices:
 
 
 def block_form(equations: EulerPoisson) -> LaxForm:
-    """The paper's form (Gamma M; 0 Gamma), (Omega G; 0 Omega), which every top has, integrable or not."""
+    """The paper's form (Gamma M; 0 Gamma), (Omega G; 0 Omega), which every top has, integrable or not.
+
+    It is another form of the Euler-Poisson equations and no Lax pair: its traces contain gamma² and m.gamma alone.
+    """
     I, G = np.array(equations.moments), _hat(np.array([equations.gravity]))  # noqa: E741
 
     def matrix(diagonal: Matrices, upper: Matrices) -> Matrices:
@@ -303,7 +300,7 @@ def lax(
     title = f"{experiment.name}: {body.title}, h = {h:g}, N = {N}"
     tables = [Table("Lax forms", table), Table("Drift of the spectrum", runs)]
     code = ExitCode.FAILED if errors else ExitCode.SUCCESS
-    return Report("lax", title, answer, tables, [NO_PAIR], errors, code, experiment.resolved())
+    return Report("lax", title, answer, tables, (), errors, code, experiment.resolved())
 
 
 def _with_gamma(states: Array) -> Array:
