@@ -134,5 +134,5 @@ def test_infinite_values_count_as_the_largest(numbers: tuple[float, ...], median
 
 
 def test_labels_of_keys_are_short_and_different() -> None:
-    assert list(key_labels(pd.Series([0.1, 1e-7, 1 / 3])).values()) == ["0.1", "1e-7", "0.333"]
-    assert list(key_labels(pd.Series([1 / 3, 0.333, 2 / 3])).values()) == ["0.3333", "0.333", "0.6667"]
+    assert list(key_labels(pd.Series([0.1, 1e-7, 3e12, 1 / 3])).values()) == ["0.1", "1e-7", "3e12", "0.333333"]
+    assert list(key_labels(pd.Series([1 / 3, 0.333333])).values()) == ["0.3333333333333333", "0.333333"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -83,25 +84,14 @@ def require_names(rows: Frame, kind: str, names: Sequence[str], options: str) ->
 
 
 def key_labels(values: Frame) -> dict[Any, str]:
-    """Text of each different value of a key, in the order of their first appearance.
+    """Text of each different value of a key, in the order of their first appearance; numbers with up to six digits.
 
-    Numbers of up to six digits are written in full, longer ones with three digits, or as many as keep them apart.
+    All digits are written if these do not tell the values apart.
     """
-    different, labels = values.unique().tolist(), {}
-    for digits in range(3, 18):
-        labels = {value: _label(value, digits) for value in different}
-        if len(set(labels.values())) == len(labels):
-            break
-    return labels
-
-
-def _label(value: Any, digits: int) -> str:
-    if not isinstance(value, float):
-        return str(value)
-    short = f"{value:.6g}"
-    text = short if float(short) == value else f"{value:.{digits}g}"
-    mantissa, e, exponent = text.partition("e")
-    return f"{mantissa}e{int(exponent)}" if e else text
+    different, texts = values.unique().tolist(), []
+    for value in different:
+        texts.append(re.sub(r"e\+?(-?)0*", r"e\1", f"{value:.6g}") if isinstance(value, float) else str(value))
+    return dict(zip(different, texts if len({*texts}) == len(texts) else map(str, different), strict=True))
 
 
 def aggregate_of(values: Frame, aggregate: str) -> tuple[float, ...]:

@@ -22,7 +22,7 @@ from topcli.analysis.lyapunov import LEAST_STEPS, shares_of_chaos
 from topcli.analysis.order import probe_rows
 from topcli.analysis.swings import first_swing_spacing
 from topcli.analysis.tally import OF_INVARIANT
-from topcli.contracts import Array, Sampler, Scheme, Top
+from topcli.contracts import Array, Scheme, Top
 from topcli.engine.tangent import tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
@@ -195,24 +195,13 @@ def measured_columns(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     return [*top.components, *integral_names(top, scheme, options)]
 
 
-_COUNTED: dict[tuple[Scheme, ...], list[str]] = {}
-"""Names of the events that the schemes of a top count."""
-
-
-def _counters(top: Top, scheme: Scheme, options: BaseModel) -> tuple[str, ...]:
-    method = scheme.build(top, options)
-    return () if isinstance(method, Sampler) else method.counters
-
-
 def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     """Names of the events that the scheme or another one of the top counts."""
-    others = tuple(schemes_of(top.form))
-    if others not in _COUNTED:
-        _COUNTED[others] = names = []
-        for other in others:
-            with without_users_errors():
-                names += _counters(top, other, other.options())
-    return list(dict.fromkeys([*_counters(top, scheme, options), *_COUNTED[others]]))
+    names = list[str]()
+    for each, chosen in ((scheme, options), *((other, other.options()) for other in schemes_of(top.form))):
+        with without_users_errors():
+            names += getattr(each.build(top, chosen), "counters", ())  # a closed form counts nothing
+    return list(dict.fromkeys(names))
 
 
 def fitting_measures(top: Top, scheme: Scheme, options: BaseModel, quantities: Sequence[str] = ()) -> Iterator[Measure]:
