@@ -18,7 +18,6 @@ from topcli.engine.drive import Orbit
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress import (
     CASES,
-    GENERIC,
     LIMIT,
     OK,
     OUTLIVED,
@@ -38,6 +37,7 @@ from topcli.studies.stress import (
     swings,
     verdict_of,
 )
+from topcli.testing import GENERIC
 from topcli.tops.euler import Euler
 from topcli.tops.heavy import Heavy
 from topcli.tops.kowalevski import Kowalevski

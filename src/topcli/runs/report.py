@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.tally import DEVIATIONS, FIGURES, QUANTILES
+from topcli.analysis.tally import DEVIATIONS, QUANTILES, QUANTITY_FIGURES
 from topcli.analysis.verdict import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, InvariantRow
 from topcli.contracts import Array, Ending, Outcome
 from topcli.engine.endings import Endings
@@ -54,8 +54,8 @@ def invariant_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 def report_tables(report: Mapping[str, Any]) -> list[Table]:
     """Tables of the content of ``report.json``: invariants, and the user's own observables."""
     invariants = ensemble_table if report.get("kind") == "ensemble" else invariant_table
-    quantities = [{key: row[key] for key in ("name", *FIGURES)} for row in report.get("quantities", ())]
-    formats: dict[str, Format] = dict.fromkeys(FIGURES, ten_digits)
+    quantities = [{key: row[key] for key in ("name", *QUANTITY_FIGURES)} for row in report.get("quantities", ())]
+    formats: dict[str, Format] = dict.fromkeys(QUANTITY_FIGURES, ten_digits)
     observables = [Table("Quantities", quantities, formats, names={"name": "quantity"})] if quantities else []
     return [invariants(report["invariants"]), *observables]
 
@@ -196,7 +196,7 @@ def quantity_rows(
     join, rows = {"min": np.min, "max": np.max}, []
     for quantity in quantities:
         row: dict[str, Any] = {"name": quantity.name, "formula": quantity.formula}
-        for figure in FIGURES:
+        for figure in QUANTITY_FIGURES:
             values = figures[f"{figure}.{quantity.name}"]
             values = values if crossings is None else values[crossings > 0]
             row[figure] = float(join.get(figure, np.mean)(values)) if len(values) else math.nan
