@@ -123,7 +123,7 @@ def _computed(experiment: Experiment, folder: ResultFolder, identity: Identity, 
 
 
 def _integrated(recording: Recording, state: State, save: Checkpoints, options: RunOptions) -> Integration:
-    """Last plan, or the interrupted one, after integrating those that the checkpoint ``state`` does not count as done."""
+    """Last plan, or the interrupted one, after integrating those that the checkpoint ``state`` leaves to do."""
     experiment, begun = recording.experiment, int(state.pop("plan", np.array(0)))
     count, run = experiment.ensemble.count if experiment.ensemble else 1, None
     for number, plan in enumerate(plans(experiment)):
