@@ -147,5 +147,5 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("ROWS", 640), ("ROWS_ALONE", 16), ("CHUNK_STEPS", 16)):
         monkeypatch.setattr(f"topcli.engine.integration.{name}", value)
     for name, value in (("ROW_GROUP", 40),):
-        monkeypatch.setattr(f"topcli.store.table.{name}", value)
+        monkeypatch.setattr(f"topcli.store.growing_table.{name}", value)
     monkeypatch.setattr(os, "fsync", lambda handle: None)

@@ -27,7 +27,7 @@ from topcli.cli.running import code_of_sweep
 from topcli.config.files import scene_files
 from topcli.config.load import load_experiment
 from topcli.store.series import read_series
-from topcli.sweeps.run import SweepResult
+from topcli.sweeps.run_sweep import SweepResult
 
 Cli = Callable[..., Said]
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")

@@ -13,7 +13,7 @@ from config_texts import BASE, BASE_TOML, CONFIGS, ENSEMBLE_TEXT, SWEEP_TEXT, wr
 from topcli.config.load import load, load_experiment
 from topcli.config.sweep import load_sweep
 from topcli.errors import TopcliError
-from topcli.sweeps.run import sweep_plan
+from topcli.sweeps.run_sweep import sweep_plan
 
 
 def load_any_precision(path: Path) -> object:

@@ -19,7 +19,7 @@ from sweep_rows import write_rows
 from topcli.errors import UsageError
 from topcli.figures.figure import canvas_of
 from topcli.figures.sweep import Choice, draw_sweep, is_geometric, points_of, scale_of
-from topcli.sweeps.table import read_rows
+from topcli.sweeps.aggregates import read_rows
 
 SCHEMES = {"hk": 2.0, "rk4": 4.0, "bohlin-a": 1.0}
 SIZES = [0.1 * 2.0**-k for k in range(9)]

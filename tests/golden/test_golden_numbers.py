@@ -15,8 +15,8 @@ import golden
 from made_up import report_on
 from test_golden_tables import measured
 from topcli.analysis.order import convergence
-from topcli.analysis.roundoff import growth
 from topcli.analysis.swings import first_swing_spacing, minima_times
+from topcli.studies.roundoff import growth
 
 UNREPEATABLE = (
     "second",

@@ -14,7 +14,7 @@ import topcli
 from stored_results import BASE, START
 from test_golden_numbers import repeatable
 from topcli.config.load import load, scene_files
-from topcli.sweeps.table import read_rows, sweep_table
+from topcli.sweeps.aggregates import read_rows, sweep_table
 
 DRAWS = {
     "sphere": {"omega": {"sphere": 2.0}, "gamma": "sphere"},
@@ -96,9 +96,9 @@ def test_sweep(tmp_path: Path) -> None:
     for aggregate in ("median", "mean", "max"):
         pivot = sweep_table(rows, ["scheme"], "h", ["max_error"], aggregate)
         data[aggregate] = {
-            "title": pivot.title,
-            "lines": [pivot.cells.header, *pivot.cells.lines],
-            "notes": pivot.notes,
+            "title": pivot.heading,
+            "lines": [pivot.cells().header, *pivot.cells().lines],
+            "notes": [pivot.caption],
             "csv": pivot.text("csv").splitlines(),
             "latex": pivot.text("latex").splitlines(),
         }

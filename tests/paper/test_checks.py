@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from topcli.paper import checks, formulas
-from topcli.paper.numbers import I_UNIT, MP, Draws, cross, exact, plane, turned
+from topcli.paper.numbers import I_UNIT, MP, Draws, exact, plane, unit_complex, vector_product
 from topcli.tops.euler import Euler
 
 WRONG = "does not hold as stated"
@@ -43,7 +43,7 @@ def implicit_c(new: Any, turn: Any, c: Any) -> Any:
 
 def implicit_bohlin(new: Any, c0: Any, turn: Any, old: Any, e: Any) -> Any:
     """The root as the unknown."""
-    return [formulas.bohlin(c0, plane(turn), old, exact(*new, 0, *e))]
+    return [formulas.bohlin_equation(c0, plane(turn), old, exact(*new, 0, *e))]
 
 
 def method_a(c0: Any, h: Any, old: Any, new: Any) -> Any:
@@ -57,7 +57,7 @@ def still(old: Any, new: Any) -> Any:
 
 def euler_rule(c0: Any, h: Any, old: Any, new: Any) -> Any:
     """Bohlin's equation with the old angular velocity alone."""
-    return [formulas.bohlin(c0, turned(-h * old[2]), old, new)]
+    return [formulas.bohlin_equation(c0, unit_complex(-h * old[2]), old, new)]
 
 
 ROUND = "rational top.A=1 top.B=1 top.C=1"
@@ -151,10 +151,10 @@ def test_distance_between_pictures() -> None:
     assert checks.curve_distance(lines[2], lines[0]) == pytest.approx(2.0, abs=0.02)
 
 
-def test_rate_of_change_is_the_norm_of_the_jacobian() -> None:
+def test_jacobian_norm() -> None:
     """Euler's field at omega = (0, 0, w): a 2x2 block with entries w (B - C)/A and w (C - A)/B."""
     states = np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -3.0]])
-    assert checks.rate_of_change(Euler(A=3.0, B=2.0, C=1.0), states) == pytest.approx(3.0, rel=1e-12)
+    assert checks.jacobian_norm(Euler(A=3.0, B=2.0, C=1.0), states) == pytest.approx(3.0, rel=1e-12)
 
 
 # printed equations against formulas of NumPy
@@ -201,4 +201,4 @@ def test_printed_formulas_are_those_of_numpy(formula: str, arguments: Any, expec
 
 def test_hat_has_the_sign_of_the_paper() -> None:
     u, v = exact(1, 2, 3), exact(5, 7, -4)
-    assert (formulas.commutator(formulas.hat(u), formulas.hat(v)) == formulas.hat(cross(v, u))).all()
+    assert (formulas.commutator(formulas.hat(u), formulas.hat(v)) == formulas.hat(vector_product(v, u))).all()

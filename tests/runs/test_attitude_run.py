@@ -14,8 +14,8 @@ from resuming import HK, small
 from topcli.config.load import load_experiment
 from topcli.errors import UsageError
 from topcli.figures.animation import BodyMotion, stored_body_motion
-from topcli.runs.identity import identity_of
 from topcli.runs.run import run_experiment
+from topcli.store.identity import identity_of
 from topcli.store.series import read_series
 
 QUATERNION, ANGLES = "output.attitude=quaternion", "output.attitude=euler-angles"

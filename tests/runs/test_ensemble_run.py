@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 
 import topcli
 from cases import table_of
-from conftest import ROOT, random_states
+from conftest import random_states
 from topcli.analysis.tally import DEVIATIONS
 from topcli.config.load import load
 from topcli.config.models import Experiment
@@ -101,29 +100,6 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path) -> None
             assert row[measure] == {
                 "min": values[0], "5 %": values[3], "median": values[34], "95 %": values[66], "max": values[-1]
             }  # fmt: skip
-
-
-DOCUMENTED = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)
-
-
-@pytest.mark.parametrize("varied", [False, True])
-def test_the_documented_columns_are_the_stored_ones(tmp_path: Path, varied: bool) -> None:
-    """In the order of the page, with the names that stand for several written out."""
-    grid = {"grid": {"top.c0": [1.0, 2.0], "omega1": [0.1, 0.2]}}
-    changes = {"initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "ensemble": grid} if varied else {}
-    found = experiment(**changes)
-    table = columns(run_experiment(found, tmp_path).stored.folder / "trajectories.parquet")
-    page = (ROOT / "docs" / "sweeps.md").read_text().split("## The table of trajectories")[1].split("\n## ")[0]
-    documented = DOCUMENTED.findall(page)
-    named = {
-        "top.PARAMETER": ["top.c0"] if varied else [],
-        "initial_COMPONENT": [f"initial_{name}" for name in found.top.components],
-    }
-    integrals = [name for name in documented if name.endswith(".INVARIANT")]
-    plain = [name for name in documented if name not in integrals]
-    wanted = [one for name in plain for one in named.get(name, [name])]
-    wanted += [name.replace("INVARIANT", one.name) for one in found.top.invariants() for name in integrals]
-    assert list(table) == wanted
 
 
 def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:

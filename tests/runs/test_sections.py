@@ -13,9 +13,9 @@ import topcli
 from topcli.config.load import load, load_experiment
 from topcli.contracts import Stepper, same_state
 from topcli.errors import ConfigError, UsageError
-from topcli.runs.identity import identity_of
 from topcli.runs.run import run_experiment
-from topcli.store import sources
+from topcli.store import identity
+from topcli.store.identity import identity_of
 
 KOWALEVSKI: dict[str, Any] = {
     "top": "kowalevski",
@@ -212,8 +212,8 @@ def test_the_code_that_finds_crossings_belongs_to_the_identity_of_a_section_alon
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def codes() -> list[str]:
-        sources._module.cache_clear()
-        sources.source_digest.cache_clear()
+        identity._module.cache_clear()
+        identity.source_digest.cache_clear()
         scene = "kowalevski_generic_hk"
         return [identity_of(load(scene, more)).code for more in ([], ["section.component=gamma2"])]
 

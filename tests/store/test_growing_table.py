@@ -11,17 +11,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from topcli.errors import RunError
-from topcli.store import table as table_module
-from topcli.store.envelope import envelope
-from topcli.store.series import read_metadata, read_series
-from topcli.store.table import GrowingTable
+from topcli.store import growing_table
+from topcli.store.growing_table import GrowingTable
+from topcli.store.series import envelope, read_metadata, read_series
 
 VALUES = [0.0, -0.0, 0.1, -1e-308, 5e-324, 1.7976931348623157e308, np.inf, -np.inf, np.nan, 1 / 3, 2.0**53 + 2, -7.0]
 
 
 @pytest.fixture(autouse=True)
 def small_row_groups(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table_module, "ROW_GROUP", 40)
+    monkeypatch.setattr(growing_table, "ROW_GROUP", 40)
 
 
 def columns(rows: int) -> dict[str, np.ndarray]:
@@ -79,7 +78,7 @@ def test_bytes_depend_neither_on_pieces_nor_on_kills(tmp_path: Path, form: str) 
 
 
 def test_many_short_pieces_can_be_read_while_the_table_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table_module, "ROW_GROUP", 100)
+    monkeypatch.setattr(growing_table, "ROW_GROUP", 100)
     data = columns(140)
     with GrowingTable(tmp_path, "series", {}) as table:
         for begin in range(70):
@@ -126,7 +125,7 @@ def thinned(folder: Path, suffix: str, data: dict[str, np.ndarray], stretches: i
 def test_a_picture_keeps_the_extremes_of_every_stretch(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("topcli.store.envelope.PIECE", 4000)
+    monkeypatch.setattr("topcli.store.series.PIECE", 4000)
     noise = np.random.default_rng(5).normal(size=ROWS)
     noise[::2] = np.nan  # which hides no extreme
     data = {"t": np.arange(ROWS) * 0.1, "a": noise, "b": np.arange(ROWS) % 977.0}

@@ -29,7 +29,7 @@ STATUS = ("ran", "continued", "up to date")
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topcli.store.table.ROW_GROUP", 40)
+    monkeypatch.setattr("topcli.store.growing_table.ROW_GROUP", 40)
     monkeypatch.setattr(result_folder, "LOOK_SECONDS", 0.001)
     monkeypatch.setattr(os, "fsync", lambda handle: None)
 
@@ -228,21 +228,6 @@ def flip(path: Path, place: int) -> None:
     path.write_bytes(content)
 
 
-@pytest.mark.parametrize("form", ["parquet", "csv"])
-def test_a_flipped_bit_is_noticed_in_every_file(tmp_path: Path, form: str) -> None:
-    compute(tmp_path, counted(form=form), on_chunk=stopped_after(3))
-    folder = tmp_path / NAME
-    for name in ("manifest.json", "report.json", f"series.{form}", "unfinished/checkpoint.npz"):
-        path = folder / name
-        for place in {0, path.stat().st_size // 3, path.stat().st_size - 1}:
-            flip(path, place)
-            with pytest.raises(RunError, match=path.name):
-                intact_result(folder)
-            flip(path, place)
-    (folder / "report.json").unlink()
-    assert read_result(folder).damage() == {"report.json": "missing"}
-
-
 def test_a_damaged_checkpoint_is_never_continued(tmp_path: Path) -> None:
     compute(tmp_path / "whole")
     in_fork(lambda: compute(tmp_path / "out", on_chunk=killed_after(3)))
@@ -254,18 +239,6 @@ def test_a_damaged_checkpoint_is_never_continued(tmp_path: Path) -> None:
     assert tree(tmp_path / "out" / NAME) == before
     assert compute(tmp_path / "out", force=True) == "ran"
     assert data(tmp_path / "out" / NAME) == data(tmp_path / "whole" / NAME)
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"manifest_version": 2}', "{"])
-def test_a_damaged_manifest_is_named_and_stays(tmp_path: Path, text: str) -> None:
-    compute(tmp_path)
-    manifest = tmp_path / NAME / "manifest.json"
-    manifest.write_text(text)
-    for force in (False, True):
-        with pytest.raises(RunError, match=r"manifest\.json: .*move the folder away"):
-            compute(tmp_path, force=force)
-    assert manifest.read_text() == text
-    assert isinstance(stored_results(tmp_path)[NAME], RunError)
 
 
 def test_results_are_listed_whatever_their_state(tmp_path: Path) -> None:

@@ -216,13 +216,11 @@ def test_a_motion_that_leaves_its_energy_surface_is_noted(tmp_path: Path) -> Non
     assert words in str(analysed(tmp_path, data, "heavy_hk").notes)
 
 
-@pytest.mark.parametrize("scene", ["kowalevski_hk", "euler_hk"])
-def test_a_stored_run_gets_its_own_report(tmp_path: Path, scene: str) -> None:
-    """Extremes, deviations and verdicts are the same bits; sums differ by the order of addition."""
+def test_a_stored_run_gets_the_verdicts_of_its_report(tmp_path: Path) -> None:
+    """Extremes, deviations and verdicts are the same bits."""
     sets = ["N=3000", "h=-0.01", "output.every=3", "output.format=csv"]
-    folder = topcli.run(scene, tmp_path, overrides=sets, progress=False).folder
-    report = topcli.analyse(next(folder.glob("series.*")), config=scene, overrides=sets)
-    assert figures(report)["times"].endswith("steps of the config's h")
+    folder = topcli.run("kowalevski_hk", tmp_path, overrides=sets, progress=False).folder
+    report = topcli.analyse(next(folder.glob("series.*")), config="kowalevski_hk", overrides=sets)
     assert (figures(report)["steps from"], figures(report)["first row − config"]) == ("column n", 0.0)
     stored = pd.DataFrame(json.loads((folder / "report.json").read_text())["invariants"])
     for name in ("max_deviation", "first", "min", "max", "verdict"):

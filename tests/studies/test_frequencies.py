@@ -12,7 +12,7 @@ import pytest
 
 import topcli
 from conftest import Said
-from topcli.analysis.frequencies import agreement_digits, rotation_number, strongest_line
+from topcli.analysis.frequencies import agreement_digits, strongest_line
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
@@ -49,24 +49,15 @@ def test_a_frequency_is_right_or_none(cycles: float) -> None:
         assert (line.frequency * m, line.amplitude) == pytest.approx(expected, rel=0.01, nan_ok=True)
 
 
-def test_rotation_number_has_the_sense_of_the_rotation() -> None:
-    angle = 2.0 * np.pi * 0.1 * GOLDEN * np.arange(2001)
-    angle += 0.3 * np.sin(angle)  # an uneven rotation has the same mean
-    for sign in (1, -1):
-        assert rotation_number(np.cos(angle), np.sin(sign * angle)) == pytest.approx(sign * 0.1 * GOLDEN, abs=1e-15)
-    assert math.isnan(rotation_number(np.r_[np.ones(99), math.inf], np.ones(100)))
-
-
 # exact frequencies
 
 
 def test_frequencies_of_the_euler_top() -> None:
     orbit = config("euler", "exact", 1 << 14, [1.0, 0.5, 1.0], A=2.0, B=3.0, C=4.0)
     exact = topcli.motion(orbit)["frequency"]
-    rows = columns_of(config=orbit, component=["omega1", "omega3"], angle=["omega1,omega2"])
+    rows = columns_of(config=orbit, component=["omega1", "omega3"])
     assert rows["omega1"]["frequency"] == pytest.approx(exact, rel=1e-12)
     assert rows["omega3"]["frequency"] == pytest.approx(2.0 * exact, rel=1e-12)
-    assert abs(rows["angle of omega1, omega2"]["frequency"]) == pytest.approx(exact, rel=1e-12)
     assert min(row["digits"] for row in rows.values()) > 14.0
 
 
@@ -111,9 +102,7 @@ def test_columns_that_are_no_numbers_or_too_slow_are_named(cli: Callable[..., Sa
 def test_change_is_that_from_the_first_half_to_the_second() -> None:
     """The angle 0.3t + at² has the mean rate 0.3 + 2at at the middle of each half."""
     a, T = 1e-4, 4000 * 0.25
-    formulas = {"x": f"cos(0.3*t + {a}*t**2)", "y": f"sin(0.3*t + {a}*t**2)"}
+    formulas = {"x": f"cos(0.3*t + {a}*t**2)"}
     orbit = {**config("kowalevski", "hk", 4000, [2.0, 1.0, 1.0]), "output": {"quantities": formulas}}
-    rows = columns_of(config=orbit, component=["x"], angle=["x,y"])
-    assert rows["angle of x, y"]["frequency"] == pytest.approx((0.3 + a * T) / (2.0 * np.pi), rel=1e-12)
-    assert rows["angle of x, y"]["change"] == pytest.approx(a * T / (2.0 * np.pi), rel=1e-12)
+    rows = columns_of(config=orbit, component=["x"])
     assert rows["x"]["change"] == pytest.approx(a * T / (2.0 * np.pi), rel=0.3)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import pytest
+from topcli.tops.heavy import Heavy
 
 import topcli
 from cases import table_of
-from declared import Heavy, random_heavy_tops
-from topcli.analysis.lax import (
+from declared import random_heavy_tops
+from topcli.contracts import EulerPoisson, Floats
+from topcli.errors import UsageError
+from topcli.studies.lax import (
     block_form,
     lagrange_form,
     lax_forms,
     manakov_form,
     spectral_content,
 )
-from topcli.contracts import EulerPoisson, Floats
-from topcli.errors import UsageError
 
 EULER = EulerPoisson((2.0, 1.5, 1.0), (0.0, 0.0, 0.0))
 LAGRANGE = EulerPoisson((1.6, 1.6, 0.9), (0.0, 0.0, 0.7))

@@ -12,7 +12,6 @@ import topcli
 from cases import table_of
 from conftest import Said
 from topcli.analysis.reference import reference_states
-from topcli.studies.entries import scene_of
 from topcli.studies.report import Report
 from topcli.tops.kowalevski import Kowalevski
 
@@ -58,6 +57,7 @@ hk hk            hk: is named twice
 hk --h 0.6       --h 0.6: must divide 0.5, the time between comparisons; give for example 0.5
 hk --set T=-1    T/h = -1/0.01 = -100 steps; must be from 1
 hk --set h=0.1   --set h=0.1: the step sizes of this study are given by --h
+bs               scheme 'bs' does not fit top 'kowalevski'; it fits euler
 hk:branch=sign   hk:branch=sign: --set scheme.branch=sign: scheme.branch: unknown key
 """),
 )
@@ -65,19 +65,6 @@ def test_wrong_choices_are_named(cli: Callable[..., Said], arguments: str, messa
     said = cli("order", *arguments.split())
     assert said.code == 2
     assert message in said.err
-
-
-@pytest.mark.parametrize(
-    ("schemes", "scene"),
-    table_of("""
-hk             kowalevski_generic_hk
-bs             lagrange_bs
-hk bs          lagrange_bs
-hk bs-implicit  euler_hk
-"""),
-)
-def test_the_scene_is_that_of_a_top_which_all_schemes_fit(schemes: str, scene: str) -> None:
-    assert scene_of(schemes.split()) == scene
 
 
 FILE = '''

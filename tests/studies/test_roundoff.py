@@ -10,7 +10,7 @@ import pytest
 import topcli
 from cases import table_of
 from conftest import Said
-from topcli.analysis.roundoff import growth
+from topcli.studies.roundoff import growth
 
 SIZE = 1e-16
 

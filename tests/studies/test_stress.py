@@ -19,7 +19,6 @@ from topcli.engine.drive import Orbit
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.studies.stress import (
     CASES,
-    GENERIC,
     LIMIT,
     OK,
     OUTLIVED,
@@ -39,6 +38,7 @@ from topcli.studies.stress import (
     swings,
     verdict_of,
 )
+from topcli.testing import GENERIC
 from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange

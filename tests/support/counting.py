@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from topcli.store.result_folder import Identity, ResultFolder
-from topcli.store.table import GrowingTable
+from topcli.store.growing_table import GrowingTable
+from topcli.store.identity import Identity
+from topcli.store.result_folder import ResultFolder
 
 NAME = "odd [name] 'ü' 100%"
 CHUNK = 16

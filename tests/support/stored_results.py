@@ -9,7 +9,7 @@ from topcli.config.load import load, load_experiment
 from topcli.config.models import Experiment
 from topcli.config.sweep import load_sweep
 from topcli.runs.run import run_experiment
-from topcli.sweeps.run import SweepOptions, run_sweep
+from topcli.sweeps.run_sweep import SweepOptions, run_sweep
 
 START = {"omega": [2, 0, 0], "gamma": ["auto", 0, 0.1]}
 BASE = {"top": "kowalevski", "initial": START, "h": 0.01, "N": 400}

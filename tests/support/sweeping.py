@@ -14,7 +14,7 @@ from topcli.config.sweep import load_sweep
 from topcli.contracts import Array
 from topcli.sweeps.batch import Batch, Measuring, evaluate
 from topcli.sweeps.measures import resolve_measures
-from topcli.sweeps.run import SweepOptions, SweepResult, run_sweep
+from topcli.sweeps.run_sweep import SweepOptions, SweepResult, run_sweep
 
 BASE: dict[str, Any] = {
     "top": "kowalevski",

@@ -9,7 +9,7 @@ import pytest
 
 from scheme_files import unchanged_tables
 from sweeping import DATA, MANY, sweep, table
-from topcli.errors import UsageError
+from topcli.errors import RunError, UsageError
 from topcli.plugins import FILES, REGISTERED, load_plugin_file
 from topcli.sweeps.compute import code_of_process, compute_batch
 
@@ -40,7 +40,7 @@ def test_a_worker_with_other_code_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_rows_of_a_cluster_are_those_of_threads_and_a_row_that_kills_its_worker_costs_its_batch(
+def test_rows_of_a_cluster_are_those_of_threads_and_a_row_that_kills_its_workers_ends_the_sweep(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="the extra dask is not installed")
@@ -51,13 +51,9 @@ def test_rows_of_a_cluster_are_those_of_threads_and_a_row_that_kills_its_worker_
     sweep(tmp_path / "there", MANY, dask="local:1")
     assert table(tmp_path / "there") == table(tmp_path / "here")
     (tmp_path / "killer.py").write_text(KILLER)
-    monkeypatch.setattr("topcli.sweeps.run.BATCH_ROWS", 4)
+    monkeypatch.setattr("topcli.sweeps.run_sweep.BATCH_ROWS", 4)
     grid = {"initial.omega1": [0.1 * k for k in range(1, 9)]}
     with unchanged_tables():
         load_plugin_file(tmp_path / "killer.py")
-        result = sweep(tmp_path, {**DATA, "grid": grid, "measure": ["killer"]}, dask="local:1")
-    failed = [row for row in table(tmp_path) if row["outcome"] == "failed"]
-    assert (result.finished, result.outcomes) == (8, {"completed": 8 - len(failed), "failed": len(failed)})
-    assert 1 <= len(failed) <= 4
-    assert {row["message"] for row in failed} == {"its worker was lost again and again"}
-    assert 0.5 in [row["initial.omega1"] for row in failed]
+        with pytest.raises(RunError, match=r"--dask local:1: .*; finished rows are kept"):
+            sweep(tmp_path, {**DATA, "grid": grid, "measure": ["killer"]}, dask="local:1")

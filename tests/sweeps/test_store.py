@@ -29,7 +29,7 @@ def stored(out: Path) -> dict[bytes, Any]:
 
 @pytest.fixture(autouse=True)
 def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topcli.sweeps.run.BATCH_ROWS", 4)
+    monkeypatch.setattr("topcli.sweeps.run_sweep.BATCH_ROWS", 4)
 
 
 def killed_at_statement(number: int) -> None:
@@ -163,8 +163,8 @@ def test_rows_of_other_definitions_are_kept_apart(tmp_path: Path, monkeypatch: p
     assert repr(table(tmp_path)) == first, "the rows that were kept belong to the first file again"
     for name in ("code_digest", "definition_texts"):
         with monkeypatch.context() as patch:
-            patch.setattr("topcli.sweeps.run.code_of_process", lambda code=name: code)
-            patch.setattr(f"topcli.sweeps.run.{name}", lambda *parts: ["other"] if len(parts) == 1 else "other")
+            patch.setattr("topcli.sweeps.run_sweep.code_of_process", lambda code=name: code)
+            patch.setattr(f"topcli.sweeps.run_sweep.{name}", lambda *parts: ["other"] if len(parts) == 1 else "other")
             assert sweep(tmp_path).ran == 4, name
 
 

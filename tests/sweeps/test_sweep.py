@@ -99,7 +99,7 @@ def test_a_raising_row_costs_that_row_alone_and_runs_again(
 
 
 def test_a_stopped_sweep_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topcli.sweeps.run.BATCH_ROWS", 4)
+    monkeypatch.setattr("topcli.sweeps.run_sweep.BATCH_ROWS", 4)
     done: list[int] = []
     with stopping_when(lambda: bool(done)):
         result = sweep(tmp_path, MANY, threads=1, on_progress=lambda n, *_: done.append(n))

@@ -9,8 +9,8 @@ import pytest
 
 from cases import table_of
 from topcli.analysis.order import Convergence, convergence, is_consistent, judge_order
-from topcli.analysis.roundoff import growth
 from topcli.contracts import Stepper
+from topcli.studies.roundoff import growth
 from topcli.tops.kowalevski import Kowalevski, field
 
 EPS = 2.0**-52

@@ -1,4 +1,4 @@
-"""Frequencies, rotation numbers and convergence of averages, from evenly spaced rows of an orbit.
+"""Frequencies and convergence of averages, from evenly spaced rows of an orbit.
 
 Rows enter averages and Fourier integrals with the weight exp(-1/(u(1 - u))), u in (0, 1) along the orbit. On a
 quasi-periodic orbit both converge faster than any power of the number of rows m; on a chaotic orbit averages converge
@@ -135,21 +135,3 @@ def _maximum(windowed: Array, u: Array, f: float) -> float:
         if abs(step) < NEWTON_TOLERANCE * max(1.0, abs(f)):
             break
     return f
-
-
-def rotation_number(x: ArrayLike, y: ArrayLike) -> float:
-    """Mean revolutions per row of the point (x, y) about the origin, counter-clockwise.
-
-    The angle must turn by less than half a revolution from row to row. nan for less than 16 rows, and if a value is
-    not finite.
-
-    Parameters
-    ----------
-    x, y : array_like, shape (m,)
-        Coordinates of the rows, evenly spaced in time.
-    """
-    z = np.asarray(x, dtype=float) + 1j * np.asarray(y, dtype=float)
-    if len(z) <= LEAST_ROWS or not np.isfinite(z).all():
-        return math.nan
-    turns = np.angle(z[1:] * z[:-1].conjugate()) / (2.0 * math.pi)
-    return float(weighted_mean(turns))

@@ -11,14 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from itertools import combinations_with_replacement
-from math import isqrt
 
 import numpy as np
 
 from topcli.engine.residues import PRIME, Jet, RationalMap, Residues, folded, inverse
-from topcli.field.polynomial import Monomial, Polynomial
+from topcli.field.polynomial import Monomial
 
 EXTRA = 8
 """Rows of a matrix beyond the number of columns: a null space is accidental with a probability of PRIME**-EXTRA."""
@@ -154,28 +152,6 @@ class Density:
 
     degree: int
     basis: Residues
-
-    def polynomials(self, d: int) -> list[Polynomial] | None:
-        """Basis with rational coefficients, the first one 1; None if they are not simple enough to be recognised."""
-        polynomials: list[Polynomial] = []
-        for vector in self.basis:
-            scale = inverse(vector[np.flatnonzero(vector)[:1]])
-            coefficients = [recognised(int(c)) for c in vector * scale % PRIME]
-            if None in coefficients:
-                return None
-            terms = zip(monomials(d, self.degree), coefficients, strict=True)
-            polynomials.append(Polynomial({m: c for m, c in terms if c}))
-        return polynomials
-
-
-def recognised(value: int) -> Fraction | None:
-    """Simplest rational number with this residue; None if numerator and denominator are as long as those of most."""
-    bound = isqrt(PRIME // 2)
-    r, s, a, b = PRIME, value, 0, 1
-    while s > bound:
-        quotient = r // s
-        r, s, a, b = s, r - quotient * s, b, a - quotient * b
-    return Fraction(s, b) if b and abs(b) * max(s, 1) < PRIME >> 6 else None
 
 
 def density(step: RationalMap, most: int, seed: int = 2) -> Density | None:

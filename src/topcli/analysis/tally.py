@@ -35,7 +35,7 @@ from topcli.table import rounded_up
 BLOCKS, FINER = 64, 64
 DEVIATIONS = ("max_deviation", "rms_deviation", "final_deviation")
 QUANTILES = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
-FIGURES = ("first", "last", "min", "max", "mean")
+QUANTITY_FIGURES = ("first", "last", "min", "max", "mean")
 """Figures of a quantity."""
 OF_INVARIANT = {
     "first": ("first value of NAME", "unit of NAME"),
@@ -232,7 +232,7 @@ class Tally(Consumer):
             with np.errstate(all="ignore"):
                 mean = self.sums[i].sum(axis=-1) / self.rows
             figures = (self.first[i].astype(np.float64), self.last[i], self.low[i], self.high[i], mean)
-            for figure, values in zip(FIGURES, figures, strict=True):
+            for figure, values in zip(QUANTITY_FIGURES, figures, strict=True):
                 columns[f"{figure}.{self.names[i]}"] = np.where(self.rows > 0, values, np.nan)
         return columns
 

@@ -24,8 +24,8 @@ from topcli.runs.run import RunResult
 from topcli.store.results import MANIFEST, REPORT, StoredResult, intact_result
 from topcli.store.series import read_series, series_names
 from topcli.studies.report import Report, read_record
+from topcli.sweeps.aggregates import Frame, key_labels, read_rows
 from topcli.sweeps.store import COMPLETED, intact_sweep, is_sweep, stored_sweep_file
-from topcli.sweeps.table import Frame, key_labels, read_rows
 from topcli.table import DASH, Table, number, plain
 
 if TYPE_CHECKING:

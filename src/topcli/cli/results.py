@@ -99,8 +99,8 @@ def table_command(
     table : str, optional
         Show only this table of the result; by default all, in CSV the main table.
     """
+    from topcli.sweeps.aggregates import names_hint, read_rows, sweep_table
     from topcli.sweeps.store import is_sweep
-    from topcli.sweeps.table import names_hint, read_rows, sweep_table
 
     place = stored_place(result, results)
     if is_sweep(place) or rows or value or columns or aggregate or where:
@@ -108,9 +108,7 @@ def table_command(
         if not (rows and value):
             raise UsageError(f"{place}: is a sweep; give --rows KEY and --value MEASURE", names_hint(frame))
         swept = sweep_table(frame, list(rows), columns, list(value), aggregate)
-        screen.show(swept.cells if form == "text" else swept.text(form).removesuffix("\n"))
-        for note in swept.notes:
-            screen.warn(note)
+        screen.show(swept.cells() if form == "text" else swept.text(form).removesuffix("\n"))
         return CommandResult(swept.as_dict())
     data, tables = tables_of(place)
     names = [each.name for each in tables]

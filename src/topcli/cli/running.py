@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from topcli.config.models import Experiment
     from topcli.config.sweep import Sweep
     from topcli.runs.run import RunResult
-    from topcli.sweeps.run import SweepResult
+    from topcli.sweeps.run_sweep import SweepResult
 
 PRINTED_ROWS = 20
 """Largest numbers of failures that a sweep prints, and of rows that a dry run lists."""
@@ -312,7 +312,7 @@ def sweep(
     from topcli.cli.reports import report_on_sweep
     from topcli.config.sweep import load_sweep
     from topcli.store.results import read_result
-    from topcli.sweeps.run import SweepOptions, run_sweep
+    from topcli.sweeps.run_sweep import SweepOptions, run_sweep
 
     loaded = load_sweep(file, overrides)
     with closing(Progress(progress)) as bar:
@@ -349,7 +349,7 @@ def sweep_command(
         Use a Dask cluster: tcp://host:port, or local:4 (4 workers).
     """
     from topcli.config.sweep import load_sweep
-    from topcli.sweeps.run import SweepOptions, run_sweep
+    from topcli.sweeps.run_sweep import SweepOptions, run_sweep
 
     if dask is not None and threads is not None:
         raise UsageError("--threads cannot be used with --dask; each worker has its own number of threads")
@@ -382,7 +382,7 @@ def sweep_command(
 
 def plan_of_sweep(sweep: Sweep, out: Path, screen: Screen) -> CommandResult:
     """Print the number of rows that would be run, and the keys of the first of them."""
-    from topcli.sweeps.run import planned
+    from topcli.sweeps.run_sweep import planned
 
     plan, waiting = planned(sweep, out)
     rows, to_run, folder = len(plan.digests), int(waiting.sum()), out / sweep.name

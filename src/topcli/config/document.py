@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 import inspect
-import json
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -55,8 +54,6 @@ STRICT = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=Fals
 """Models of sections: no other keys, no conversions between types, finite numbers; docstrings describe their keys."""
 SHOWN_FAULTS = 3
 """Faults that one message shows."""
-canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
-"""JSON with sorted keys and without spaces: equal plain data, equal text."""
 
 
 @dataclass

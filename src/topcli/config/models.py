@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -14,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from topcli.analysis.crossings import CrossingSearch
 from topcli.analysis.quantities import Quantity, quantities_of
-from topcli.config.document import STRICT, as_integer, canonical, describe
+from topcli.config.document import STRICT, as_integer, describe
 from topcli.config.ensemble import Ensemble, EnsembleSection
 from topcli.config.states import unit_warnings
 from topcli.config.text import to_yaml
@@ -24,7 +22,7 @@ from topcli.engine.columns import ATTITUDES, column_names
 from topcli.engine.numbers import DOUBLE, FEWEST_DIGITS, MAX_DIGITS, MOST_DIGITS, RATIONAL
 from topcli.errors import UsageError, quoted
 from topcli.plugins import own_sources
-from topcli.store.sources import digest_of_texts
+from topcli.store.identity import digest_of, digest_of_texts
 
 MAX_NAME = 100
 _NAME = re.compile(rf"(?!figures$)\w[\w+.() -]{{0,{MAX_NAME - 1}}}(?<![ .])")
@@ -196,18 +194,6 @@ class Config(BaseModel):
     """record only the crossings of a Poincaré section"""
     output: Output = Output()
     """what to record, and in which format"""
-
-
-def digest_of(resolved: Mapping[str, Any], own_code: str) -> str:
-    """SHA-256 of what a run computes and records, as canonical JSON: 64 hexadecimal digits.
-
-    This is the resolved config without its ``name`` and ``output.format``: the top with its parameters, the initial
-    state (or the section ``ensemble``), the scheme with all options, h, N, and the recorded rows and columns.
-    ``own_code`` is the digest of the code of a user's top and scheme, which a config only names.
-    """
-    output = {key: value for key, value in resolved["output"].items() if key != "format"}
-    identity = {key: value for key, value in resolved.items() if key != "name"} | {"output": output}
-    return hashlib.sha256((canonical(identity) + own_code).encode()).hexdigest()
 
 
 class Experiment(BaseModel):

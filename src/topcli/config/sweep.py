@@ -24,7 +24,6 @@ from topcli.config.document import (
     STRICT,
     Document,
     apply_overrides,
-    canonical,
     drop_partner,
     number_of,
     plain_data,
@@ -38,6 +37,7 @@ from topcli.config.models import MAX_STEPS, Experiment, Name, folder_name_fault
 from topcli.config.states import Random, drawn_number, drawn_states, read_random
 from topcli.config.text import KeyPath, to_yaml
 from topcli.contracts import Array, Top
+from topcli.store.identity import canonical
 
 STEPS = ("h", "T", "N", "output.every")
 """Keys of the steps of a row."""

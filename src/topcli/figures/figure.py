@@ -17,8 +17,8 @@ from topcli.errors import UsageError
 from topcli.figures.style import styled
 from topcli.plugins import origin_of
 from topcli.store.files import io_failure, require_new, require_writable, write_whole
+from topcli.store.identity import digest_of_texts, package_digest
 from topcli.store.series import read_metadata
-from topcli.store.sources import digest_of_texts, package_digest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,8 +19,8 @@ from topcli.figures.style import DASHES, MARKERS, labelled, legend_above, legend
 from topcli.runs.simulate import simulate
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import find_scheme
-from topcli.store.sources import digest_of_texts
-from topcli.studies.bench import draw_points
+from topcli.store.identity import digest_of_texts
+from topcli.studies.bench import draw_speed_against_error
 from topcli.studies.report import read_record
 from topcli.tops import TOPS
 
@@ -224,7 +224,7 @@ def draw_work_precision(canvas: Any, columns: Columns) -> None:
     for i, title in enumerate(titles, 1):
         values = zip(*(columns[f"{title}|{key}"] for key in POINT_KEYS), strict=True)
         axes = canvas.add_subplot(rows, min(2, len(titles)), i)
-        draw_points([dict(zip(POINT_KEYS, row, strict=True)) for row in values], axes, looks)
+        draw_speed_against_error([dict(zip(POINT_KEYS, row, strict=True)) for row in values], axes, looks)
         axes.set_title(title, loc="left")
     legend_below(canvas, 3)
 

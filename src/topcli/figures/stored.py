@@ -18,9 +18,8 @@ from topcli.errors import UsageError, nearest, quoted
 from topcli.figures.figure import Columns, Figure
 from topcli.figures.style import column_label, component_symbol, labelled, legend_above, plain_text, scheme_label
 from topcli.schemes.display import display_name
-from topcli.store.envelope import envelope
 from topcli.store.results import StoredResult, read_result
-from topcli.store.series import INTEGERS, WORDS, read_series, series_names
+from topcli.store.series import INTEGERS, WORDS, envelope, read_series, series_names
 
 IN_WORDS = {"omega": "angular velocity ω", "gamma": "vertical γ in the body", "m": "angular momentum m"}
 """Vectors of a state in words."""
@@ -133,7 +132,7 @@ def section_figure(folder: Path, x: str | None, y: str | None, colour: str | Non
     if not report["section"]["crossings"]:
         raise UsageError(f"{folder}: nothing to draw: {report['message']}")
     experiment, takes = load(dict(run.manifest["config"])), _digests(run)
-    section: Any = experiment.section
+    section: Any = experiment.crossings
     columns = [name for name in experiment.recorded if name not in ("n", "t")]
     for option, name in (("--x", x), ("--y", y)):
         if name is not None and name not in columns:

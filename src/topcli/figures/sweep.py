@@ -16,8 +16,8 @@ from topcli.figures.style import labelled, looks, plain_text
 from topcli.schemes.display import display_name
 from topcli.schemes.registry import all_schemes
 from topcli.store.files import sha256_of
+from topcli.sweeps.aggregates import SPREADS, Frame, names_hint, read_rows, require_names, sweep_cells
 from topcli.sweeps.measures import in_words
-from topcli.sweeps.table import SPREADS, Frame, names_hint, read_rows, require_names, sweep_table
 
 KEYS_IN_WORDS = {"h": "step size h", "N": "number of steps N", "T": "time T"}
 """Keys of a config in words."""
@@ -118,7 +118,7 @@ def points_of(rows: Frame, choice: Choice) -> Points:
     keys = [name for name in (choice.x, choice.y if choice.colour else choice.by) if name]
     require_names(rows, "key", keys, "--x and --y" if choice.colour else "--x and --by")
     require_names(rows, "measure", [choice.measure], "--colour" if choice.colour else "--y")
-    cells = sweep_table(rows, keys, None, [choice.measure], choice.aggregate).values[choice.measure]
+    cells = sweep_cells(rows, keys, None, [choice.measure], choice.aggregate)[choice.measure]
     ends = [(*cell, *[np.nan] * 3)[:3] for cell in cells]
     table = pd.DataFrame(ends, cells.index, ["value", "low", "high"], dtype=float)
     return Points(choice, table, len(rows), int(rows[choice.measure].isna().sum()))

@@ -33,13 +33,13 @@ from topcli.engine.machine import Machine
 from topcli.engine.numbers import PreciseRun
 from topcli.errors import RunError, counted
 from topcli.paper.formulas import euler_poisson, kowalevski
-from topcli.paper.numbers import Draws, Numbers, arguments, derivative, digits60, exact, largest
+from topcli.paper.numbers import Array60, Draws, arguments, derivative, digits60, exact, largest
 from topcli.runs.plans import plans, trajectory_of
 from topcli.runs.simulate import simulate
 from topcli.schemes.kowalevski.bohlin import direct
 from topcli.table import two_digits
 
-Formula = Callable[..., Any]
+PrintedFormula = Callable[..., Any]
 
 TOLERANCE = 0.1
 """Deviation of an observed order from a whole number that the next term of the expansion in h explains."""
@@ -103,10 +103,10 @@ class Measured:
 
 # scenes, in doubles and in their precision
 
-DIGITS = 50
+FIFTY = 50
 OVERRIDES = {
     "rational": ("precision=rational", "h=1/10"),
-    "fifty": (f"precision={DIGITS}", "h=1/10"),
+    "fifty": (f"precision={FIFTY}", "h=1/10"),
     "generic": ("initial.omega=[0.7,-0.4,1.3]", "initial.gamma=[0.6,0.48,0.64]"),
 }
 """Overrides by name: a run without rounding, whose initial state must be rational; a run with 50 digits; a state in
@@ -175,7 +175,7 @@ def law(scene: str, figure: float, steps: int, sense: bool = True, **words: Any)
     """Figure that rounding alone makes in a number of steps if a law is obeyed exactly."""
     eps = step_of(scene)[1].arithmetic.eps
     # a thousand rounding errors in a step are an upper bound for all schemes of the paper
-    limit, reason = 1e3 * eps * steps, f"rounding with {DIGITS} digits" if eps else "rational numbers: no rounding"
+    limit, reason = 1e3 * eps * steps, f"rounding with {FIFTY} digits" if eps else "rational numbers: no rounding"
     return Measured(figure, "≤" if sense else ">", limit, reason, **words)
 
 
@@ -218,7 +218,7 @@ passes all points with a probability below 1e-14.
 ROUNDING, DIGITS60 = 1e-30, "rounding with 60 digits, or 40 in a derivative"
 
 
-def _rates(point: Mapping[str, Any]) -> dict[str, Numbers]:
+def _rates(point: Mapping[str, Any]) -> dict[str, Array60]:
     """Rates of omega and gamma at a point by the equations of its top."""
     if "c0" in point:
         return dict(zip("wc", kowalevski(point["c0"], point["w"], point["c"]), strict=True))
@@ -227,7 +227,7 @@ def _rates(point: Mapping[str, Any]) -> dict[str, Numbers]:
     return {"w": m_rate / moments, "c": c_rate}
 
 
-def identity(difference: Formula, law: int | None = None, misprint: bool = False) -> Measured:
+def identity(difference: PrintedFormula, law: int | None = None, misprint: bool = False) -> Measured:
     """Largest difference between two sides, or rate of change of an integral, at 20 random points.
 
     With ``law``, the rate along the motion of that one of some integrals. For a misprint, the formula as printed gives
@@ -245,7 +245,7 @@ def identity(difference: Formula, law: int | None = None, misprint: bool = False
     return replace(measured, figure=figure(as_printed=True), corrected=measured.figure) if misprint else measured
 
 
-def linear(equation: Formula, width: int = 3, sense: bool = True) -> Measured:
+def linear(equation: PrintedFormula, width: int = 3, sense: bool = True) -> Measured:
     """Largest second difference of an equation in its unknown, which is 0 if it is linear.
 
     The unknown has ``width`` numbers.
@@ -259,7 +259,7 @@ def linear(equation: Formula, width: int = 3, sense: bool = True) -> Measured:
     return Measured(figure, "≤" if sense else ">", ROUNDING, DIGITS60)
 
 
-def independent(integrals: Formula, count: int, sense: bool = True) -> Measured:
+def independent(integrals: PrintedFormula, count: int, sense: bool = True) -> Measured:
     """Largest rank of the gradients of the quantities at random states."""
     draws, figure = Draws(1), 0
     for _ in range(5):
@@ -299,12 +299,12 @@ def conserved(scene: str, invariants: Sequence[str], sense: bool = True) -> Meas
     return law(scene, figure, experiment_of(scene).N, sense)
 
 
-def formula_conserved(scene: str, quantity: Formula, corrected: Formula) -> Measured:
+def formula_conserved(scene: str, quantity: PrintedFormula, corrected: PrintedFormula) -> Measured:
     """Largest deviation of a formula along a run."""
     precise = step_of(scene)[1]
     states, c0 = exactly(precise, run_of(scene).rows.states), parameters_of(precise)["c0"]
 
-    def deviation(formula: Formula) -> float:
+    def deviation(formula: PrintedFormula) -> float:
         values = exact(*(formula(c0, y[:3], y[3:]) for y in states))
         return largest(values - values[0])
 
@@ -343,7 +343,7 @@ def same_map(scene: str, other: str, top: Mapping[str, Any]) -> Measured:
     return law(scene, figure, 3)
 
 
-def solves(scene: str, equation: Formula, reverse: bool = False) -> Measured:
+def solves(scene: str, equation: PrintedFormula, reverse: bool = False) -> Measured:
     """Largest residual of an equation between the old and the new state over three steps of a scheme.
 
     For ``reverse``, also with the two states exchanged and with -h.
@@ -390,7 +390,7 @@ def convergence_order(scene: str, order: int) -> Measured:
     return _order("error", [run.states[-1] - end for run in runs], "≥", order - TOLERANCE)
 
 
-def equation_order(scene: str, equation: Formula, order: int) -> Measured:
+def equation_order(scene: str, equation: PrintedFormula, order: int) -> Measured:
     """Exponent of h in the residual of an equation along the exact motion, minus one, from h = 0.02, 0.01, 0.005."""
     experiment, residuals = experiment_of(scene), []
     for h in LADDER:
@@ -411,12 +411,12 @@ def extremes(scene: str, column: str, low: float, high: float, last_digit: float
 def small(scene: str, invariants: Sequence[str]) -> Measured:
     """Largest deviation of an integral of the exact motion, relative to the size of its terms."""
     run = run_of(scene)
-    limit = (run.h * rate_of_change(run.top, run.states)) ** 2
+    limit = (run.h * jacobian_norm(run.top, run.states)) ** 2
     reason = "a scheme of order 2 deviates by about (h|J|)², where J is the Jacobian of the field"
     return Measured(max(deviation_of(run, name) for name in invariants), "≤", limit, reason, approximate=True)
 
 
-def rate_of_change(top: Top, states: Array) -> float:
+def jacobian_norm(top: Top, states: Array) -> float:
     """Largest spectral norm of the Jacobian of the field along ``states`` (m, d); differences, exact for quadratics."""
     p, shifts, norms = top.constants(), 0.5 * np.eye(len(top.components)), []
     for y in states[:: max(1, len(states) // 200)]:

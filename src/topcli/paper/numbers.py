@@ -15,7 +15,8 @@ import numpy as np
 from mpmath.ctx_mp import MPContext
 from numpy.typing import NDArray
 
-Numbers = NDArray[Any]
+Array60 = NDArray[Any]
+"""Array of numbers with 60 digits."""
 
 MP: Any = MPContext()
 MP.dps = 60
@@ -24,7 +25,7 @@ I_UNIT, SMALL = MP.mpc(0, 1), MP.mpf(10) ** -20
 conj: Callable[[Any], Any] = MP.conj
 
 
-def exact(*values: Any) -> Numbers:
+def exact(*values: Any) -> Array60:
     """Array of numbers as they are."""
     return np.array(values, dtype=object)
 
@@ -41,18 +42,18 @@ def plane(v: Any) -> Any:
     return v[0] + 1j * v[1] if isinstance(v[0], np.ndarray) else MP.mpc(v[0], v[1])
 
 
-def turned(angle: Any) -> Any:
+def unit_complex(angle: Any) -> Any:
     """Complex number e^{i angle}."""
     return np.exp(1j * angle) if isinstance(angle, np.ndarray) else MP.expj(angle)
 
 
-def cross(u: Numbers, v: Numbers) -> Numbers:
+def vector_product(u: Array60, v: Array60) -> Array60:
     """Vector product."""
     j, k = [1, 2, 0], [2, 0, 1]
     return u[j] * v[k] - u[k] * v[j]
 
 
-def commutator(a: Numbers, b: Numbers) -> Numbers:
+def commutator(a: Array60, b: Array60) -> Array60:
     """Commutator ab - ba."""
     return a @ b - b @ a
 
@@ -62,7 +63,7 @@ def largest(values: Any) -> float:
     return max(float(abs(value)) for value in np.ravel(np.array(values, dtype=object)))
 
 
-def derivative(function: Callable[..., Any], point: dict[str, Any], **rates: Numbers) -> Numbers:
+def derivative(function: Callable[..., Any], point: dict[str, Any], **rates: Array60) -> Array60:
     """Derivative of a function at a point some of whose variables move with these rates: a central difference."""
     up, down = (
         function(**point | {name: point[name] + step * rate for name, rate in rates.items()})
@@ -83,11 +84,11 @@ class Draws(random.Random):
         """Number between -9 and 9, not zero."""
         return self.fraction(27, 3, 4, 5, 7, 8)
 
-    def vector(self, size: int = 3) -> Numbers:
+    def vector(self, size: int = 3) -> Array60:
         """Array of numbers."""
         return exact(*(self.number() for _ in range(size)))
 
-    def unit(self) -> Numbers:
+    def unit(self) -> Array60:
         """Unit vector with rational components."""
         u, v = self.number(), self.number()
         return exact(2 * u, 2 * v, 1 - u * u - v * v) / (1 + u * u + v * v)

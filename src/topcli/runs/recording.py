@@ -19,8 +19,8 @@ from topcli.engine.endings import ARRAYS, Endings
 from topcli.engine.integration import Integration
 from topcli.engine.rows import Plan, Rows
 from topcli.runs.plans import search_of
-from topcli.runs.report import ensemble_report, quantity_rows, run_report
-from topcli.store.table import GrowingTable
+from topcli.runs.report import quantity_rows, report_of_ensemble, report_of_run
+from topcli.store.growing_table import GrowingTable
 
 _Columns = dict[str, NDArray[Any]]
 
@@ -169,11 +169,11 @@ class Recording:
             further = {"precision": self.experiment.precision}
             further = further | {"library": plan.precise.arithmetic.library} if plan.precise else {}
             rows = self._tally.report()
-            return run_report(self.experiment, digest, endings[0], rows, self.seconds, quantities, counts, further)
+            return report_of_run(self.experiment, digest, endings[0], rows, self.seconds, quantities, counts, further)
         members = self._members
         rows = summary(plan, members.figures, members.within, members.judged)
         quantities = quantity_rows(self.experiment.quantities, members.figures, counts)
-        return ensemble_report(self.experiment, digest, members.endings, rows, self.seconds, quantities, counts)
+        return report_of_ensemble(self.experiment, digest, members.endings, rows, self.seconds, quantities, counts)
 
     def finish(self, outcome: Outcome, message: str, more: dict[str, str]) -> list[Path]:
         """Complete the tables, and return their files."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.tally import DEVIATIONS, FIGURES, QUANTILES
+from topcli.analysis.tally import DEVIATIONS, QUANTILES, QUANTITY_FIGURES
 from topcli.analysis.verdict import LOST, ROUND_OFF_ULPS, SIGNIFICANCE, InvariantRow
 from topcli.contracts import Array, Ending, Outcome
 from topcli.engine.endings import Endings
@@ -54,8 +54,8 @@ def invariant_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 def report_tables(report: Mapping[str, Any]) -> list[Table]:
     """Tables of the content of ``report.json``: invariants, and the user's own observables."""
     invariants = ensemble_table if report.get("kind") == "ensemble" else invariant_table
-    quantities = [{key: row[key] for key in ("name", *FIGURES)} for row in report.get("quantities", ())]
-    formats: dict[str, Format] = dict.fromkeys(FIGURES, ten_digits)
+    quantities = [{key: row[key] for key in ("name", *QUANTITY_FIGURES)} for row in report.get("quantities", ())]
+    formats: dict[str, Format] = dict.fromkeys(QUANTITY_FIGURES, ten_digits)
     observables = [Table("Quantities", quantities, formats, names={"name": "quantity"})] if quantities else []
     return [invariants(report["invariants"]), *observables]
 
@@ -123,25 +123,6 @@ def finite(data: Any) -> Any:
     return data
 
 
-def left_motion(ending: Ending) -> dict[str, Any] | None:
-    """First recorded step and time at which a run was far off its energy surface; None if it never was."""
-    return None if ending.left is None else {"step": ending.left, "t": ending.left_t}
-
-
-def heading(experiment: Experiment, name: str, digest: str) -> dict[str, Any]:
-    """First entries of ``report.json``, of a run or an ensemble."""
-    return {
-        "name": name,
-        "digest": digest,
-        "top": experiment.top.kind,
-        "top_title": experiment.top.title,
-        "scheme": experiment.scheme.name,
-        "scheme_title": experiment.scheme.title,
-        "h": experiment.h,
-        "N": experiment.N,
-    }
-
-
 def precision_note(report: Mapping[str, Any]) -> str:
     """Precision of a run in one line; empty for doubles."""
     precision = report.get("precision")
@@ -150,24 +131,36 @@ def precision_note(report: Mapping[str, Any]) -> str:
     return f"computed with {precision} digits" if isinstance(precision, int) else "computed in rational numbers"
 
 
-def report_data(
-    about: Mapping[str, Any], rows: Sequence[InvariantRow], quantities: Sequence[dict[str, Any]] = ()
+def _common(
+    experiment: Experiment,
+    digest: str,
+    outcome: Outcome,
+    message: str,
+    seconds: Mapping[str, Any],
+    quantities: Sequence[dict[str, Any]],
+    crossings: NDArray[np.int64] | None,
 ) -> dict[str, Any]:
-    """Content of ``report.json``: what it is ``about``, a row for each invariant, and for each quantity."""
-    return finite(
-        {
-            "schema_version": SCHEMA_VERSION,
-            **about,
-            "round_off_ulps": ROUND_OFF_ULPS,
-            "significance": SIGNIFICANCE,
-            "lost": LOST,
-            "invariants": [row.as_dict() for row in rows],
-            **({"quantities": list(quantities)} if quantities else {}),
-        }
-    )
+    """Entries of ``report.json`` that runs and ensembles share."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "name": experiment.name,
+        "digest": digest,
+        "top": experiment.top.kind,
+        "top_title": experiment.top.title,
+        "scheme": experiment.scheme.name,
+        "scheme_title": experiment.scheme.title,
+        "h": experiment.h,
+        "N": experiment.N,
+        "outcome": outcome.value,
+        "message": message + section_note(experiment, crossings),
+        **section_data(crossings),
+        "seconds": dict(seconds),
+        "round_off_ulps": ROUND_OFF_ULPS,
+        **({"quantities": list(quantities)} if quantities else {}),
+    }
 
 
-def run_report(
+def report_of_run(
     experiment: Experiment,
     digest: str,
     ending: Ending,
@@ -178,19 +171,19 @@ def run_report(
     further: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Content of ``report.json`` of a run, with ``further`` entries on its precision."""
-    about = {
-        **heading(experiment, experiment.name, digest),
-        "outcome": ending.outcome.value,
-        "message": ending.message + section_note(experiment, crossings),
-        **section_data(crossings),
-        "step": ending.step,
-        "t": ending.t,
-        "left_motion": left_motion(ending),
-        "counters": dict(ending.counters),
-        "seconds": dict(seconds),
-        **further,
-    }
-    return report_data(about, rows, quantities)
+    return finite(
+        {
+            **_common(experiment, digest, ending.outcome, ending.message, seconds, quantities, crossings),
+            "step": ending.step,
+            "t": ending.t,
+            "left_motion": None if ending.left is None else {"step": ending.left, "t": ending.left_t},
+            "counters": dict(ending.counters),
+            **further,
+            "significance": SIGNIFICANCE,
+            "lost": LOST,
+            "invariants": [row.as_dict() for row in rows],
+        }
+    )
 
 
 def quantity_rows(
@@ -203,7 +196,7 @@ def quantity_rows(
     join, rows = {"min": np.min, "max": np.max}, []
     for quantity in quantities:
         row: dict[str, Any] = {"name": quantity.name, "formula": quantity.formula}
-        for figure in FIGURES:
+        for figure in QUANTITY_FIGURES:
             values = figures[f"{figure}.{quantity.name}"]
             values = values if crossings is None else values[crossings > 0]
             row[figure] = float(join.get(figure, np.mean)(values)) if len(values) else math.nan
@@ -289,35 +282,29 @@ def ensemble_message(endings: Endings, N: int) -> str:
     return message
 
 
-def ensemble_report(
+def report_of_ensemble(
     experiment: Experiment,
     digest: str,
     endings: Endings,
     invariants: Sequence[dict[str, Any]],
-    seconds: dict[str, Any],
+    seconds: Mapping[str, Any],
     quantities: Sequence[dict[str, Any]] = (),
     crossings: NDArray[np.int64] | None = None,
 ) -> dict[str, Any]:
     """Content of ``report.json``; ``invariants`` and ``quantities`` are the rows of the ensemble's summaries."""
+    outcome, message = ensemble_outcome(endings), ensemble_message(endings, experiment.N)
     return finite(
         {
-            "schema_version": SCHEMA_VERSION,
             "kind": "ensemble",
-            **heading(experiment, experiment.name, digest),
+            **_common(experiment, digest, outcome, message, seconds, quantities, crossings),
             "trajectories": len(endings),
             "store": experiment.ensemble.store if experiment.ensemble else "",
-            "outcome": ensemble_outcome(endings).value,
-            "message": ensemble_message(endings, experiment.N) + section_note(experiment, crossings),
-            **section_data(crossings),
             "outcomes": {outcome.value: count for outcome, count in endings.outcomes.items()},
             "failures": [
                 {"trajectory": i, **_failure(endings[i])} for i in endings.failed[:SHOWN_TRAJECTORIES].tolist()
             ],
             "counters": endings.totals,
-            "seconds": seconds,
-            "round_off_ulps": ROUND_OFF_ULPS,
             "invariants": list(invariants),
-            **({"quantities": list(quantities)} if quantities else {}),
         }
     )
 

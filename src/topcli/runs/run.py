@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +14,17 @@ import numpy as np
 
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome
+from topcli.engine.consumers import State
 from topcli.engine.drive import Chunk, drive
+from topcli.engine.integration import Integration
 from topcli.errors import RunError
 from topcli.plugins import own_sources
-from topcli.runs.identity import identity_of
 from topcli.runs.plans import plans
 from topcli.runs.recording import Recording
 from topcli.store.files import json_text
+from topcli.store.identity import Identity, identity_of
 from topcli.store.provenance import git_commit, now
-from topcli.store.result_folder import Identity, ResultFolder, being_computed
+from topcli.store.result_folder import ResultFolder, being_computed
 from topcli.store.results import SWEEP, StoredResult, intact_result, stored_results
 from topcli.tops import top_origin
 
@@ -100,58 +102,61 @@ def run_experiment(experiment: Experiment, out: Path, options: RunOptions = RunO
         return _computed(experiment, folder, identity, options)
 
 
-def _computed(
-    experiment: Experiment,
-    folder: ResultFolder,
-    identity: Identity,
-    options: RunOptions,
-) -> RunResult:
+def _computed(experiment: Experiment, folder: ResultFolder, identity: Identity, options: RunOptions) -> RunResult:
     """Compute a result into its folder, from the last checkpoint on. Raises OSError."""
     metadata = {"topcli.config": json.dumps(identity.config), "topcli.digest": identity.digest}
     metadata |= {"topcli.environment": json.dumps(folder.stored.manifest["environment"])}
     recording, state = Recording(experiment, folder.working, metadata), folder.checkpoint()
-    continued, begun = bool(state), int(state.pop("plan", np.array(0)))
-    save, run = Checkpoints(folder, options), None
-    N, count = recording.experiment.N, experiment.ensemble.count if experiment.ensemble else 1
-    if continued:
+    if continued := bool(state):
         options.on_message(f"{experiment.name}: continues from the last checkpoint")
-    # plans that ended before the last checkpoint are in the tables already
     with ExitStack() as open_tables:
         for table in recording.tables:
             open_tables.enter_context(table)
-        for number, plan in enumerate(plans(experiment)):
-            if number < begun:
-                continue
-
-            def on_chunk(chunk: Chunk, number: int = number) -> None:
-                save(number, chunk)
-                options.on_progress(chunk.run.plan.first * N + chunk.run.taken, count * N)
-
-            run = drive(plan, recording.consumers, start=state, on_chunk=on_chunk, threads=options.threads)
-            recording.add_seconds(run)
-            state = {}
-            if Outcome.INTERRUPTED in run.endings.outcomes:
-                break
-        assert run is not None
+        run = _integrated(recording, state, Checkpoints(folder, options), options)
         report = recording.report(run.plan, run.endings, identity.digest)
-        outcome = Outcome(report["outcome"])
         left = {"topcli.left_motion": json.dumps(report["left_motion"])} if report.get("left_motion") else {}
-        tables = recording.finish(outcome, report["message"], left)
+        tables = recording.finish(Outcome(report["outcome"]), report["message"], left)
     # the manifest comes last, for it declares the result complete
-    entries = {
+    entries = _manifest_entries(recording, report, tables) | ({"continued": now()} if continued else {})
+    folder.finish(entries, _texts(recording, identity, report), tables)
+    return RunResult(folder.stored, report, "continued" if continued else "ran", folder.set_aside)
+
+
+def _integrated(recording: Recording, state: State, save: Checkpoints, options: RunOptions) -> Integration:
+    """Last plan, or the interrupted one, after integrating those that the checkpoint ``state`` leaves to do."""
+    experiment, begun = recording.experiment, int(state.pop("plan", np.array(0)))
+    count, run = experiment.ensemble.count if experiment.ensemble else 1, None
+    for number, plan in enumerate(plans(experiment)):
+        if number < begun:  # it is in the tables already
+            continue
+
+        def on_chunk(chunk: Chunk, number: int = number) -> None:
+            save(number, chunk)
+            options.on_progress(chunk.run.plan.first * experiment.N + chunk.run.taken, count * experiment.N)
+
+        run = drive(plan, recording.consumers, start=state, on_chunk=on_chunk, threads=options.threads)
+        recording.add_seconds(run)
+        state = {}
+        if Outcome.INTERRUPTED in run.endings.outcomes:
+            break
+    assert run is not None
+    return run
+
+
+def _manifest_entries(recording: Recording, report: dict[str, Any], tables: Sequence[Path]) -> dict[str, Any]:
+    """Entries of the manifest of a result with this report and these tables."""
+    experiment = recording.experiment
+    return {
         "kind": "ensemble" if experiment.ensemble else "run",
         "outcome": report["outcome"],
         "message": report["message"],
         **({"step": report["step"]} if "step" in report else {"trajectories": tables[-1].name}),
         "series": tables[0].name,
-        "scheme_origin": recording.experiment.scheme.origin,
-        "top_origin": top_origin(type(recording.experiment.top)),
+        "scheme_origin": experiment.scheme.origin,
+        "top_origin": top_origin(type(experiment.top)),
         "seconds": recording.seconds,
         **git_commit(),
-        **({"continued": now()} if continued else {}),
     }
-    folder.finish(entries, _texts(recording, identity, report), tables)
-    return RunResult(folder.stored, report, "continued" if continued else "ran", folder.set_aside)
 
 
 def _texts(recording: Recording, identity: Identity, report: dict[str, Any]) -> dict[str, str]:

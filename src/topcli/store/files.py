@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import io
 import json
@@ -64,10 +63,6 @@ def io_failure(error: OSError, path: Path, consequence: str = "nothing of this r
     name = Path(error.filename).name if isinstance(error.filename, str) else ""
     if name and not name.startswith(".") and name != path.name:
         path = path / name
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return RunError(f"{path}: no space left on the device; {consequence}")
-    if error.errno == errno.EFBIG:
-        return RunError(f"{path}: the file would exceed the size limit; {consequence}")
     return RunError(f"{path}: cannot be written ({error.strerror or error}); {consequence}")
 
 

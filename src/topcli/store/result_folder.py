@@ -18,7 +18,6 @@ import itertools
 import os
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -38,9 +37,9 @@ from topcli.store.files import (
     write_arrays,
     write_text,
 )
+from topcli.store.identity import Identity
 from topcli.store.provenance import environment, now
 from topcli.store.results import MANIFEST, MANIFEST_VERSION, SWEEP, UNFINISHED, StoredResult, read_result
-from topcli.store.sources import digest_of_texts
 
 LOOK_SECONDS = 0.1
 """Seconds after which a process that only looked at a lock does not hold it any more."""
@@ -54,23 +53,6 @@ class Action(StrEnum):
     RENAME = "will run; the earlier result is renamed, not overwritten"
     CONTINUE = "will continue from its last checkpoint"
     UP_TO_DATE = "up to date"
-
-
-@dataclass(frozen=True)
-class Identity:
-    """Resolved experiment or ensemble (``config``), the ``digest`` of what it computes, and that of the ``code``.
-
-    Two runs are the same if both digests are equal.
-    """
-
-    config: dict[str, Any]
-    digest: str
-    code: str
-
-    @property
-    def key(self) -> str:
-        """Eight digits that tell results of one name apart."""
-        return digest_of_texts([self.digest, self.code])[:8]
 
 
 class ResultFolder:

@@ -1,4 +1,4 @@
-"""Columns of time series on disk, as Parquet or CSV: their types and encodings, and how they are read.
+"""Columns of time series on disk, as Parquet or CSV: types and encodings, reading, and the rows of a picture.
 
 Parquet columns are compressed by zstd at its fast level -1 after a byte-stream split and without dictionaries. For
 smooth float64 series this is bit-exact, smaller than with the defaults, and several times faster to write. Pages carry
@@ -15,12 +15,17 @@ from typing import Any
 
 import numpy as np
 
+from topcli.contracts import Array
 from topcli.errors import RunError
 
 INTEGERS = ("n", "trajectory", "left_motion")
 """Names of integer columns."""
 WORDS = ("outcome",)
 """Names of text columns."""
+STRETCHES = 500
+"""Stretches into which a long series is divided: more than a small picture has pixels across."""
+PIECE = 1 << 17
+"""Rows that are read together, about."""
 
 
 def _arrow_type(name: str) -> Any:
@@ -148,3 +153,29 @@ def read_metadata(path: Path) -> dict[str, str]:
     except (OSError, pa.ArrowException):
         return {}
     return {key.decode(): value.decode() for key, value in metadata.items()}
+
+
+def envelope(path: Path, names: Sequence[str], stretches: int = STRETCHES) -> dict[str, Array]:
+    """Columns ``names`` at the rows that a picture needs, in order; all rows of a short series.
+
+    Minima and maxima of every stretch and both ends are included. Raises RunError if the series is damaged.
+    """
+    size = -(-len(read_series(path, names[:1])[names[0]]) // stretches)
+    if size <= 2 * len(names) + 2:  # the extremes would be about as many as the rows
+        return read_series(path, names)
+    pieces = [_extremes(piece, size) for piece in series_pieces(path, names, size * max(1, PIECE // size))]
+    return {name: np.concatenate([piece[name] for piece in pieces]) for name in names}
+
+
+def _extremes(columns: Mapping[str, Array], size: int) -> dict[str, Array]:
+    """Rows with the smallest or largest number of a column in each stretch of ``size`` rows, and the ends of these."""
+    rows = len(next(iter(columns.values())))
+    starts = np.arange(0, rows, size)
+    needed = [starts, np.minimum(starts + size, rows) - 1]
+    for values in columns.values():
+        for filling, extreme in ((np.inf, np.argmin), (-np.inf, np.argmax)):
+            numbers = np.where(np.isnan(values), filling, values)
+            padded = np.pad(numbers, (0, -rows % size), constant_values=filling)
+            needed.append(np.minimum(starts + extreme(padded.reshape(-1, size), axis=1), rows - 1))
+    chosen = np.unique(np.concatenate(needed))
+    return {name: values[chosen] for name, values in columns.items()}

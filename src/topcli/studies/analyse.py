@@ -10,6 +10,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,6 @@ from topcli.analysis.swings import first_swing_spacing, swing_times
 from topcli.analysis.tally import invariant_report
 from topcli.analysis.verdict import InvariantRow
 from topcli.config.load import load_experiment
-from topcli.config.models import Experiment
 from topcli.contracts import Array, Top
 from topcli.errors import TopcliError, UsageError, counted, nearest, quoted, shortened
 from topcli.runs.report import invariant_table, open_lines
@@ -91,69 +91,76 @@ def analyse(
         raise UsageError(f"--steps {steps}: must be at least 1")
     experiment = load_experiment(config, overrides, any_precision=isinstance(config, Mapping))
     path, top = Path(path), experiment.top
-    t, states, n = _series(path, top, rename)
-    taken, origin = len(t) - 1, "rows - 1"
-    if steps is not None:
-        taken, origin = steps, "--steps"
-    elif n is not None:
-        taken, origin = int(n[-1] - n[0]), "column n"
+    t, states, counted_steps = _series(path, top, rename)
+    taken = steps or counted_steps or len(t) - 1
     watch.begin("analyse", experiment)
-    invariants, left, kind = _judged(experiment, t, states, n, taken)
+    invariants, left, kind = _judged(top, t, states, taken)
     notes = open_lines([(row.symbol, row.as_dict()) for row in invariants])
     if left is not None:
         notes.append(f"warning: {path}: far off its energy surface at row {left + 1} (t = {t[left]:.6g})")
 
     # from the config's initial state, so that rounding in the file is not taken for the motion
-    y0, first = np.array(experiment.y0, dtype=float), states[0]
-    difference = float(np.abs(first - y0).max())
+    y0 = np.array(experiment.y0, dtype=float)
+    difference = float(np.abs(states[0] - y0).max())
     agrees = difference <= START_AGREEMENT * np.abs(y0).max()
-    columns = {"t": t}
-    reference = None
-    try:
-        reference = reference_states(top, tuple((y0 if agrees else first).tolist()), t - t[0])
-        with np.errstate(over="ignore"):
-            columns["error"] = np.linalg.norm(states - reference, axis=1)
-    except TopcliError as failure:
-        notes.insert(0, f"warning: no error: {failure.lines[0]}")
+    reference, no_error = _reference(top, y0 if agrees else states[0], t)
+    columns = {"t": t, **_deviations(top, states, reference)}
+    spacing, no_minima = _first_spacings(top, t, states, reference)
+    notes = [*no_error, *notes, *no_minima]
     error = columns.get("error")
-    for invariant in top.invariants():
-        with np.errstate(all="ignore"):
-            values = invariant.value(states)
-            columns[f"deviation of {invariant.symbol}"] = np.abs(values - values[0])
-
-    swings = due = np.empty(0)
-    try:
-        swings = swing_times(top, t, states)
-        due = due if reference is None else swing_times(top, t, reference)
-    except UsageError as failure:
-        notes.append(f"warning: no minima: {failure.lines[0]}")
-    spacing = ten_digits(first_swing_spacing(swings))
-    spacing += "" if reference is None else f" (reference {ten_digits(first_swing_spacing(due))})"
     summary = {
         "rows": len(t),
         "times": f"{ten_digits(float(t[0]))} to {ten_digits(float(t[-1]))}, {kind}",
         "steps": taken,
-        "steps from": origin,
+        "steps from": "--steps" if steps else "column n" if counted_steps else "rows - 1",
         "reference from": "none" if error is None else "the config's initial state" if agrees else "the first row",
         "first row − config": difference,
         "max error": None if error is None else float(error.max()),
         "final error": None if error is None else float(error[-1]),
         f"first spacing of minima of {top.swing}": spacing,
     }
-
-    def draw(axes: Any, looks: Callable[..., Any]) -> None:
-        for name, values in columns.items():
-            if name != "t":
-                axes.semilogy(t, np.where(values > 0.0, values, np.nan), label=name)
-        axes.set(xlabel="time $t$", ylabel="error, deviations", title=path.name.replace("$", r"\$"))
-
     laws = invariant_table([row.as_dict() for row in invariants])
     tables = [
         Table("Series", [{"figure": name, "value": value} for name, value in summary.items()]),
         replace(laws, across=False, detail=[key for key in laws.columns()[1:] if key not in BRIEF]),
     ]
-    title = f"{path}: {top.title}"
+    title, draw = f"{path}: {top.title}", partial(_draw, columns, path.name)
     return Report("analyse", title, "", tables, notes, config=experiment.resolved(), columns=columns, draw=draw)
+
+
+def _reference(top: Top, y0: Array, t: Array) -> tuple[Array | None, list[str]]:
+    """States of the reference from ``y0`` at the times ``t`` (m,); None and a warning if it is out of reach."""
+    try:
+        return reference_states(top, tuple(y0.tolist()), t - t[0]), []
+    except TopcliError as failure:
+        return None, [f"warning: no error: {failure.lines[0]}"]
+
+
+def _deviations(top: Top, states: Array, reference: Array | None) -> dict[str, Array]:
+    """Distances from the reference, if there is one, and deviations of the invariants from their first values."""
+    with np.errstate(all="ignore"):
+        error = {} if reference is None else {"error": np.linalg.norm(states - reference, axis=1)}
+        values = {invariant.symbol: invariant.value(states) for invariant in top.invariants()}
+        return error | {f"deviation of {symbol}": np.abs(each - each[0]) for symbol, each in values.items()}
+
+
+def _first_spacings(top: Top, t: Array, states: Array, reference: Array | None) -> tuple[str, list[str]]:
+    """First spacing of swings in the series and in the reference, and a warning if the rows are too few to show it."""
+    series = [states] if reference is None else [states, reference]
+    notes, texts = [], [ten_digits(None)] * len(series)
+    try:
+        texts = [ten_digits(first_swing_spacing(swing_times(top, t, each))) for each in series]
+    except UsageError as failure:
+        notes = [f"warning: no minima: {failure.lines[0]}"]
+    return texts[0] + "".join(f" (reference {text})" for text in texts[1:]), notes
+
+
+def _draw(columns: Mapping[str, Array], name: str, axes: Any, looks: Callable[..., Any]) -> None:
+    """Draw the error and the deviations over time."""
+    for label, values in columns.items():
+        if label != "t":
+            axes.semilogy(columns["t"], np.where(values > 0.0, values, np.nan), label=label)
+    axes.set(xlabel="time $t$", ylabel="error, deviations", title=name.replace("$", r"\$"))
 
 
 def read_frame(path: Path) -> pd.DataFrame:
@@ -218,8 +225,8 @@ def _column(path: Path, frame: pd.DataFrame, source: str) -> Array:
     return values
 
 
-def _series(path: Path, top: Top, rename: Sequence[str]) -> tuple[Array, Array, Array | None]:
-    """Times (m,), states (m, d) and step numbers (m,), None if there are none. Raises UsageError for wrong values."""
+def _series(path: Path, top: Top, rename: Sequence[str]) -> tuple[Array, Array, int | None]:
+    """Times (m,), states (m, d), and the steps between the ends by a column n, if any. Raises UsageError."""
     frame, names = read_frame(path), ("n", "t", *top.components)
     sources: dict[str, str] = {}
     for pair in (part for text in rename for part in text.split(",") if part.strip()):
@@ -250,26 +257,13 @@ def _series(path: Path, top: Top, rename: Sequence[str]) -> tuple[Array, Array, 
         return t, states, None
     n = _column(path, frame, sources.get("n", "n"))
     counts = bool((np.diff(n) > 0.0).all() and (n == np.floor(n)).all() and np.abs(n).max() < 2.0**53)
-    if "n" in sources and not counts:
-        raise UsageError(f"{path}: column {quoted(sources['n'])} does not hold increasing step numbers")
-    return t, states, n if counts else None
+    return t, states, int(n[-1] - n[0]) if counts else None
 
 
-def _judged(
-    experiment: Experiment, t: Array, states: Array, n: Array | None, steps: int
-) -> tuple[list[InvariantRow], int | None, str]:
-    """Report on the invariants, the index of the first row that left the energy surface, and the kind of times.
-
-    Modified integrals belong to step numbers of a run with the config's own h.
-    """
-    top, invariants, spacing = experiment.top, experiment.top.invariants(), float(t[-1] - t[0]) / (len(t) - 1)
-    numbers, h, kind = np.arange(len(t)), spacing, "even"
-    if n is not None and np.ptp(np.diff(n)) == 0 and np.array_equal(n * experiment.h, t):
-        numbers, h, kind = (n - n[0]).astype(np.int64), experiment.h, "steps of the config's h"
-        invariants = (*invariants, *experiment.modified)
-    rounding = 4.0 * np.finfo(np.float64).eps * np.abs(t).max()
-    if np.abs(t - (t[0] + np.arange(len(t)) * spacing)).max() > _EVEN * abs(spacing) + rounding:
-        rows = np.arange(len(t))
-        return *invariant_report(top, invariants, rows, 1.0, states, steps, float(t[-1] - t[0])), "uneven"
-    report, step = invariant_report(top, invariants, numbers, h, states, steps)
-    return report, None if step is None else int(np.searchsorted(numbers, step)), kind
+def _judged(top: Top, t: Array, states: Array, steps: int) -> tuple[list[InvariantRow], int | None, str]:
+    """Report on the invariants, the index of the first row that left the energy surface, and the kind of times."""
+    rows, span = np.arange(len(t)), float(t[-1] - t[0])
+    spacing, rounding = span / rows[-1], 4.0 * np.finfo(np.float64).eps * np.abs(t).max()
+    even = np.abs(t - (t[0] + rows * spacing)).max() <= _EVEN * abs(spacing) + rounding
+    h, uneven_span = (spacing, None) if even else (1.0, span)
+    return *invariant_report(top, top.invariants(), rows, h, states, steps, uneven_span), "even" if even else "uneven"

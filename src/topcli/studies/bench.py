@@ -380,7 +380,7 @@ def bench(
     title = f"{experiment.name}: {top.title}, t from 0 to {duration:g}, CPU time per unit of time"
     code, base = ExitCode.PARTLY_FAILED if errors else ExitCode.SUCCESS, experiment.resolved()
     columns = {key: np.array([row[key] for row in points]) for key in points[0]} if points else {}
-    draw = partial(draw_points, points) if points else None
+    draw = partial(draw_speed_against_error, points) if points else None
     return Report("bench", title, answer_of(decades), tables, notes, errors, code, base, columns, draw)
 
 
@@ -402,7 +402,7 @@ def nearest_to_front(points: Sequence[Row]) -> list[str]:
     return sorted(ratios, key=lambda name: (ratios[name], name))[:MOST_DRAWN]
 
 
-def draw_points(points: Sequence[Row], axes: Any, looks: Callable[..., Any]) -> None:
+def draw_speed_against_error(points: Sequence[Row], axes: Any, looks: Callable[..., Any]) -> None:
     """Draw every peer in grey, and our schemes that are nearest to the fastest."""
     useful = [row for row in points if 0.0 < row["error"] <= USELESS]
     peers = dict.fromkeys(row["peer"] for row in useful if row["peer"])

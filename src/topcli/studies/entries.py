@@ -20,24 +20,8 @@ from topcli.schemes.registry import find_scheme, names_for
 from topcli.testing import GENERIC
 from topcli.tops import TOPS, forms
 
-_SCENES = {
-    "kowalevski": "kowalevski_generic_hk",
-    "lagrange": "lagrange_hk",
-    "lagrange/inertial": "lagrange_bs",
-    "euler": "euler_hk",
-    "euler+gamma": "euler_gamma_hk",
-    "heavy": "heavy_hk",
-}
-"""Scene of each form of a top."""
-
-
-def scene_of(texts: Sequence[str]) -> str:
-    """Packaged scene of the first form of a top that fits the schemes of all ``texts``; else that of Kowalevski's."""
-    bases = [text.lower().partition(":")[0].partition("+")[0] for text in texts]
-    fits = (scene for form, scene in _SCENES.items() if all(base in names_for(form) for base in bases))
-    return next(fits, _SCENES["kowalevski"])
-
-
+SCENE = "kowalevski_generic_hk"
+"""Packaged scene that a study takes without a config."""
 FEW_ROWS = 100
 """Smallest number of times that entries share, if the config asks for them and each has as many steps."""
 

@@ -1,4 +1,4 @@
-"""``topcli frequencies``: frequencies and rotation numbers of an orbit, and how fast its averages converge."""
+"""``topcli frequencies``: frequencies of an orbit, and how fast its averages converge."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from topcli.analysis.frequencies import LEAST_CYCLES, LEAST_ROWS, agreement_digits, rotation_number, strongest_line
+from topcli.analysis.frequencies import LEAST_CYCLES, LEAST_ROWS, agreement_digits, strongest_line
 from topcli.config.load import load_experiment
 from topcli.contracts import Array
 from topcli.engine.rows import Rows
-from topcli.errors import ExitCode, UsageError, quoted
+from topcli.errors import ExitCode, UsageError
 from topcli.runs.plans import plans, trajectory_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.report import Report, Table, plain
@@ -21,8 +21,6 @@ from topcli.table import two_digits
 
 MOST_ROWS = 1 << 22
 """Largest number of rows of an orbit."""
-RESOLUTION = 70
-"""Distance of two lines, in cycles over the whole orbit, from which on neither shifts the other by 1e-13 of a cycle."""
 
 
 def frequencies(
@@ -30,7 +28,6 @@ def frequencies(
     overrides: Sequence[str] = (),
     *,
     component: Sequence[str] = (),
-    angle: Sequence[str] = (),
     watch: Watch = SILENT,
 ) -> Report:
     """Measure the frequencies of an orbit and detect chaos.
@@ -47,17 +44,16 @@ def frequencies(
         Override a key of the config, e.g. h=0.01, top.c0=-1, scheme.branch=sign.
     component : sequence of str, optional
         Components, invariants or quantities (formulas in ``output.quantities`` of the config) to measure. By default,
-        all components and quantities are measured, or none if an ``angle`` is given.
-    angle : sequence of str, optional
-        Measure how fast the point (X, Y) turns about the origin, where X and Y are two columns. Each pair is a text
-        such as ``"gamma1,gamma2"``.
+        all components and quantities are measured.
     watch : Watch, optional
         Observer of the study.
 
     Returns
     -------
     Report
-        ``table`` has a row for each measured column and each ``angle``.
+        ``table`` has a row for each measured column: the frequency of the strongest line of its spectrum in cycles per
+        unit of time, its change from the first half of the orbit to the second, and the digits to which averages over
+        the halves agree.
 
     Raises
     ------
@@ -78,65 +74,37 @@ def frequencies(
     if rows > MOST_ROWS:
         least = math.ceil(experiment.N / (MOST_ROWS - 1))
         raise UsageError(f"output.every: {rows} recorded rows do not fit in memory; take {least} or more")
-    pairs = [_pair(text) for text in angle]
     everything = [*experiment.top.components, *(quantity.name for quantity in experiment.quantities)]
-    names = list(component) or ([] if pairs else everything)
+    names = list(component) or everything
     # an unknown name is refused before the run
     first = Rows(next(plans(experiment)), np.zeros(1, dtype=np.int64), np.array([experiment.y0], dtype=float))
-    first.columns([*names, *(name for pair in pairs for name in pair)])
+    first.columns(names)
     watch.begin("frequencies", experiment)
-    orbit, T, spacing = trajectory_of(experiment), experiment.N * experiment.h, experiment.h * experiment.output.every
+    orbit, spacing = trajectory_of(experiment), experiment.h * experiment.output.every
     subject = f"{experiment.scheme.name} on {experiment.name}: {experiment.top.title}"
     title = f"{subject}, h = {experiment.h:g}, N = {experiment.N}"
     measured, notes, answer, errors = [], [], "", []
     if len(orbit) < rows:
         errors = [f"no frequencies: the run {orbit.ending.message}"]
     else:
-        lines = [_line(name, orbit[name], spacing) for name in names]
-        measured = plain([*lines, *(_rotation(*pair, orbit[pair[0]], orbit[pair[1]], spacing) for pair in pairs)])
+        measured = plain([_line(name, orbit[name], spacing) for name in names])
         judged = [row for row in measured if row["digits"] is not None]
         answer, notes = _answer(judged), _slow(judged)
-        notes += [
-            "frequency: strongest line of the spectrum, in cycles per unit time; change: frequency of the second half "
-            "of the orbit minus that of the first; digits: number of digits to which the averages over the halves "
-            "agree",
-            f"limits of {rows} rows over T = {T:g}: a frequency above {0.5 / abs(spacing):g} appears as a lower one, "
-            f"and two lines closer than about {RESOLUTION / abs(T):.2g} disturb each other",
-        ]
     formats = {"frequency": ".12g", "period": ".6g", "change": two_digits, "digits": ".1f"}
     code = ExitCode.FAILED if errors else ExitCode.SUCCESS
     tables = [Table("Frequencies", measured, formats)]
     return Report("frequencies", title, answer, tables, notes, errors, code, experiment.resolved())
 
 
-def _pair(text: str) -> tuple[str, str]:
-    x, comma, y = (part.strip() for part in text.partition(","))
-    if not (x and comma and y) or "," in y:
-        raise UsageError(f"--angle {quoted(text)}: write two columns, such as --angle gamma1,gamma2")
-    return x, y
-
-
-def _row(name: str, frequency: float, amplitude: float | None, change: float, digits: float) -> dict[str, Any]:
-    period = math.inf if frequency == 0.0 else 1.0 / abs(frequency)
-    figures = {"frequency": frequency, "period": period, "amplitude": amplitude, "change": change, "digits": digits}
-    return {"column": name, **figures}
-
-
 def _line(name: str, rows: Array, spacing: float) -> dict[str, Any]:
     """Strongest line of a column, its change from the first half to the second, and the digits of the average."""
     line, half, unit = strongest_line(rows), len(rows) // 2, abs(spacing)
     first, second = (strongest_line(part).frequency for part in (rows[:half], rows[half:]))
-    digits = float(agreement_digits(rows))
-    return _row(name, line.frequency / unit, line.amplitude, (second - first) / unit, digits)
-
-
-def _rotation(x_name: str, y_name: str, x: Array, y: Array, spacing: float) -> dict[str, Any]:
-    """Mean rotation of a point, with its sense, and its change from the first half to the second."""
-    half = len(x) // 2
-    change = rotation_number(x[half:], y[half:]) - rotation_number(x[: half + 1], y[: half + 1])
-    digits = -math.log10(max(abs(change), 1e-16))
-    name = f"angle of {x_name}, {y_name}"
-    return _row(name, rotation_number(x, y) / spacing, None, change / spacing, digits)
+    frequency = line.frequency / unit
+    return {
+        "column": name, "frequency": frequency, "period": 1.0 / frequency if frequency else math.inf,
+        "amplitude": line.amplitude, "change": (second - first) / unit, "digits": float(agreement_digits(rows)),
+    }  # fmt: skip
 
 
 def _answer(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -20,7 +20,7 @@ from topcli.analysis.algebraic_growth import (
     fitted_law,
     heights,
 )
-from topcli.analysis.hk_basis import Density, HKBasis, density, hk_bases
+from topcli.analysis.hk_basis import HKBasis, density, hk_bases
 from topcli.engine.numbers import rationals
 from topcli.engine.residues import RationalMap, modular_map, rational_map
 from topcli.errors import RunError, counted
@@ -40,11 +40,9 @@ BASES = (2, 3, 4)
 MOST_MONOMIALS = 1000
 """Monomials of a density, about 2 s of work: degree 6 for six components."""
 LARGEST_DENSITY = 6
-TESTS = 5
+_TESTS = 5
 CHEAP = 2000
 """Degree up to which an iterate is repeated."""
-SHOWN_TERMS = 12
-"""Longest density that is shown as a formula."""
 T = TypeVar("T")
 
 
@@ -97,7 +95,7 @@ def integrability(
     """
     experiment = experiment_on(top, scheme, config, overrides, h=H, N=1)
     body, h = experiment.top, decimal(experiment.h)
-    d, components = len(body.components), body.components
+    d = len(body.components)
     watch.begin("integrability", unit="tests")
 
     # five tests
@@ -123,10 +121,11 @@ def integrability(
         "repeated": ("the same" if same else _listed(again), f"along another line, with h = {h + OTHER_H}"),
         "heights": (f"{bits[-1]} bits after {counted(len(bits) - 1, 'step')}", fitted),
         "HK bases": (f"independent integrals: {integrals}", listed),
-        "density": (f"degree {measure.degree}", _density_text(measure, components))
-        if measure
-        else ("none", f"no polynomial P up to degree {most}"),
+        "density": ("none", f"no polynomial P up to degree {most}"),
     }
+    if measure:
+        polynomials = counted(len(measure.basis), "independent polynomial")
+        tests["density"] = f"degree {measure.degree}", f"measure dx/P with {polynomials} P"
     evidence = [{"test": test, "found": result, "meaning": meaning} for test, (result, meaning) in tests.items()]
     iterates = [
         {"n": n, "degree": degree, "repeated": repeated, "bits": size}
@@ -156,7 +155,7 @@ def _tested(number: int, watch: Watch, work: Callable[[], T]) -> T:
         result = work()
     except ZeroDivisionError as error:
         raise RunError(f"integrability: the step fails on random states: {error}") from None
-    watch(number, TESTS)
+    watch(number, _TESTS)
     return result
 
 
@@ -213,11 +212,3 @@ def _density_degree(d: int) -> int:
 
 def _listed(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers)) or f"above {MOST_POINTS // 2} at once"
-
-
-def _density_text(measure: Density, names: Sequence[str]) -> str:
-    polynomials, count = measure.polynomials(len(names)), len(measure.basis)
-    density = f"{count} independent polynomials P" if count > 1 else "one polynomial P"
-    if count == 1 and polynomials and len(polynomials[0].terms) <= SHOWN_TERMS:
-        density = f"P = {polynomials[0].text(names)}"
-    return f"measure dx/P with {density}"

@@ -18,7 +18,7 @@ from topcli.contracts import Array
 from topcli.errors import ExitCode, UsageError
 from topcli.schemes.registry import names_for
 from topcli.studies import SILENT, Watch
-from topcli.studies.entries import SCHEME, code_failures, entries_of, refuse_keys, scene_of
+from topcli.studies.entries import SCENE, SCHEME, code_failures, entries_of, refuse_keys
 from topcli.studies.ladder import ErrorCurve, ladder, measured, scheme_calls
 from topcli.studies.report import Report, Table
 from topcli.table import Row, two_digits
@@ -54,8 +54,8 @@ def order(
     *schemes : str
         Names of schemes, with options if needed; by default, six common ones, or all that fit the config.
     config : path, str or mapping, optional
-        Config or scene that gives the top, the initial state and the duration. By default, a scene of a top that the
-        schemes fit, over T = 10.
+        Config or scene that gives the top, the initial state and the duration. By default, a generic motion of the
+        Kowalevski top over T = 10.
     overrides : sequence of str, optional
         Override a key of the config, e.g. top.c0=-1 or T=20.
     sizes : sequence of float, optional
@@ -90,7 +90,7 @@ def order(
     (3, 2)
     """
     refuse_keys(overrides, {**SCHEME, "h": "the step sizes of this study are given by --h, or chosen for each scheme"})
-    scene, length = (scene_of(schemes or DEFAULT), ["T=10"]) if config is None else (config, [])
+    scene, length = (SCENE, ["T=10"]) if config is None else (config, [])
     base = load_experiment(scene, [*length, *overrides])
     interval = base.duration / INTERVALS
     if interval <= 0.0:

@@ -45,6 +45,7 @@ from topcli.schemes.registry import schemes_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import code_failures, entry_named, schemes_called
 from topcli.studies.report import Report, Table
+from topcli.testing import GENERIC
 from topcli.tops import BUILT_IN, CATALOGUE, TOPS, forms, gentle_scene
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange
@@ -271,12 +272,12 @@ def passing(place: str, state: Floats) -> Case:
     return Case(f"{place}: is the order kept?", TOP, start, N=100)
 
 
-TOP, LAGRANGE, OMEGA, GAMMA = Kowalevski(), Lagrange(), (0.7, -0.4, 1.3), (0.6, 0.48, 0.64)
-GENERIC = (*OMEGA, *GAMMA)
+TOP, LAGRANGE, OMEGA, GAMMA = Kowalevski(), Lagrange(), GENERIC[:3], GENERIC[3:]
+
 SPINNING = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 CROSSING = (-0.8, 0.0, 0.5, 0.6, -0.48, -0.64)
 DELONE = (0.9, 0.3, 1.0, 0.72, 0.54, math.sqrt(1.0 - 0.72**2 - 0.54**2))
-REGULAR = {"heavy": (0.05, -0.04, 0.06, -0.70, -0.42, -0.577581)}
+REGULAR_STATES = {"heavy": (0.05, -0.04, 0.06, -0.70, -0.42, -0.577581)}
 """States of motions that are not chaotic, of tops whose generic motion is."""
 SLEEPING = (0.0, 0.0, 2.0 * math.sqrt(LAGRANGE.A * LAGRANGE.mu) / LAGRANGE.C, math.sin(1e-6), 0.0, math.cos(1e-6))
 """State of the Lagrange top with C omega3 = 2 sqrt(A mu), the limit of stability."""
@@ -334,7 +335,7 @@ def cases_of(form: str) -> dict[str, Case]:
     else:
         top = TOPS[form].new()
         state = (GENERIC * len(top.components))[: len(top.components)]
-    return {**CASES.get(form, {}), **general_cases(top, state, REGULAR.get(form, state))}
+    return {**CASES.get(form, {}), **general_cases(top, state, REGULAR_STATES.get(form, state))}
 
 
 def forms_with_cases() -> list[str]:
@@ -357,7 +358,7 @@ def verdict_of(scheme: Scheme, case: str, outcome: str) -> str:
     return OUTLIVED if declared and "+" not in scheme.name else OK
 
 
-def judged(scheme: Scheme, text: str, name: str, case: Case) -> dict[str, Any]:
+def row_of_trial(scheme: Scheme, text: str, name: str, case: Case) -> dict[str, Any]:
     """Row of the trial of a scheme, with the settings in its ``text``, in a case."""
     finding = Finding(BROKE, "", 0)
     failures: list[str] = []
@@ -445,7 +446,7 @@ def stress(
     watch.begin("stress", unit="trials")
     rows: list[dict[str, Any]] = []
     for trial in trials:
-        rows.append(judged(*trial))
+        rows.append(row_of_trial(*trial))
         watch(len(rows), len(trials))
     return report_of(rows)
 

@@ -6,7 +6,7 @@ that a run in a batch has the bits of a single run.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -15,8 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topcli.analysis.lyapunov import Growth, growth_of
-from topcli.analysis.order import PROBES as PROBE_STATES
-from topcli.analysis.order import probe_rows
 from topcli.analysis.swings import swing_times
 from topcli.analysis.tally import BLOCKS, Tally
 from topcli.config.models import Experiment
@@ -30,7 +28,7 @@ from topcli.errors import TopcliError, UsageError, quoted
 from topcli.plugins import users_error
 from topcli.runs.plans import plan_of
 from topcli.runs.references import Errors, reference_of
-from topcli.sweeps.measures import ERROR, FINAL_ERROR, PROBES, RECORDED, STATES, Measure, is_figure
+from topcli.sweeps.measures import ERROR, FINAL_ERROR, RECORDED, STATES, Measure, is_figure
 
 WHOLE = (Outcome.COMPLETED, Outcome.LEFT_MOTION)
 """Outcomes of runs that took all their steps."""
@@ -60,8 +58,6 @@ class Batch:
         Recorded columns by name. Values after the end of a failed run are nan.
     states : ndarray, shape (runs, m, d)
         Recorded states. Values after the end of a failed run are nan.
-    probes : ndarray, shape (runs, k, d)
-        For each run, k recorded states (at most 16) that are evenly spread along the run.
     figures : mapping of str to ndarray, shape (runs,)
         Figures of invariants, such as ``max_deviation.energy`` and ``drift.energy``.
     max_error, final_error : ndarray, shape (runs,)
@@ -69,9 +65,8 @@ class Batch:
         and ``final_error`` is the distance at step N.
     faults : mapping of int to str
         Reasons why the errors of a run could not be computed, by its number.
-    one_step : callable
-        ``one_step(states, h)`` takes k states, shape (k, d), and returns the states after one step of ``h`` in an array
-        of the same shape. A state is nan if its step fails.
+    plan : Plan
+        Top and machine code of the runs.
     """
 
     experiment: Experiment
@@ -82,12 +77,11 @@ class Batch:
     seconds: Array
     columns: Mapping[str, Array]
     states: Array
-    probes: Array
     figures: Mapping[str, Array]
     max_error: Array
     final_error: Array
     faults: Mapping[int, str]
-    one_step: Callable[[Array, float], Array]
+    plan: Plan
 
     def __len__(self) -> int:
         return len(self.initial)
@@ -110,6 +104,16 @@ class Batch:
         """Times of the swings of each run. Raises UsageError if the rows are too few to show them."""
         return [swing_times(self.experiment.top, self.t, states) for states in self.states]
 
+    def one_step(self, states: Array, h: float) -> Array:
+        """Return the states after one step of ``h`` from each of ``states``, shape (k, d); nan where the step fails."""
+        after, usable = np.full_like(states, np.nan), np.flatnonzero(np.isfinite(states).all(axis=1))
+        if len(usable):
+            step = drive(Plan(self.plan.top, self.plan.machine, states[usable], h, 1), threads=1)
+            stepped = step.last_n == 1
+            after[usable[stepped]] = step.last[stepped]
+        check_stop()
+        return after
+
     @property
     def whole(self) -> NDArray[np.bool_]:
         """True for each run that took all its steps."""
@@ -118,7 +122,7 @@ class Batch:
     def of(self, which: NDArray[np.int64]) -> Batch:
         """Batch of the runs numbered ``which`` (k,) alone."""
         parts: dict[str, Any] = {"endings": self.endings.of(which)}
-        for name in ("initial", "last", "seconds", "states", "probes", "max_error", "final_error"):
+        for name in ("initial", "last", "seconds", "states", "max_error", "final_error"):
             parts[name] = getattr(self, name)[which]
         for name in ("columns", "figures"):
             parts[name] = {key: array[which] for key, array in getattr(self, name).items()}
@@ -144,8 +148,8 @@ class Measuring:
         self._invariants = sorted({name for _, _, name in figures})
         self._drifts = any(figure == "drift" for figure, _, _ in figures)
         self._columns = sorted(need for need in needs if not is_figure(need) and need not in RECORDED)
-        numbers = 1 + len(self._columns) + d * bool({STATES, PROBES} & needs) + (d + 1) * (ERROR in needs)
-        per_run = 8 * (rows * numbers + d * PROBE_STATES + 4 * BLOCKS * len(self._invariants))
+        numbers = 1 + len(self._columns) + d * (STATES in needs) + (d + 1) * (ERROR in needs)
+        per_run = 8 * (rows * numbers + 4 * BLOCKS * len(self._invariants))
         self.size = max(1, min(MAX_RUNS, BATCH_BYTES // per_run))
         """Number of runs whose records, references included, fit into memory."""
 
@@ -157,7 +161,7 @@ class Measuring:
         memory, errors = Memory(), Errors(self._reference, ERROR in needs)
         optional = {
             tally: bool(self._invariants),
-            memory: bool({STATES, PROBES} & needs),
+            memory: STATES in needs,
             errors: bool({ERROR, FINAL_ERROR} & needs),
         }
         consumers: list[Consumer] = [columns, *(consumer for consumer, needed in optional.items() if needed)]
@@ -175,23 +179,12 @@ class Measuring:
             seconds=np.full(count, float(run.seconds.sum()) / count),
             columns=columns.columns,
             states=states,
-            probes=states[:, probe_rows(len(columns.n))] if PROBES in needs else states[:, :0],
             figures=tally.columns() if optional[tally] else {},
             max_error=largest,
             final_error=errors.final if optional[errors] else none,
             faults=errors.faults if optional[errors] else {},
-            one_step=self._one_step,
+            plan=plan,
         )
-
-    def _one_step(self, states: Array, h: float) -> Array:
-        """States (k, d) after one step of ``h`` from ``states`` (k, d); nan where the step fails."""
-        after, usable = np.full_like(states, np.nan), np.flatnonzero(np.isfinite(states).all(axis=1))
-        if len(usable):
-            step = drive(Plan(self._plan.top, self.machine, states[usable], h, 1), threads=1)
-            stepped = step.last_n == 1
-            after[usable[stepped]] = step.last[stepped]
-        check_stop()
-        return after
 
 
 Faults = dict[int, str]

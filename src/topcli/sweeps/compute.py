@@ -27,7 +27,7 @@ from topcli.plugins import (
     sources_of,
     users_error,
 )
-from topcli.store.sources import digest_of_texts, package_digest
+from topcli.store.identity import digest_of_texts, package_digest
 from topcli.sweeps.batch import Measuring, evaluate
 from topcli.sweeps.measures import resolve_measures
 from topcli.sweeps.store import FAILED, StoredRow
@@ -109,12 +109,11 @@ def _results(run: Measuring, states: Array, names: Sequence[str]) -> list[Stored
     return list(zip(outcomes, messages, map(bytes, numbers), strict=True))
 
 
-def _failed(error: Exception | str, count: int, names: Sequence[str]) -> list[StoredRow]:
+def _failed(error: Exception, count: int, names: Sequence[str]) -> list[StoredRow]:
     """Results of rows that did not become runs."""
-    if isinstance(error, Exception):
-        reported = error if isinstance(error, TopcliError) else users_error(error)
-        error = str(reported) if reported else f"internal error: {type(error).__name__}: {error}"
-    return [(FAILED, " ".join(error.split()), np.full(len(names), np.nan).tobytes())] * count
+    reported = error if isinstance(error, TopcliError) else users_error(error)
+    text = str(reported) if reported else f"internal error: {type(error).__name__}: {error}"
+    return [(FAILED, " ".join(text.split()), np.full(len(names), np.nan).tobytes())] * count
 
 
 def code_of_process() -> str:
@@ -174,8 +173,7 @@ def results(
 ) -> Iterator[tuple[list[Piece], list[StoredRow]]]:
     """Yield batches and their results as they end, until all have ended or the work is asked to stop.
 
-    Dask runs a batch whose worker was lost again on other workers, and gives up after some of them; then its rows are
-    failed. Raises RunError if the cluster is lost.
+    Dask runs a batch whose worker was lost again on other workers. Raises RunError if they are lost too.
     """
     plugins, code = ([str(path) for path in FILES], code_of_process()) if dask else ([], "")
     source, flying = iter(batches), dict[Future[list[StoredRow]], list[Piece]]()
@@ -191,7 +189,6 @@ def results(
         while not (ended := wait(flying, POLL_SECONDS, FIRST_COMPLETED).done):
             for future in flying if stop_asked() else ():
                 future.cancel()
-        # rows of a worker that was lost are failed rows; a lost cluster ends the sweep
         for future in ended:
             batch = flying.pop(future)
             try:
@@ -201,8 +198,5 @@ def results(
             except Exception as error:
                 if dask is None or isinstance(error, TopcliError):
                     raise
-                if type(error).__name__ != "KilledWorker":
-                    text = f"--dask {dask}: {reason_of(error)}; finished rows are kept"
-                    raise RunError(text, "run the sweep again to continue") from None
-                count = sum(len(piece.rows) for piece in batch)
-                yield batch, _failed("its worker was lost again and again", count, names)
+                text = f"--dask {dask}: {reason_of(error)}; finished rows are kept"
+                raise RunError(text, "run the sweep again to continue") from None

@@ -19,9 +19,10 @@ from pydantic import BaseModel
 import topcli
 from topcli.analysis.frequencies import agreement_digits, strongest_line
 from topcli.analysis.lyapunov import LEAST_STEPS, shares_of_chaos
+from topcli.analysis.order import probe_rows
 from topcli.analysis.swings import first_swing_spacing
 from topcli.analysis.tally import OF_INVARIANT
-from topcli.contracts import Array, Sampler, Scheme, Top
+from topcli.contracts import Array, Scheme, Top
 from topcli.engine.tangent import tangent_obstacle
 from topcli.errors import UnknownNameError, UsageError, nearest, quoted
 from topcli.plugins import is_built_in, origin_of, plugin_failures, sources_of, without_users_errors
@@ -31,10 +32,10 @@ from topcli.schemes.registry import schemes_of
 if TYPE_CHECKING:
     from topcli.sweeps.batch import Batch
 
-STATES, PROBES = "states", "probes"
+STATES = "states"
 ERROR, FINAL_ERROR = "error", "final_error"
 COLUMN, FIGURE = "column", "figure"
-RECORDED = (STATES, PROBES, ERROR, FINAL_ERROR)
+RECORDED = (STATES, ERROR, FINAL_ERROR)
 """Words that ``needs`` may hold beside the names of columns. A family may also need ``COLUMN``, the column of its name,
 or ``FIGURE``, the figure of an invariant that the measure is."""
 _TAKEN = {"row", "outcome", "message", "digest", "drawn", "top", "initial", "scheme", "h", "N", "T", "output", "sample"}
@@ -123,8 +124,8 @@ def measure(
         Unit in words, such as ``"inverse time"``; the numbers themselves are dimensionless.
     needs : iterable of str, optional
         Data that the runs must record for the measure: names of columns (components and invariants),
-        ``"states"`` for all components, ``"error"`` and ``"final_error"`` for the distance from the reference solution,
-        or ``"probes"`` for a few states along the run.
+        ``"states"`` for all components, or ``"error"`` and ``"final_error"`` for the distance from the reference
+        solution.
     names : callable, optional
         For a family of measures: ``names(top, scheme, options)`` returns the names of its members.
     obstacle : callable, optional
@@ -194,24 +195,13 @@ def measured_columns(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     return [*top.components, *integral_names(top, scheme, options)]
 
 
-_COUNTED: dict[tuple[Scheme, ...], list[str]] = {}
-"""Names of the events that the schemes of a top count."""
-
-
-def _counters(top: Top, scheme: Scheme, options: BaseModel) -> tuple[str, ...]:
-    method = scheme.build(top, options)
-    return () if isinstance(method, Sampler) else method.counters
-
-
 def counter_names(top: Top, scheme: Scheme, options: BaseModel) -> list[str]:
     """Names of the events that the scheme or another one of the top counts."""
-    others = tuple(schemes_of(top.form))
-    if others not in _COUNTED:
-        _COUNTED[others] = names = []
-        for other in others:
-            with without_users_errors():
-                names += _counters(top, other, other.options())
-    return list(dict.fromkeys([*_counters(top, scheme, options), *_COUNTED[others]]))
+    names = list[str]()
+    for each, chosen in ((scheme, options), *((other, other.options()) for other in schemes_of(top.form))):
+        with without_users_errors():
+            names += getattr(each.build(top, chosen), "counters", ())  # a closed form counts nothing
+    return list(dict.fromkeys(names))
 
 
 def fitting_measures(top: Top, scheme: Scheme, options: BaseModel, quantities: Sequence[str] = ()) -> Iterator[Measure]:
@@ -305,7 +295,7 @@ def _of_swings(batch: Batch, figure: Callable[[Array], float | None]) -> Array:
 
 
 @measure("swings", "number of swings, which are deep minima of one component of the state", NUMBER, needs=[STATES])
-def swings(batch: Batch) -> Array:
+def number_of_swings(batch: Batch) -> Array:
     """Number of deep minima within the recorded rows."""
     return _of_swings(batch, len)
 
@@ -342,7 +332,7 @@ def frequency(batch: Batch, column: str) -> Array:
     needs=[COLUMN],
     names=measured_columns,
 )
-def digits(batch: Batch, column: str) -> Array:
+def average_digits(batch: Batch, column: str) -> Array:
     """Weighted Birkhoff digits: few on a chaotic orbit, up to 16 on a regular one."""
     return agreement_digits(batch.columns[column])
 
@@ -363,16 +353,15 @@ for _name, _need, _summary in (
     "difference between a state and the result of one step of |h| forward and one step back; the largest over "
     "16 states of the run",
     OF_STATE,
-    needs=[PROBES],
+    needs=[STATES],
 )
-def reversal(batch: Batch) -> Array:
+def reversal_of_runs(batch: Batch) -> Array:
     """Largest component of the defect; infinite if one of the steps fails."""
-    count, probes, d = batch.probes.shape
-    h = abs(batch.experiment.h)
-    there = batch.one_step(batch.probes.reshape(count * probes, d), h)
-    back = batch.one_step(there, -h)
+    start = batch.states[:, probe_rows(batch.states.shape[1])]
+    there = batch.one_step(start.reshape(-1, start.shape[2]), abs(batch.experiment.h))
+    back = batch.one_step(there, -abs(batch.experiment.h)).reshape(start.shape)
     with np.errstate(all="ignore"):
-        defect = np.abs(back.reshape(count, probes, d) - batch.probes).max(axis=(1, 2))
+        defect = np.abs(back - start).max(axis=(1, 2))
     return np.where(np.isnan(defect), np.inf, defect)
 
 
@@ -395,7 +384,7 @@ def _require_steps(batch: Batch) -> None:
 
 
 @measure("lyapunov", "largest Lyapunov exponent; needs 1000 steps", "inverse time", obstacle=_tangent_obstacle)
-def lyapunov(batch: Batch) -> Array:
+def lyapunov_exponent(batch: Batch) -> Array:
     """Growth of a tangent vector after a transient, divided by the time. Raises UsageError for too few steps."""
     _require_steps(batch)
     return batch.growth.exponents

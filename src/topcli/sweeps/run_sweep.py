@@ -18,18 +18,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.config.models import canonical
 from topcli.config.states import unit_warnings
 from topcli.config.sweep import Group, Sweep
 from topcli.contracts import Top, stop_asked
 from topcli.engine.drive import default_threads
 from topcli.errors import RunError, TopcliError, UsageError
-from topcli.runs.identity import code_digest
 from topcli.store.files import io_failure, require_writable, write_text
+from topcli.store.identity import canonical, code_digest, digest_of_texts
 from topcli.store.provenance import now
 from topcli.store.result_folder import locked, release, set_aside
 from topcli.store.results import MANIFEST, StoredResult, read_result
-from topcli.store.sources import digest_of_texts
 from topcli.sweeps.compute import INTERRUPTED, Piece, code_of_process, executor, results
 from topcli.sweeps.measures import definition_texts, resolve_measures
 from topcli.sweeps.store import (

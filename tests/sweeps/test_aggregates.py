@@ -14,7 +14,14 @@ import pytest
 from cases import table_of
 from sweep_rows import write_rows
 from topcli.errors import RunError, UsageError
-from topcli.sweeps.table import SweepTable, aggregate_of, cell_text, key_labels, read_rows, sweep_table
+from topcli.sweeps.aggregates import (
+    SweepTable,
+    aggregate_of,
+    cell_text,
+    key_labels,
+    read_rows,
+    sweep_table,
+)
 
 SCHEMES, SIZES, SEEDS = ("hk", "a_b"), (0.1, 0.01, 1e-7), (1, 2, 3, 4)
 ROWS = list(product(SCHEMES, SIZES, SEEDS))
@@ -75,7 +82,7 @@ def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
     for (scheme, h), label in zip(product(SCHEMES, SIZES), ("0.1", "0.01", "1e-7") * 2, strict=True):
         values = [value_of(scheme, h, seed) for seed in SEEDS]
         median, mean, largest = (
-            table(tmp_path, name).values.loc[scheme, f"h = {label}"] for name in ("median", "mean", "max")
+            table(tmp_path, name).rows[SCHEMES.index(scheme)][f"h = {label}"] for name in ("median", "mean", "max")
         )
         low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
         assert median == pytest.approx((middle, low, high), rel=1e-14)
@@ -87,13 +94,12 @@ def test_each_cell_is_the_aggregate_of_its_rows(tmp_path: Path) -> None:
 def test_failed_rows_are_left_out_and_counted(tmp_path: Path) -> None:
     outcome = ["blew_up", "left_motion", *["completed"] * 2, *["no_convergence"] * 4, *["completed"] * 16]
     shown = table(tmp_path, outcome=outcome, spoilt=dict.fromkeys((0, 4, 5, 6, 7, 20), np.nan))
-    assert shown.values.loc["hk", "h = 0.1"][0] == statistics.median([value_of("hk", 0.1, seed) for seed in (2, 3, 4)])
-    assert shown.cells.lines[0][2] == "–"
-    assert shown.notes == [
-        "4 rows in each cell",
-        "6 of 24 rows did not complete: 4 no_convergence, 1 blew_up, 1 left_motion",
-        "6 of 24 rows have no value and are left out",
-    ]
+    assert shown.rows[0]["h = 0.1"][0] == statistics.median([value_of("hk", 0.1, seed) for seed in (2, 3, 4)])
+    assert shown.cells().lines[0][2] == "–"
+    assert shown.caption == (
+        "4 rows in each cell; 6 of 24 rows did not complete: 4 no_convergence, 1 blew_up, 1 left_motion; "
+        "6 of 24 rows have no value and are left out"
+    )
 
 
 @pytest.mark.parametrize(
@@ -128,5 +134,5 @@ def test_infinite_values_count_as_the_largest(numbers: tuple[float, ...], median
 
 
 def test_labels_of_keys_are_short_and_different() -> None:
-    assert list(key_labels(pd.Series([0.1, 1e-7, 1 / 3])).values()) == ["0.1", "1e-7", "0.333"]
-    assert list(key_labels(pd.Series([1 / 3, 0.333, 2 / 3])).values()) == ["0.3333", "0.333", "0.6667"]
+    assert list(key_labels(pd.Series([0.1, 1e-7, 3e12, 1 / 3])).values()) == ["0.1", "1e-7", "3e12", "0.333333"]
+    assert list(key_labels(pd.Series([1 / 3, 0.333333])).values()) == ["0.3333333333333333", "0.333333"]

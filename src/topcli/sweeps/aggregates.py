@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from topcli.errors import RunError, UnknownNameError, UsageError, nearest, quoted
-from topcli.runs.report import finite
 from topcli.sweeps.store import COMPLETED, ROWS_FILE
-from topcli.table import DASH, Cells, is_number, number, plus_minus, significant
+from topcli.table import DASH, Cells, Format, Table, is_number, number, plus_minus, significant
 
 Frame = Any
 """A DataFrame or Series of pandas, whose operations have types that say nothing."""
@@ -84,25 +84,14 @@ def require_names(rows: Frame, kind: str, names: Sequence[str], options: str) ->
 
 
 def key_labels(values: Frame) -> dict[Any, str]:
-    """Text of each different value of a key, in the order of their first appearance.
+    """Text of each different value of a key, in the order of their first appearance; numbers with up to six digits.
 
-    Numbers of up to six digits are written in full, longer ones with three digits, or as many as keep them apart.
+    All digits are written if these do not tell the values apart.
     """
-    different, labels = values.unique().tolist(), {}
-    for digits in range(3, 18):
-        labels = {value: _label(value, digits) for value in different}
-        if len(set(labels.values())) == len(labels):
-            break
-    return labels
-
-
-def _label(value: Any, digits: int) -> str:
-    if not isinstance(value, float):
-        return str(value)
-    short = f"{value:.6g}"
-    text = short if float(short) == value else f"{value:.{digits}g}"
-    mantissa, e, exponent = text.partition("e")
-    return f"{mantissa}e{int(exponent)}" if e else text
+    different, texts = values.unique().tolist(), []
+    for value in different:
+        texts.append(re.sub(r"e\+?(-?)0*", r"e\1", f"{value:.6g}") if isinstance(value, float) else str(value))
+    return dict(zip(different, texts if len({*texts}) == len(texts) else map(str, different), strict=True))
 
 
 def aggregate_of(values: Frame, aggregate: str) -> tuple[float, ...]:
@@ -126,46 +115,24 @@ def aggregate_of(values: Frame, aggregate: str) -> tuple[float, ...]:
     return (float(values.max()),)
 
 
-@dataclass(frozen=True)
-class SweepTable:
-    """Table of a sweep: ``values`` are an aggregate with its spread; ``title`` and ``notes`` say what they are."""
+class SweepTable(Table):
+    """Table of a sweep, whose cells are tuples: a value, or an aggregate with the ends of its spread; empty for none.
 
-    values: Frame
-    aggregate: str | None
-    title: str
-    notes: list[str]
+    The columns that are not right-aligned are the keys of a line.
+    """
 
-    @cached_property
-    def cells(self) -> Cells:
+    def cells(self, verbose: bool = True) -> Cells:
         """Texts of the table, with rounded numbers."""
-        texts = self.values.map(lambda cell: cell_text(cell, self.aggregate)).reset_index()
-        for key in self.values.index.names:
-            texts[key] = texts[key].map(key_labels(texts[key]))
-        header, keys = [str(name) for name in texts.columns], self.values.index.nlevels
-        numbers = range(keys, len(header))
-        return Cells(self.title, header, texts.to_numpy().tolist(), keys=keys, numbers=numbers)
+        return replace(super().cells(verbose), keys=len(self.columns()) - len(self.right or ()))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON, with all digits: each cell holds a value and the ends of its spread."""
-        lines = [
-            {"row": list(key) if isinstance(key, tuple) else [key], "cells": list(cells)}
-            for key, *cells in self.values.itertuples()
-        ]
-        names = {"rows": list(self.values.index.names), "columns": list(map(str, self.values.columns))}
-        return finite({"title": self.title, **names, "aggregate": self.aggregate, "table": lines, "notes": self.notes})
+    def frame(self) -> Frame:
+        """DataFrame with all digits, indexed by the keys; the ends of a spread have columns of their own."""
+        import pandas as pd
 
-    def text(self, form: str) -> str:
-        """Table as ``csv`` with all digits, or with rounded numbers as ``markdown`` or ``latex``."""
-        if form == "csv":
-            import pandas as pd
-
-            ends = ENDS if SPREADS.get(self.aggregate or "") else ENDS[:1]
-            wide = {f"{name}{end}": self.values[name].str[i] for name in self.values for i, end in enumerate(ends)}
-            return pd.DataFrame(wide).to_csv(lineterminator="\n")
-        if form == "latex":
-            return "\n".join(self.cells.latex(". ".join([self.title, *self.notes]))) + "\n"
-        notes = [f"{note}." for note in self.notes]
-        return "\n".join([f"{self.title}:", "", *self.cells.markdown(), "", *notes]) + "\n"
+        cells, names = pd.DataFrame(list(self.rows)), self.right or ()
+        width = max(cells[name].str.len().max() for name in names)
+        ends = {f"{name}{end}": cells[name].str[i] for name in names for i, end in enumerate(ENDS[:width])}
+        return pd.DataFrame({**cells.drop(columns=list(names)), **ends}).set_index(self.columns()[: -len(names)])
 
 
 def cell_text(cell: tuple[float, ...], aggregate: str | None) -> str:
@@ -194,13 +161,14 @@ def _exponent(value: float) -> int:
     return math.floor(math.log10(abs(value))) if value else 0
 
 
-def sweep_table(
+def sweep_cells(
     rows: Frame, index: Sequence[str], column: str | None, measures: Sequence[str], aggregate: str | None
-) -> SweepTable:
-    """Table of ``measures`` with a line for each combination of values of the keys ``index``.
+) -> Frame:
+    """Cells of ``measures`` with a line for each combination of values of the keys ``index``, as tuples.
 
-    The columns are the values of the key ``column``, or the measures without one. Raises UnknownNameError for unknown
-    names, and UsageError if several rows fall into one cell without an ``aggregate``.
+    The columns are the values of the key ``column``, or the measures without one. ``attrs`` holds the ``sizes``, the
+    smallest and largest numbers of rows of a cell, and the keys ``over`` which an aggregate is taken. Raises
+    UnknownNameError for unknown names, and UsageError if several rows fall into one cell without an ``aggregate``.
     """
     import pandas as pd
 
@@ -231,15 +199,28 @@ def sweep_table(
         values = values[measures[0]].unstack(column)[list(rows[column].unique())]
         values.columns = [f"{column} = {label}" for label in key_labels(rows[column]).values()]
         values = values.map(lambda cell: cell if isinstance(cell, tuple) else ())  # where the sweep has no such row
+    values.attrs = {"sizes": (few, most), "over": over}
+    return values
 
+
+def sweep_table(
+    rows: Frame, index: Sequence[str], column: str | None, measures: Sequence[str], aggregate: str | None
+) -> SweepTable:
+    """Table of the ``sweep_cells`` of these arguments, with the errors that these raise."""
+    values = sweep_cells(rows, index, column, measures, aggregate)
     # title: measures, aggregate with its spread, the keys over which it is taken, and the conditions
-    title = f"{', '.join(measures)} of {rows.attrs['name']}"
+    title, over, (few, most) = (
+        f"{', '.join(measures)} of {rows.attrs['name']}",
+        values.attrs["over"],
+        values.attrs["sizes"],
+    )
     if aggregate:
         title += f": {aggregate}{SPREADS[aggregate]}" + (f" over {', '.join(over)}" if over else "")
     notes = [f"{few if few == most else f'{few} to {most}'} rows in each cell"] if aggregate else []
-    return SweepTable(
-        values, aggregate, ", ".join([title, *rows.attrs["where"]]), [*notes, *missing_notes(rows, measures)]
-    )
+    formats: dict[str, Format] = {name: partial(cell_text, aggregate=aggregate) for name in values}
+    formats |= {key: key_labels(rows[key]).__getitem__ for key in index}
+    lines, caption = values.reset_index().to_dict("records"), "; ".join([*notes, *missing_notes(rows, measures)])
+    return SweepTable(", ".join([title, *rows.attrs["where"]]), lines, formats, right=list(values), caption=caption)
 
 
 def missing_notes(rows: Frame, measures: Sequence[str]) -> list[str]:
