@@ -117,6 +117,7 @@ def test_deviations_are_from_the_first_value_and_leave_out_constants() -> None:
     axes = Figure().subplots()
     picture(axes)
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [np.nan, np.nan, 0.5, 0.25])
+    assert axes.get_title(loc="left") == ""
 
 
 def test_motion_is_drawn_up_to_its_explosion() -> None:
@@ -129,10 +130,11 @@ def test_motion_is_drawn_up_to_its_explosion() -> None:
 
 def test_counts_of_a_sweep_are_whole_and_absent_values_empty() -> None:
     rows = pd.DataFrame({"row": [0, 1], "h": [0.1, 0.2], "outcome": ["completed", "blew_up"]})
-    rows = rows.assign(steps=[123456.0, np.nan], swings=[0.0, 2.0], error=[1.0 / 3.0, np.nan])
-    rows.attrs = {"keys": ["h"], "measures": ["steps", "swings", "error"]}
+    rows = rows.assign(steps=[123456.0, np.nan], swings=[0.0, 2.0], error=[1.0 / 3.0, np.nan], huge=[1e20, 2.0])
+    rows.attrs = {"keys": ["h"], "measures": ["steps", "swings", "error", "huge"]}
     cells = rows_table(rows).cells()
-    assert cells.lines == [["0", "0.1", "completed", "123456", "0", "0.3333"], ["1", "0.2", "blew_up", "–", "2", "–"]]
+    assert cells.lines[0] == ["0", "0.1", "completed", "123456", "0", "0.3333", "1.000e+20"]
+    assert cells.lines[1] == ["1", "0.2", "blew_up", "–", "2", "–", "2"]
     assert cells.marks == {"blew_up": "bad"}
 
 
