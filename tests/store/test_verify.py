@@ -60,10 +60,11 @@ def test_verify_of_nothing_is_a_usage_error(cli: Callable[..., Said], in_tmp: Pa
         assert len(said.err) < 1000
 
 
-def test_a_damaged_manifest_is_reported_and_stays(cli: Callable[..., Said], in_tmp: Path) -> None:
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"manifest_version": 2}', "{", "[" * 100_000], ids=range(6))
+def test_a_damaged_manifest_is_reported_and_stays(cli: Callable[..., Said], in_tmp: Path, text: str) -> None:
     folder = run_experiment(small(), in_tmp / "results").stored.folder
     run_experiment(small("name=fine"), in_tmp / "results")
-    (folder / MANIFEST).write_text(text := "[" * 100_000)
+    (folder / MANIFEST).write_text(text)
     listed = cli("list", "runs", "--json").json()["runs"]
     assert [(run["name"], run["outcome"]) for run in listed] == [("fine", "completed"), (NAME, "damaged")]
     for more in ((), ("--force",), ("--dry-run",)):
