@@ -21,11 +21,11 @@ from stored_results import BASE, experiment, store_comparison, store_ensemble, s
 from topcli.cli.reports import rows_table, stored_record
 from topcli.config.load import load_experiment
 from topcli.contracts import stopping_when
-from topcli.errors import RunError, TopcliError, UsageError
+from topcli.errors import TopcliError, UsageError
 from topcli.figures.stored import draw_series, panels_of
 from topcli.runs.report import report_tables
 from topcli.runs.run import run_experiment
-from topcli.store.files import SEAL, sealed_text
+from topcli.store.files import SEAL
 from topcli.studies.page import page_of
 from topcli.studies.report import Report, Table
 from topcli.table import Cells
@@ -125,6 +125,7 @@ def test_deviations_are_from_the_first_value_and_leave_out_constants() -> None:
     ((names, deviation),) = panels_of(data, experiment)
     draw_series(axes, data, names, experiment, deviation)
     np.testing.assert_array_equal(axes.lines[0].get_ydata(), [np.nan, np.nan, 0.5, 0.25])
+    assert axes.get_title(loc="left") == ""
 
 
 def test_motion_is_drawn_up_to_its_explosion() -> None:
@@ -137,10 +138,11 @@ def test_motion_is_drawn_up_to_its_explosion() -> None:
 
 def test_counts_of_a_sweep_are_whole_and_absent_values_empty() -> None:
     rows = pd.DataFrame({"row": [0, 1], "h": [0.1, 0.2], "outcome": ["completed", "blew_up"]})
-    rows = rows.assign(steps=[123456.0, np.nan], swings=[0.0, 2.0], error=[1.0 / 3.0, np.nan])
-    rows.attrs = {"keys": ["h"], "measures": ["steps", "swings", "error"]}
+    rows = rows.assign(steps=[123456.0, np.nan], swings=[0.0, 2.0], error=[1.0 / 3.0, np.nan], huge=[1e20, 2.0])
+    rows.attrs = {"keys": ["h"], "measures": ["steps", "swings", "error", "huge"]}
     cells = rows_table(rows).cells()
-    assert cells.lines == [["0", "0.1", "completed", "123456", "0", "0.3333"], ["1", "0.2", "blew_up", "–", "2", "–"]]
+    assert cells.lines[0] == ["0", "0.1", "completed", "123456", "0", "0.3333", "1.000e+20"]
+    assert cells.lines[1] == ["1", "0.2", "blew_up", "–", "2", "–", "2"]
     assert cells.marks == {"blew_up": "bad"}
 
 
@@ -205,7 +207,7 @@ def flip(path: Path) -> None:
     [
         ("one/series.parquet", "series.parquet: damaged: its SHA-256 differs"),
         ("sweep/rows.parquet", "rows.parquet: damaged: its SHA-256 differs"),
-        ("compared.json", "compared.json: "),
+        ("compared.json", "compared.json: damaged: its SHA-256 differs from the one stored in it"),
     ],
 )
 def test_a_damaged_result_is_refused(place: str, message: str, copied: Path) -> None:
@@ -229,11 +231,3 @@ def test_a_failure_is_not_good(copied: Path) -> None:
     path.write_text(json.dumps({name: value for name, value in data.items() if name not in ("answer", SEAL)}))
     with pytest.raises(UsageError, match=r"compared.json: not a result that this version of topcli writes \(answer is"):
         page_on(copied, "compared.json")
-
-
-def test_a_changed_study_is_damaged(tmp_path: Path) -> None:
-    path = tmp_path / "comparison.json"
-    path.write_text(sealed_text(Report("compare", "0.375").record()), encoding="utf-8")
-    path.write_text(path.read_text(encoding="utf-8").replace("0.375", "0.625"), encoding="utf-8")
-    with pytest.raises(RunError, match=r"comparison.json: damaged: its SHA-256 differs from the one stored in it"):
-        stored_record(path)

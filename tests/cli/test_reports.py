@@ -124,10 +124,3 @@ def test_an_error_of_the_user_has_no_traceback_in_a_notebook() -> None:
         topcli.compare("hkk")
     assert caught.value._render_traceback_() == ["UnknownNameError: unknown scheme 'hkk'; did you mean 'hk'?"]
     assert not hasattr(RunError("x"), "_render_traceback_"), "a failure of a run keeps its place"
-
-
-def test_overrides_by_position() -> None:
-    assert topcli.simulate("euler_hk", ["N=7"]).n[-1] == 7
-    assert topcli.motion("euler_hk", ["initial.omega=[0, 0, 2]"]).state == (0.0, 0.0, 2.0)
-    assert topcli.step("euler_hk", ["h=0.25"]).h == 0.25
-    assert topcli.lyapunov("kowalevski_generic_hk", ["h=0.6", "N=2000"]).config["h"] == 0.6

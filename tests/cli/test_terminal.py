@@ -59,11 +59,12 @@ def test_no_argument_reaches_the_terminal_raw(cli, command: list[str]) -> None:
 FAULTS = [
     (ZeroDivisionError(EVIL), 70, "bug in topcli"),
     (OSError(13, "Permission denied", "some/folder"), 1, "error: some/folder: permission denied\n"),
+    (MemoryError(), 1, "error: not enough memory\n"),
     (ImportError("libarrow.so: failed to map segment", name="pyarrow.lib"), 1, "enough memory"),
 ]
 
 
-@pytest.mark.parametrize(("fault", "code", "words"), FAULTS, ids=["bug", "file", "package"])
+@pytest.mark.parametrize(("fault", "code", "words"), FAULTS, ids=["bug", "file", "memory", "package"])
 def test_an_exception_is_printed_safely_and_blamed_on_whose_it_is(
     fault: Exception, code: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -44,7 +44,6 @@ def build(top, options):
 STEPPER = "Stepper(step, 6)"
 
 CASES = {
-    "build": ("title", "'bad'", "", "fault()"),
     "enter": ("title", "'bad'", "", "Stepper(step, 6, fault)"),
     "plain step": ("title", "'bad'", "", "Stepper(fault, 6, plain=True)"),
     "leave": ("title", "'bad'", "", "Stepper(step, 6, None, fault, plain=True)"),

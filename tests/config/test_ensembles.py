@@ -146,15 +146,18 @@ def body_energy(top: Top, states: Array) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("form", BODIES)
 def test_energies_are_exact(form: str) -> None:
-    """To round-off of the terms, for every form of a top, with directions uniform on the sphere."""
+    """To round-off of the terms, for every form of a top, with directions uniform on the sphere.
+
+    With gravity, some potentials are above the energy, and these states are drawn once more.
+    """
     cls = TOPS[form]
     top = cls.new()
     moving = next(name for name in cls.vectors if name not in cls.unit_vectors)
-    random = {"count": 20_000, moving: {"energy": 3.5}, **dict.fromkeys(cls.unit_vectors, "sphere")}
+    random = {"count": 20_000, moving: {"energy": 0.3}, **dict.fromkeys(cls.unit_vectors, "sphere")}
     data = {**PLAIN, "top": cls.kind, "scheme": "rk4", "initial": {}, "ensemble": {"random": random}}
     drawn = states(load(data))
     energy, scale = body_energy(top, drawn)
-    assert (np.abs(energy - 3.5) <= 4 * np.finfo(float).eps * (scale + 3.5)).all()
+    assert (np.abs(energy - 0.3) <= 4 * np.finfo(float).eps * (scale + 0.3)).all()
     start, stop = cls.vectors[moving]
     unit = drawn[:, start:stop] / np.linalg.norm(drawn[:, start:stop], axis=1, keepdims=True)
     for x in unit.T:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -115,22 +116,24 @@ def test_the_fixed_direction_stays_upright(top: str, scheme: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("top", "scheme"),
+    ("top", "scheme", "h", "every"),
     table_of("""
-kowalevski  hk
-kowalevski  taylor
-euler       exact
-kowalevski  dop853
+kowalevski  hk      0.02  9
+kowalevski  taylor  0.02  9
+euler       exact   0.02  9
+kowalevski  dop853  0.02  9
+kowalevski  rk4     2.0   1
 """),
 )
 @pytest.mark.slow
-def test_states_have_the_bits_of_a_run_without_attitude(top: str, scheme: str) -> None:
-    one = experiment(top, scheme, 0.02, 5000, every=9)
-    plain = orbit(one.top, one.method(), one.y0, one.h, one.N, 9)
+def test_states_have_the_bits_of_a_run_without_attitude(top: str, scheme: str, h: float, every: int) -> None:
+    """The last one blows up."""
+    one = experiment(top, scheme, h, 5000, every=every)
+    plain = orbit(one.top, one.method(), one.y0, one.h, one.N, every)
     found = trajectory_of(one)
     assert found.n.tobytes() == plain.n.tobytes()
     assert np.ascontiguousarray(found.states).tobytes() == plain.states.tobytes()
-    assert found.ending == plain.ending
+    assert replace(found.ending, left=None, left_t=None) == plain.ending
 
 
 @pytest.mark.parametrize("order", [2, 4])

@@ -20,8 +20,6 @@ from topcli.engine.machine import FEW_LANES, MANY_LANES, SIDE_BY_SIDE, Machine
 from topcli.engine.rows import Plan, Rows
 from topcli.tops.kowalevski import Kowalevski
 
-COUNT = MANY_LANES + 6
-
 
 class Kept(Consumer):
     """The numbers of trajectory and step, and the states, of all rows as they come."""

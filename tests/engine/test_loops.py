@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from conftest import random_states
 from declared import SCHEMES
-from topcli.contracts import Method, Scheme, Stepper
+from topcli.contracts import Scheme, Stepper
 from topcli.engine import loops
 from topcli.engine.loops import Loop, interpreted, lanes_code, loop_of, more_parameters, part_steps_of, state_after
-from topcli.errors import SchemeCodeError
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 
@@ -67,23 +64,3 @@ def test_every_loop_has_the_bits_of_the_plain_loop(scheme: Scheme, monkeypatch: 
         for state, part, end in zip(y, theta, parts, strict=True):
             after = state_after(plain, state, p, part * h)
             assert np.isnan(end).all() if after is None else np.array_equal(after, end)
-
-
-def short_step(s: Any, h: float, p: Any) -> Any:
-    return s[:-1]
-
-
-def texts_step(s: Any, h: float, p: Any) -> Any:
-    return tuple(float(str(x)) for x in s)
-
-
-@pytest.mark.parametrize(
-    ("method", "message"),
-    [
-        (Stepper(short_step, 3, plain=True), r"test_loops\.py:\d+: the step returns 2 numbers; expected 3"),
-        (Stepper(texts_step, 3), r"test_loops\.py:\d+: the step cannot be compiled for a state of length 3 \(working"),
-    ],
-)
-def test_a_step_of_no_use_is_refused_with_its_place(method: Method, message: str) -> None:
-    with pytest.raises(SchemeCodeError, match=message):
-        recorded(loop_of(method, 3, 1), np.ones(3), np.ones(1), 0.1)

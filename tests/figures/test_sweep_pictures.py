@@ -91,6 +91,8 @@ def test_names_on_an_axis_have_spreads(folder: Path) -> None:
     half = np.std(values, ddof=1) / math.sqrt(3)
     segment = axes.collections[0].get_segments()[0]
     assert segment[:, 1] == pytest.approx([np.mean(values) - half, np.mean(values) + half])
+    (axes,) = figure_of(read_rows(folder, ["h=0.1"]), Choice("scheme", "drift.energy", aggregate="median")).axes
+    assert axes.collections[0].get_segments()[0][:, 1] == pytest.approx([-1e-3, 0.0], abs=1e-15)
 
 
 @pytest.mark.parametrize(

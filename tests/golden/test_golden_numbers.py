@@ -34,7 +34,6 @@ UNREPEATABLE = (
     "digest",
     "code",
 )
-PLAIN = int | float | tuple
 
 
 def repeatable(data: Any) -> Any:

@@ -18,7 +18,6 @@ from topcli.runs.report import report_tables
 
 UNCHANGED = ("h", "N", "power", "steps", "copies", "declared_order", "duration", "degree", "size")
 RESULTS = golden.DATA / "results"
-SCHEMES = ("hk", "rk4", "hybrid", "exact")
 
 
 def measured(name: str, out: Path) -> Any:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,12 +14,13 @@ import pytest
 
 import topcli
 from cases import table_of
-from conftest import random_states
+from conftest import ROOT, random_states
 from topcli.analysis.tally import DEVIATIONS
 from topcli.config.load import load
 from topcli.config.models import Experiment
 from topcli.contracts import Outcome, stopping_when
 from topcli.errors import UsageError
+from topcli.runs.recording import Recording
 from topcli.runs.report import SHOWN_TRAJECTORIES
 from topcli.runs.run import RunResult, run_experiment
 from topcli.store.series import read_series
@@ -102,6 +106,31 @@ def test_statistics_are_those_of_the_stored_trajectories(tmp_path: Path) -> None
             }  # fmt: skip
 
 
+DOCUMENTED = re.compile(r"^\| `([^|]*)` \|", re.MULTILINE)
+
+
+@pytest.mark.parametrize("varied", [False, True])
+def test_the_documented_columns_are_the_stored_ones(tmp_path: Path, varied: bool) -> None:
+    """In the order of the page, with the names that stand for several written out."""
+    grid = {"grid": {"top.A": [2.0, 3.0], "top.c0": [1.0, 4.0], "omega1": [0.1, 0.2]}}
+    changes = {"initial": {"omega": [1, 0, 0], "gamma": [0, 0, 1]}, "ensemble": grid} if varied else {}
+    found = experiment(**changes)
+    table = columns(run_experiment(found, tmp_path).stored.folder / "trajectories.parquet")
+    page = (ROOT / "docs" / "sweeps.md").read_text().split("## The table of trajectories")[1].split("\n## ")[0]
+    documented = DOCUMENTED.findall(page)
+    named = {
+        "top.PARAMETER": ["top.c0", "top.A"] if varied else [],
+        "initial_COMPONENT": [f"initial_{name}" for name in found.top.components],
+    }
+    integrals = [name for name in documented if name.endswith(".INVARIANT")]
+    plain = [name for name in documented if name not in integrals]
+    wanted = [one for name in plain for one in named.get(name, [name])]
+    wanted += [name.replace("INVARIANT", one.name) for one in found.top.invariants() for name in integrals]
+    assert list(table) == wanted
+    if varied:
+        assert [*zip(table["top.c0"], table["top.A"], strict=True)][::2] == [*product((1.0, 4.0), (2.0, 3.0))]
+
+
 def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
     """Counted over all, and named up to the twentieth."""
     result = run(tmp_path, **failing())
@@ -121,6 +150,14 @@ def test_failures_are_reported_and_stay_alone(tmp_path: Path) -> None:
     assert list(table["outcome"]) == [("blew_up" if i % 4 == 1 else "completed") for i in range(200)]
     assert (table["n"][1::4] < 5).all()
     assert json.loads((result.stored.folder / "report.json").read_text()) == report
+
+
+def test_seconds_of_several_tops_add_up_and_their_code_is_shared(tmp_path: Path) -> None:
+    recording = Recording(experiment(), tmp_path, {})
+    for compiling, cached, running in ((1.0, True, 2.0), (3.0, False, 4.0), (2.0, True, 8.0)):
+        run: Any = SimpleNamespace(times={"compile": compiling, "compile_cached": cached, "run": running})
+        recording.add_seconds(run)
+    assert recording.seconds == {"compile": 3.0, "compile_cached": False, "run": 14.0}
 
 
 @pytest.mark.parametrize(("scheme", "begun"), [("hk", 0), ("dop853", 1)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -66,10 +67,11 @@ def test_any_lives_end_with_the_same_files(case: str, tmp_path: Path, monkeypatc
     """Stopped after its first chunk, killed and stopped on the way; what it leaves when stopped can be read."""
     monkeypatch.setattr(plans, "plans", lambda experiment, block=32, cut=plans.plans: cut(experiment, block))
     monkeypatch.setattr(run, "plans", plans.plans)
-    experiment, chunks = load({**BASE, **CASES[case]}), list[int]()
-    whole = run_experiment(experiment, tmp_path / "whole", RunOptions(on_progress=lambda *steps: chunks.append(1)))
+    experiment, chunks = load({**BASE, **CASES[case]}), list[tuple[int, ...]]()
+    whole = run_experiment(experiment, tmp_path / "whole", RunOptions(on_progress=lambda *steps: chunks.append(steps)))
     expected, result = content(whole.stored.folder), None
     assert len(chunks) >= 3
+    assert chunks == sorted(chunks)
     third = max(2, len(chunks) // 3)
     for number, (until, kill) in enumerate([(1, False), (third, True), (third, False), (2, True), (10**9, False)]):
         if result and result.stored.complete:
@@ -81,6 +83,23 @@ def test_any_lives_end_with_the_same_files(case: str, tmp_path: Path, monkeypatc
     assert content(tmp_path / "life") == expected
     assert life(experiment, tmp_path).status == "up to date"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["life", "whole"]
+
+
+def test_checkpoints_wait_for_their_time_and_a_hundred_times_their_cost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every 10 s, the first after half of that: one that takes 0.05 s delays none, one of 0.2 s the next to 20 s."""
+    now, costs, saved = [0.0], iter([0.05, 0.2, 0.0]), list[float]()
+    monkeypatch.setattr("topcli.runs.run.time", SimpleNamespace(monotonic=lambda: now[0]))
+
+    def store(state: Any) -> None:
+        saved.append(now[0])
+        now[0] += next(costs)
+
+    folder: Any = SimpleNamespace(save=store)
+    save = run.Checkpoints(folder, RunOptions(checkpoint_every=10.0))
+    chunk: Any = SimpleNamespace(run=SimpleNamespace(plan=SimpleNamespace(precise=None)), stopping=False, state=dict)
+    for now[0] in (4.9, 5.0, 15.0, 15.1, 35.2, 35.4):
+        save(0, chunk)
+    assert saved == [5.0, 15.1, 35.4]
 
 
 @pytest.mark.slow

@@ -23,10 +23,6 @@ from topcli.tops.kowalevski import Kowalevski
 
 HK = find_scheme("hk", "kowalevski")
 BASES = [SPLIT, *(scheme for scheme in SCHEMES if not composition_obstacle(scheme))]
-by_composition = pytest.mark.parametrize("name", COMPOSITIONS)
-
-
-# What composed schemes declare
 
 
 # How stages are put together
@@ -143,7 +139,7 @@ def residual(weights: tuple[float, ...], order: int) -> float:
 
 
 @pytest.mark.slow
-@by_composition
+@pytest.mark.parametrize("name", COMPOSITIONS)
 def test_order_conditions(name: str) -> None:
     """Met to 1e-15 up to the order that is said, missed by far at the next order, missed by weights a bit off."""
     found = COMPOSITIONS[name]
@@ -153,11 +149,3 @@ def test_order_conditions(name: str) -> None:
     for i in range(len(half)):
         off = palindrome(*half[:i], half[i] + 1e-11, *half[i + 1 :])
         assert 1.7e-12 < residual(off, found.order) < 1.3e-10
-
-
-@by_composition
-def test_weights_are_palindromes_that_add_up_to_one(name: str) -> None:
-    weights = COMPOSITIONS[name].weights
-    assert weights == weights[::-1]
-    assert len(weights) % 2 == 1
-    assert abs(sum(map(Fraction, weights)) - 1) <= Fraction(math.ulp(weights[len(weights) // 2])) / 2

@@ -161,12 +161,6 @@ def test_minima_need_rows_between_them(tmp_path: Path, gap: float) -> None:
     assert spacing.startswith("6.28" if gap == 1.0 else "–")
 
 
-def test_a_verdict_left_open_has_its_reason(tmp_path: Path) -> None:
-    t = EVEN[:200]
-    report = analysed(tmp_path, motion(t) | {"omega3": 2.0 + 1e-4 * np.sin(t)})
-    assert report.notes == ["m², m·ω: undecided: covers half an oscillation of omega2; run T >= 8"]
-
-
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_limits_of_agreement(tmp_path: Path, factor: float) -> None:
     """The start may be off by a millionth of the largest component, 2."""

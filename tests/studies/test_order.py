@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import topcli
 from cases import table_of
@@ -25,7 +26,8 @@ def test_errors_are_those_of_plain_runs() -> None:
     sizes = [0.1, 0.05, 0.025]
     report = topcli.order("hk", "rk4", overrides=["T=4"], sizes=sizes)
     times = np.linspace(0.0, 4.0, 21)
-    for scheme, order in (("hk", 2), ("rk4", 4)):
+    lines = report.plot(Figure().add_subplot()).get_lines()
+    for line, scheme, order in zip(lines, ("hk", "rk4"), (2, 4), strict=True):
         points = points_of(report, scheme)
         assert list(points) == sizes
         for h, error in points.items():
@@ -37,6 +39,8 @@ def test_errors_are_those_of_plain_runs() -> None:
         assert row["order"] == pytest.approx(slope, rel=1e-12)
         assert (row["declared_order"], row["verdict"], report.code) == (order, "as declared", 0)
         assert abs(row["order"] - order) < 0.1
+        assert line.get_label() == f"{scheme}: {slope:.2f}"
+        assert line.get_xydata().tolist() == [*map(list, points.items())]
 
 
 def test_a_ladder_ends_at_the_number_of_steps_or_at_round_off() -> None:

@@ -64,10 +64,18 @@ def test_growth_of_noise_is_flat() -> None:
 
 
 @pytest.mark.slow
-def test_hybrid_is_a_random_walk() -> None:
-    report = topcli.roundoff("hybrid", config="kowalevski_generic_hk", steps=400_000, copies=6)
-    assert list(report.table["growth"]) == ["random walk", "random walk"]
-    assert report.answer == "plain sums: random walk (γ², k²)"
+def test_the_figures_of_both_forms_are_in_their_places() -> None:
+    report = topcli.roundoff("hk", config="euler_hk", steps=20_000, copies=2)
+    rows = report.tables[0].rows
+    assert report.answer.startswith("plain sums: random walk (m²/K, m·ω/K, κ12, κ23, κ31); compensated sums: flat (")
+    for plain, other in zip(rows[::2], rows[1::2], strict=True):
+        assert (plain["sums"], other["sums"], plain["invariant"]) == ("plain", "compensated", other["invariant"])
+        assert plain["rms_drift"] > 10.0 * other["rms_drift"]
+        for row in (plain, other):
+            assert row["rms_drift"] < row["largest_drift"]
+            assert abs(row["bias_per_step"]) * 20_000 < 2.0 * row["largest_drift"]
+            assert row["bias_error"] > 0.0
+            assert row["cost"] == row["ns_per_step"] / plain["ns_per_step"]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from cases import table_of
 from declared import Heavy
@@ -30,6 +31,7 @@ from topcli.studies.stress import (
     cases_of,
     forms_with_cases,
     keeps_order,
+    report_of,
     returns,
     singular_step,
     stays_bounded,
@@ -256,6 +258,23 @@ def test_verdicts_compare_outcomes_with_limits() -> None:
 
 
 # the study
+
+
+def test_the_picture_marks_what_did_not_hold() -> None:
+    outcomes = {"rk2": ("held", "broke", "held"), "hk": ("held", "degraded", "not tried"), "rk4": ("held",) * 3}
+    row = {"top": "kowalevski", "step": None, "verdict": OK, "why": ""}
+    rows = [
+        {**row, "scheme": s, "case": c, "outcome": o}
+        for s, of in outcomes.items()
+        for c, o in zip("abc", of, strict=True)
+    ]
+    lines = report_of(rows).plot(Figure().add_subplot()).get_lines()
+    assert [(line.get_label(), line.get_marker(), line.get_color(), line.get_xydata().tolist()) for line in lines] == [
+        ("held", ".", "0.6", [[1.0, 0.0]]),
+        ("not tried", "_", "0.6", [[1.0, 1.0]]),
+        ("degraded", "o", "C1", [[0.0, 1.0]]),
+        ("broke", "X", "C3", [[0.0, 0.0]]),
+    ]
 
 
 def test_trials_are_counted_and_options_are_set(cli: Any) -> None:

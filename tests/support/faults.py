@@ -20,8 +20,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-HOW = ("before", "torn", "after", "power", "full", "full once")
-"""Faults: kills before, in the middle of and after the operation, and with the loss of what was not flushed; ENOSPC."""
 _WRITES = frozenset("wax+")
 _REAL = {name: getattr(os, name) for name in ("write", "pwrite", "fsync", "ftruncate", "truncate", "readlink", "kill")}
 _OPEN = io.open
@@ -29,6 +27,9 @@ _OPEN = io.open
 
 class Disk:
     """Operations under ``root``, counted; at number ``at`` the fault ``how`` happens, with 0 none.
+
+    The faults are kills ``before``, in the middle of (``torn``) and ``after`` the operation, or with the loss of what
+    was not flushed (``power``), and a disk that is ``full`` from then on, or ``full once``.
 
     Those count whose line in ``log``, such as ``replace manifest.json``, matches ``only``. With ``meanwhile`` this is
     called there instead of a fault. ``install`` is for the process to be disturbed; the log is shared with its parent.

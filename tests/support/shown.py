@@ -1,16 +1,10 @@
-"""Tables as a reader sees them: their cells, and data with numbers that are all different."""
+"""Plain data whose numbers and words are all different."""
 
 from __future__ import annotations
 
 import random
-import re
 from collections.abc import Collection
 from typing import Any
-
-
-def cells_of(line: str) -> list[str]:
-    """Cells of a printed line: two or more spaces separate them."""
-    return re.split(r" {2,}", line.strip())
 
 
 def distinct(data: Any, seed: int, keep: Collection[str] = (), key: str = "") -> Any:

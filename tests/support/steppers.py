@@ -43,24 +43,4 @@ def rk2_step(s: Floats, h: float, p: Floats) -> Floats:
     return _moved(s, h, field(_moved(s, 0.5 * h, field(s, p)), p))
 
 
-def euler_step(s: Floats, h: float, p: Floats) -> Floats:
-    """Euler's rule: order 1."""
-    return _moved(s, h, field(s, p))
-
-
-def _moved3(s: Floats, a: float, k: Floats) -> Floats:
-    return (s[0] + a * k[0], s[1] + a * k[1], s[2] + a * k[2])
-
-
-def rk2(top: Top) -> Stepper:
-    """The explicit midpoint rule for any top with three or six components."""
-    rate, moved = type(top).field, _moved if len(top.components) == 6 else _moved3
-
-    def step(s: Floats, h: float, p: Floats) -> Floats:
-        return moved(s, h, rate(moved(s, 0.5 * h, rate(s, p)), p))
-
-    return Stepper(step, len(top.components))
-
-
 RK2 = Stepper(rk2_step, 6)
-EULER = Stepper(euler_step, 6)

@@ -100,6 +100,9 @@ def test_failed_rows_are_left_out_and_counted(tmp_path: Path) -> None:
         "4 rows in each cell; 6 of 24 rows did not complete: 4 no_convergence, 1 blew_up, 1 left_motion; "
         "6 of 24 rows have no value and are left out"
     )
+    rows = read_rows(stored(tmp_path, spoilt={3: np.nan})).assign(seconds=1.0)
+    both = sweep_table(rows, ["scheme"], None, ["max_error", "seconds"], "max")
+    assert (both.caption or "").endswith("; 1 of 24 rows have no value and are left out")
 
 
 @pytest.mark.parametrize(

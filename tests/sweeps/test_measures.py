@@ -87,6 +87,8 @@ def test_figures_of_columns_are_those_of_the_run() -> None:
     assert {name: found[name][0] for name in expected} == pytest.approx(expected, rel=1e-13)
     assert found["drift.m_omega"][0] == pytest.approx(np.polyfit(run.t, energy, 1)[0], rel=0.05)
     assert found["frequency.omega1"][0] == pytest.approx((A - C) / A * OMEGA[2] / (2.0 * math.pi), rel=1e-3)
+    some = one(symmetric("rk2", 0.1, 400, output={"every": 5}), "frequency.omega1")
+    assert some == pytest.approx(found["frequency.omega1"][0], rel=1e-3)
     backwards = measured(symmetric("rk2", -0.1, 400), ["drift.m_omega"])["drift.m_omega"][0]
     assert backwards == pytest.approx(np.polyfit(-run.t, energy, 1)[0], rel=0.05)
 
@@ -100,6 +102,8 @@ def test_errors_are_distances_from_the_closed_form() -> None:
     assert found["max_error"][0] == pytest.approx(error[::10].max(), rel=1e-9)
     assert found["final_error"][0] == pytest.approx(error[403], rel=1e-9)  # step 403 is not among the recorded rows
     assert found["final_error"][0] > 1e-3
+    left = measured(symmetric("rk2", 0.5, 40), ["max_error"], 3.0 * np.array([OMEGA]))
+    assert (left.batch.endings[0].outcome.value, left["max_error"][0] > 1e3) == ("left_motion", True)
 
 
 def one_way_step(y: Any, h: float, p: Any) -> Any:

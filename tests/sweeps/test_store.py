@@ -105,6 +105,8 @@ def test_no_damage_to_the_store_makes_a_wrong_row(tmp_path: Path) -> None:
 
 def test_a_damaged_store_is_named_and_force_begins_anew(tmp_path: Path) -> None:
     sweep(tmp_path)
+    with RowStore(tmp_path / "study") as store:
+        assert store._file.execute("PRAGMA synchronous").fetchone() == (2,), "rows are on the disk before they count"
     (tmp_path / "study" / "manifest.json").unlink()  # as if it had been killed
     path = tmp_path / "study" / DATABASE
     path.write_bytes(b"SQLite format 3" + path.read_bytes()[100:])

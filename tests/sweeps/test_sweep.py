@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from topcli.show.reports import sweep_report
 
 import topcli
 from sweeping import BASE, DATA, MANY, sweep, table
 from topcli.contracts import stopping_when
 from topcli.errors import RunError
 from topcli.sweeps.batch import Measuring
+from topcli.sweeps.store import intact_sweep
 
 
 def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
@@ -28,6 +30,9 @@ def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
     assert values == [[0, "hk", 0.01], [1, "hk", 0.02], [2, "rk4", 0.01], [3, "rk4", 0.02]]
     assert all(message.startswith("completed 60 steps") for message in rows["message"])
     assert json.loads((tmp_path / "study" / "manifest.json").read_text())["rows"] == 4
+    (tmp_path / "study" / "rows.parquet").write_bytes(b"damaged")
+    assert sweep(tmp_path).ran == 0
+    assert pd.read_parquet(tmp_path / "study" / "rows.parquet").equals(rows), "a damaged table is written again"
 
 
 def test_rows_hold_the_states_and_parameters_that_were_drawn(tmp_path: Path) -> None:
@@ -68,6 +73,7 @@ def test_a_failed_run_is_a_result(tmp_path: Path) -> None:
     assert row["max_deviation.energy"] is None
     again = sweep(tmp_path, FAILING)
     assert (again.ran, again.failed) == (0, 1)
+    assert sweep_report(intact_sweep(tmp_path / "study")).code == 3
 
 
 @pytest.mark.parametrize("raising", [[1], [0, 17, 18], list(range(40))])
@@ -94,7 +100,9 @@ def test_a_raising_row_costs_that_row_alone_and_runs_again(
             assert (row["outcome"], row["message"]) == ("failed", "no luck")
         else:
             assert row == whole
-    assert sweep(tmp_path, data).ran == len(raising)
+    notes: list[str] = []
+    assert sweep(tmp_path, data, on_progress=lambda *counts: notes.append(counts[2])).ran == len(raising)
+    assert set(notes) == {""}, "the failures of before do not count"
     assert table(tmp_path) == wanted
 
 

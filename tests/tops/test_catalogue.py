@@ -174,9 +174,6 @@ def test_integrals_of_the_hk_map_are_exact(form: str) -> None:
         assert rate_of_change(field_of(top), plain) == {}, name
 
 
-# schemes and scenes
-
-
 # integrals of motions on a level
 
 

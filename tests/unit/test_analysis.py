@@ -17,8 +17,6 @@ from topcli.analysis.tally import tally_of
 from topcli.engine.rows import Plan, Rows
 from topcli.tops.kowalevski import Kowalevski
 
-BELOW_AND_ABOVE = pytest.mark.parametrize("factor", [0.98, 1.02])
-
 
 @pytest.mark.parametrize("module", [order, trajectory], ids=lambda m: m.__name__)
 def test_the_examples_of_docstrings_run(module: ModuleType) -> None:
@@ -56,7 +54,7 @@ def test_figures_of_a_quantity_are_those_of_its_values(first: float) -> None:
     assert figures["mean"] == pytest.approx([values[0].mean(), 6.0])
 
 
-@BELOW_AND_ABOVE
+@pytest.mark.parametrize("factor", [0.98, 1.02])
 def test_a_swing_reaches_below_half_of_the_range(factor: float) -> None:
     """From 1 down to 0 twice, and between them down to 0.5, just less deep or just deeper."""
     t = np.linspace(0.0, 3.0, 601)

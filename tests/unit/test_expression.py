@@ -23,7 +23,6 @@ from topcli.field.expression import FUNCTIONS, HIGHEST, ExpressionError, functio
 from topcli.field.polynomial import NotPolynomialError, Polynomial, polynomial_field
 
 Y, P = ("w1", "w2"), ("A", "k")
-EULER = "((A - k)*w2*w1 + 0.3*w2)/A"
 
 
 def value(text: str, y, p):

@@ -38,10 +38,8 @@ def jacobians(experiment: Experiment) -> np.ndarray:
 
 
 FIELDS = {
-    "Lorenz": (LORENZ, (1.0, 2.0, 20.0), 0.01),
     "strong contraction": (STRONG, (1.0, 2.0, 20.0), 0.02),
     "stiff": (STIFF, (1.0, 1.0, 0.5), 0.01),
-    "changing divergence": ({"x": "y*y - 0.3*x*x", "y": "-x*y + 0.2*x"}, (0.7, 0.4), 0.05),
 }
 
 

@@ -3,6 +3,7 @@
 A command is a function. Its positional parameters are arguments, its keyword-only ones options: ``max_steps`` becomes
 ``--max-steps``. The type, the default and the number of values follow from the annotation, and the help is the first
 sentence about the parameter in the docstring. Parameters of several commands are described in ``options.txt``.
+"""
 
 from __future__ import annotations
 
