@@ -1,4 +1,4 @@
-"""The tops of the catalogue: their fields, integrals and HK maps, exactly, and their schemes and scenes."""
+"""The tops of the catalogue: their fields, integrals and HK maps, exactly, and the steps generated for them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from topcli.field.integrals import hk_image, rate_of_change
 from topcli.field.polynomial import Polynomial, decimal, field_of
 from topcli.runs.simulate import simulate
 from topcli.schemes.registry import find_scheme
+from topcli.testing import check_scheme
 from topcli.tops import CATALOGUE, TOPS
 
 by_form = pytest.mark.parametrize("form", CATALOGUE)
@@ -174,7 +175,14 @@ def test_integrals_of_the_hk_map_are_exact(form: str) -> None:
         assert rate_of_change(field_of(top), plain) == {}, name
 
 
-# schemes and scenes
+# schemes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["hk", "midpoint"])
+@by_form
+def test_declared_traits_of_generated_steps_hold(form: str, name: str) -> None:
+    assert [trait for trait in check_scheme(name, form) if not trait.holds] == []
 
 
 # integrals of motions on a level
