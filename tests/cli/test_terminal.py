@@ -18,7 +18,8 @@ from terminal import in_terminal
 from topcli.cli.output import table_lines
 from topcli.config.files import scene_files
 from topcli.errors import ExitCode, UsageError, printable, quoted
-from topcli.table import Cells, plus_minus, rounded_up
+from topcli.runs.report import invariant_table
+from topcli.table import Cells, plus_minus, rounded_up, two_digits
 
 EVIL = "\x1b]0;own\x07\x1b[31m\u202egnp\x9b2J\x7f\n\r\tx[link=http://evil]y[/link]:boom:"
 """ESC, BEL, bidi, C1, DEL, line ends and rich's markup."""
@@ -142,6 +143,7 @@ def test_a_number_ends_at_the_second_digit_of_its_error(value: float, error: flo
 @pytest.mark.parametrize("value", [0.0, 5e-324, 1e-320, 2.3e-308, 1.234e-7, 1.0, 12.01, 9.99e99, 1.7e308, math.inf])
 def test_numbers_are_rounded_up_to_two_digits(value: float) -> None:
     above = rounded_up(value)
+    assert invariant_table([{"symbol": "E", "drift_bound": value}]).cells().lines[0][1] == two_digits(above)
     assert value <= above
     if 1e-300 < value < 1e300:
         assert above <= 1.1 * value

@@ -17,7 +17,7 @@ from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
 Heavy: Any = TOPS["heavy"]
 SCHEMES = tuple(scheme for scheme in all_schemes() if scheme.top not in CATALOGUE)
-"""Without those of the catalogue, which ``tests/tops/test_catalogue.py`` tries."""
+"""Without those on tops of the catalogue, of which ``tests/tops/test_catalogue.py`` tries the generated ones."""
 CHOSEN: dict[str, list[Top]] = {
     "kowalevski": [Kowalevski(), Kowalevski(c0=-1.5), Kowalevski(c0=0.0), Kowalevski(c0=2.0, A=5.0)],
     "euler": [Euler(), Euler(A=1.3, B=2.0, C=0.9), Euler(A=2.0, B=2.0, C=3.0)],

@@ -11,6 +11,7 @@ from typing import Any
 
 DATA = Path(__file__).parents[1] / "golden" / "data"
 WRITE = os.environ.get("GOLDEN") == "write"
+AGAIN = "if the new results are right, GOLDEN=write records them"
 
 
 def differences(old: Any, new: Any, rel: float, path: str = "") -> Iterator[str]:
@@ -34,5 +35,6 @@ def check(name: str, data: Any, rel: float = 0.0) -> None:
     if WRITE:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    assert path.exists(), f"{name}: nothing is recorded; {AGAIN}"
     changes = list(differences(json.loads(path.read_text(encoding="utf-8")), data, rel))
-    assert not changes, "\n".join(changes[:20])
+    assert not changes, "\n".join([f"{name}: {AGAIN}", *(change[:300] for change in changes[:20])])

@@ -60,6 +60,7 @@ def unchanged_tables() -> Iterator[None]:
     """At the end the tables are as they were."""
     extended = tables()
     before, modules = {name: dict(table) for name, table in extended.items()}, set(sys.modules)
+    before["schemes"] = {name: [*declarations] for name, declarations in before["schemes"].items()}
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""The tops of the catalogue: their fields, integrals and HK maps, exactly, and their schemes and scenes."""
+"""The tops of the catalogue: their fields, integrals and HK maps, exactly, and the steps generated for them."""
 
 from __future__ import annotations
 

@@ -37,7 +37,8 @@ NAMES = {
 """Headings of fields of ``InvariantRow`` that are not their names."""
 FORMATS: dict[str, Format] = {
     **dict.fromkeys(("first", "min", "max"), ten_digits),
-    **dict.fromkeys(("drift_error", "drift_bound"), two_digits),
+    "drift_error": two_digits,
+    "drift_bound": lambda bound: two_digits(bound and rounded_up(bound)),
 }
 SENTENCES = ("name", "statement", "reason")
 """Fields that tables leave out."""

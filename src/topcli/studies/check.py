@@ -18,7 +18,7 @@ from topcli.studies.entries import code_failures, schemes_called
 from topcli.studies.report import Report, Table
 from topcli.table import two_digits
 from topcli.testing import Trait, check_scheme, check_top
-from topcli.tops import TOPS, forms, top_origin
+from topcli.tops import TOPS, forms, top_names, top_origin
 
 
 def check(
@@ -112,6 +112,9 @@ def _subjects(
         if Path(file).suffix != ".py" and is_config(str(file)):
             hint = f"to check its top: topcli check --config {file}"
             raise UsageError(f"{quoted(str(file))} is a config, not a Python file; {hint}")
+        for kind, known in (("scheme", {each.name for each in all_schemes()}), ("top", {*top_names()})):
+            if str(file) in known and not Path(file).exists():
+                raise UsageError(f"{quoted(str(file))} is a {kind}, not a Python file; give --{kind} {file}")
         load_plugin_file(Path(file))
     tops = [form for form in TOPS if top_origin(TOPS[form]) == origin]
     if top or experiment:

@@ -125,6 +125,7 @@ def experiment_on(
     if config is not None:
         experiment = load_experiment(config, overrides, {"scheme": scheme} if scheme else {})
         if top.lower() not in (experiment.top.kind, experiment.top.form):
+            forms(top)
             of = quoted(experiment.top.kind)
             raise UsageError(f"{shortened(str(config))} is of the top {of}, not {quoted(top)}")
         return experiment

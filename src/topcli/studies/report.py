@@ -5,7 +5,8 @@ A study is a function in a module of this folder, named in ``STUDIES``, which re
 1. ``order(*schemes, config=..., overrides=(), ..., watch=SILENT) -> Report``. Positional parameters are arguments of
    the command, keyword-only ones its options (``max_steps`` is ``--max-steps``; ``overrides`` is always ``--set``).
    The command reads names, types and defaults from the signature, and the help, the first sentence about each
-   parameter, from the NumPy docstring. ``topcli.order`` is this function itself.
+   parameter, from the NumPy docstring; options with one name have the same help in all commands. ``topcli.order`` is
+   this function itself.
 2. Rows of a ``Table`` are plain dicts with all digits: a key is the name in DataFrames and, with spaces for
    underscores, the heading. ``formats`` shows a column otherwise than with three digits; ``detail`` names columns, or
    is True for a table, that a terminal shows only with ``--verbose``. A new column is a new key.
