@@ -15,6 +15,7 @@ from topcli.field.integrals import hk_image, rate_of_change
 from topcli.field.polynomial import Polynomial, decimal, field_of
 from topcli.runs.simulate import simulate
 from topcli.schemes.registry import find_scheme
+from topcli.testing import check_scheme
 from topcli.tops import CATALOGUE, TOPS
 
 by_form = pytest.mark.parametrize("form", CATALOGUE)
@@ -172,6 +173,12 @@ def test_integrals_of_the_hk_map_are_exact(form: str) -> None:
         plain = Polynomial.of(one(variables(len(y)), p))
         assert plain.degree > 0
         assert rate_of_change(field_of(top), plain) == {}, name
+
+
+@pytest.mark.slow
+@by_form
+def test_declared_traits_of_hk_hold(form: str) -> None:
+    assert [trait for trait in check_scheme("hk", form) if not trait.holds] == []
 
 
 # integrals of motions on a level
