@@ -30,9 +30,11 @@ def _reported(error: Exception) -> ExitCode:
     if failure := users_error(error):
         print_error(failure)
         return failure.exit_code
-    missing = isinstance(error, ImportError) and not (error.name or "").startswith("topcli")
-    if missing or isinstance(error, MemoryError):
-        print_message(f"error: {error or 'out of memory'}; are all packages installed, and is there enough memory?")
+    if isinstance(error, MemoryError):
+        print_message("error: not enough memory")
+        return ExitCode.FAILED
+    if isinstance(error, ImportError) and not (error.name or "").startswith("topcli"):
+        print_message(f"error: {error}; is the package installed, and is there enough memory?")
         return ExitCode.FAILED
     print_lines("".join(traceback.format_exception(error)))
     print_message("error: internal error; this is a bug in topcli, please report it with the lines above")
@@ -41,6 +43,9 @@ def _reported(error: Exception) -> ExitCode:
 
 def main() -> None:
     """Run the command line and exit with its code; errors of the user are reported without a traceback."""
+    if os.name == "nt":
+        print("error: topcli does not run on Windows; use WSL, the Windows Subsystem for Linux", file=sys.stderr)
+        sys.exit(ExitCode.WRONG_USAGE)
     gc.set_threshold(100_000, 50, 50)  # start-up creates many objects and no garbage
     # no plugins of other packages take part in reading a config; a search for them reads all installed metadata
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
