@@ -204,21 +204,19 @@ _WORDS = {
 
 def _words(fault: Any, model: type[BaseModel]) -> str:
     """Message for one of pydantic's errors about data for ``model``."""
-    wrong = describe(fault["input"])
-    *path, key = fault["loc"] or ("",)
-    match fault["type"]:
+    kind, path, wrong = fault["type"], fault["loc"] or ("",), describe(fault["input"])
+    section = _section_at(model, path if kind == "model_type" else path[:-1])
+    keys = fields_of(section) if section else {}
+    match kind:
         case "value_error":
             return str(fault["ctx"]["error"])
         case "missing":
-            section = _section_at(model, path)
-            text = description_of(section, str(key)) if section else ""
+            text = description_of(section, str(path[-1])) if section else ""
             return f"missing; give {text}" if text else "missing"
         case "extra_forbidden":
-            section = _section_at(model, path)
-            return unknown_key(str(key), fields_of(section) if section else ())
+            return unknown_key(str(path[-1]), keys)
         case "model_type":
-            section = _section_at(model, fault["loc"])
-            return f"must be a section with {', '.join(fields_of(section) if section else ())}, not {wrong}"
+            return f"must be a section with {', '.join(keys)}, not {wrong}"
         case "too_short" | "too_long":
             return fault["msg"]
     text = fault["msg"]
