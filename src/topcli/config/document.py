@@ -66,6 +66,47 @@ class Document:
     data: dict[str, Any]
     places: dict[KeyPath, str] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, data: Any, places: dict[KeyPath, str] | None = None) -> Document:
+        """Document of a copy of ``data`` as plain data. Raises ConfigError for what is none."""
+        places = places or {}
+        return cls(plain_data(data, cls({}, places)), places)
+
+    def override(self, overrides: Sequence[str]) -> None:
+        """Set the overridden keys; whole sections before keys inside them, in whichever order given.
+
+        Raises ConfigError for a malformed override, and for a key inside a value that is not a section.
+        """
+        parsed = [(*parse_override(text), override_label(text)) for text in overrides]
+        self.drop_partner({path[0]: value for path, value, _ in parsed if len(path) == 1})
+        for path, value, label in sorted(parsed, key=lambda item: len(item[0])):
+            self.set(path, value, label)
+
+    def set(self, path: tuple[str, ...], value: Any, place: str = "") -> None:
+        """Set the key ``path``, with ``place`` for messages; the bare name of a top or scheme becomes a section.
+
+        Raises ConfigError for a key inside what is no section.
+        """
+        section = self.data
+        for depth, key in enumerate(path[:-1]):
+            inner: Any = section.get(key)
+            if key in BARE and isinstance(inner, str):
+                inner = {BARE[key]: inner}
+            elif inner is not None and not isinstance(inner, dict):
+                whole = key_text(path[: depth + 1])
+                raise ConfigError(f"{place}: {whole} is {describe(inner)}, not a section; set {whole} as a whole")
+            section[key] = section = dict(inner or {})
+        if isinstance(section.get(path[-1]), dict | list):  # whose keys have places
+            self.places = {key: where for key, where in self.places.items() if key[: len(path)] != path}
+        section[path[-1]] = plain_data(value, Document({}, {path: place}), path)
+        self.places[path] = place
+
+    def drop_partner(self, changes: Mapping[str, Any]) -> None:
+        """Remove N if ``changes`` set T, and T if they set N; nothing if they set both or neither."""
+        for key, other in PARTNER.items():
+            if key in changes and other not in changes:
+                self.data.pop(other, None)
+
     def place(self, path: KeyPath) -> str:
         """Place of ``path``, or of the section that holds it; empty for data without a file."""
         sections = (path[:length] for length in range(len(path), -1, -1))
@@ -262,39 +303,3 @@ def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
     if not value.strip() or not all(_KEY.fullmatch(part) for part in path):
         raise ConfigError(f"{label}: expected key=value, such as h=0.01 or top.c0=2")
     return path, parse_yaml(value, label)[0]
-
-
-def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
-    """Set the overridden keys in ``document``; whole sections before keys inside them, in whichever order given.
-
-    T takes the place of N, and N that of T. A bare name of a top or a scheme becomes a section if a key inside it is
-    set. Raises ConfigError for a malformed override, and for a key inside a value that is not a section.
-    """
-    parsed = [(*parse_override(text), override_label(text)) for text in overrides]
-    drop_partner(document.data, {path[0]: value for path, value, _ in parsed if len(path) == 1})
-    for path, value, label in sorted(parsed, key=lambda item: len(item[0])):
-        set_key(document, path, value, label)
-
-
-def set_key(document: Document, path: tuple[str, ...], value: Any, place: str) -> None:
-    """Set the key ``path``, with ``place`` for messages. Raises ConfigError for a key inside what is no section."""
-    section = document.data
-    for depth, key in enumerate(path[:-1]):
-        inner: Any = section.get(key)
-        if key in BARE and isinstance(inner, str):
-            inner = {BARE[key]: inner}
-        elif inner is not None and not isinstance(inner, dict):
-            whole = key_text(path[: depth + 1])
-            raise ConfigError(f"{place}: {whole} is {describe(inner)}, not a section; set {whole} as a whole")
-        section[key] = section = dict(inner or {})
-    if isinstance(section.get(path[-1]), dict | list):  # whose keys have places
-        document.places = {key: where for key, where in document.places.items() if key[: len(path)] != path}
-    section[path[-1]] = plain_data(value, Document({}, {path: place}), path)
-    document.places[path] = place
-
-
-def drop_partner(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
-    """Remove N from a config if ``changes`` set T, and T if they set N; nothing if they set both or neither."""
-    for key, other in PARTNER.items():
-        if key in changes and other not in changes:
-            data.pop(other, None)

@@ -12,16 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from topcli.config.document import (
-    BARE,
-    Document,
-    apply_overrides,
-    describe,
-    drop_partner,
-    parse_override,
-    plain_data,
-    set_key,
-)
+from topcli.config.document import BARE, Document, describe, parse_override
 from topcli.config.ensemble import read_ensemble
 from topcli.config.files import find_config, first_sentence, read_document, scene_files
 from topcli.config.models import Config, Experiment, changed_name, steps_of
@@ -120,13 +111,13 @@ def read_config(
         path = find_config(source)
         document, name = read_document(path), path.stem
     elif isinstance(source, Mapping):
-        document, name = Document(plain_data(source, Document({}))), None
+        document, name = Document.of(source), None
     else:
         raise ConfigError(f"a config is a dict with the keys {', '.join(Config.model_fields)}")
-    drop_partner(document.data, changes or {})
+    document.drop_partner(changes or {})
     for key, value in (changes or {}).items():
-        set_key(document, (key,), value, "")
-    apply_overrides(document, overrides)
+        document.set((key,), value)
+    document.override(overrides)
     return document, name
 
 
