@@ -43,17 +43,13 @@ def two_digits(value: float | None) -> str:
     return number(value, 2)
 
 
-def error_places(value: float, error: float) -> tuple[int, int]:
-    """Exponents of the second digit of a positive error, and of the leading digit of the larger of value and error."""
-    place = int(f"{error:.1e}".partition("e")[2]) - 1
-    return place, max(int(f"{value:.3e}".partition("e")[2]), place + 1) if value else place + 1
-
-
 def plus_minus(value: float, error: float) -> str:
     """Number with its error, both to the second digit of the error: 0.123 ± 0.031, (-8.5 ± 2.2)e-05."""
     if not (math.isfinite(value) and math.isfinite(error) and error > 0.0):
         return number(value)
-    place, scale = error_places(value, error)
+    # exponents of the second digit of the error, and of the leading digit of the larger of value and error
+    place = int(f"{error:.1e}".partition("e")[2]) - 1
+    scale = max(int(f"{value:.3e}".partition("e")[2]), place + 1) if value else place + 1
     if -3 <= scale < 5:
         decimals = max(0, -place)
         return f"{value:.{decimals}f} ± {error:.{decimals}f}"

@@ -142,7 +142,9 @@ class Document:
             self.fault(path, f"must be a section with {', '.join(keys)}, not {describe(data)}")
         faults = [self.message((*path, key), unknown_key(key, keys)) for key in data if key not in keys]
         try:
-            instance = read_model(model, {key: value for key, value in data.items() if key in fields})
+            # JSON, because pydantic's strict mode then still accepts a list for a tuple and text for an enum
+            text = to_json({key: value for key, value in data.items() if key in fields}, inf_nan_mode="constants")
+            instance = model.model_validate_json(text, strict=True)
         except ValidationError as error:
             errors = error.errors(include_url=False)
             faults += [self.message((*path, *fault["loc"]), _words(fault, model)) for fault in errors]
@@ -225,12 +227,6 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
     return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
-def read_model(model: type[Model], data: object) -> Model:
-    """Return an instance of ``model`` from plain data. Raises pydantic's ValidationError."""
-    # JSON, because pydantic's strict mode then still accepts a list for a tuple and text for an enum
-    return model.model_validate_json(to_json(data, inf_nan_mode="constants"), strict=True)
-
-
 _WORDS = {
     "Input should": "must",
     "a valid number": "a number",
@@ -287,10 +283,8 @@ def override_label(text: str) -> str:
     return f"--set {shortened(text)}"
 
 
-def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
+def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
     """Return the path and the value of ``key=value``: a dotted path, and a value in YAML.
-
-    ``label`` names the text in messages, by default as an override.
 
     >>> parse_override("initial.gamma=[auto, 0, 1e-3]")
     (('initial', 'gamma'), ['auto', 0, 0.001])
@@ -299,7 +293,7 @@ def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
     """
     key, _, value = text.partition("=")
     path = tuple(part.strip() for part in key.split("."))
-    label = label or override_label(text)
+    label = override_label(text)
     if not value.strip() or not all(_KEY.fullmatch(part) for part in path):
         raise ConfigError(f"{label}: expected key=value, such as h=0.01 or top.c0=2")
     return path, parse_yaml(value, label)[0]
