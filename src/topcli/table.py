@@ -43,17 +43,13 @@ def two_digits(value: float | None) -> str:
     return number(value, 2)
 
 
-def error_places(value: float, error: float) -> tuple[int, int]:
-    """Exponents of the second digit of a positive error, and of the leading digit of the larger of value and error."""
-    place = int(f"{error:.1e}".partition("e")[2]) - 1
-    return place, max(int(f"{value:.3e}".partition("e")[2]), place + 1) if value else place + 1
-
-
 def plus_minus(value: float, error: float) -> str:
     """Number with its error, both to the second digit of the error: 0.123 ± 0.031, (-8.5 ± 2.2)e-05."""
     if not (math.isfinite(value) and math.isfinite(error) and error > 0.0):
         return number(value)
-    place, scale = error_places(value, error)
+    # exponents of the second digit of the error, and of the leading digit of the larger of value and error
+    place = int(f"{error:.1e}".partition("e")[2]) - 1
+    scale = max(int(f"{value:.3e}".partition("e")[2]), place + 1) if value else place + 1
     if -3 <= scale < 5:
         decimals = max(0, -place)
         return f"{value:.{decimals}f} ± {error:.{decimals}f}"
@@ -98,14 +94,28 @@ class Cells:
 
     def markdown(self) -> list[str]:
         """Lines of a Markdown table."""
-        return markdown_table([self.header or [""] * len(self.lines[0]), *self.lines])
+        lines = [self.header or [""] * len(self.lines[0]), *self.lines]
+        head, *rest = ("| " + " | ".join(line) + " |" for line in lines)
+        return [head, "|" + " --- |" * len(lines[0]), *rest]
 
     def latex(self, title: str = "") -> list[str]:
-        """Lines of a LaTeX table, with ``title`` before the caption."""
+        """Lines of a LaTeX table for the package booktabs, with ``title`` before the caption."""
         aligned = "".join("r" if i in self.right else "l" for i in range(len(self.header or self.lines[0])))
-        said = [escaped(f"{text.rstrip('.')}.") for text in (title, self.caption) if text]
-        body = [[latex_text(cell) for cell in line] for line in self.lines]
-        return latex_table(list(map(escaped, self.header)), body, aligned, " ".join(said))
+        caption = " ".join(escaped(f"{text.rstrip('.')}.") for text in (title, self.caption) if text)
+        head = [" & ".join(map(escaped, self.header)) + r" \\", r"\midrule"] if self.header else []
+        return [
+            r"% needs \usepackage{booktabs}, and LuaLaTeX for letters such as γ",
+            r"\begin{table}",
+            r"\centering",
+            rf"\caption{{{caption}}}",
+            rf"\begin{{tabular}}{{{aligned}}}",
+            r"\toprule",
+            *head,
+            *(" & ".join(map(latex_text, line)) + r" \\" for line in self.lines),
+            r"\bottomrule",
+            r"\end{tabular}",
+            r"\end{table}",
+        ]
 
     def text(self, form: str, title: str = "") -> str:
         """Table in a format, "markdown" or "latex", under ``title`` or its own."""
@@ -114,12 +124,6 @@ class Cells:
             return "\n".join(self.latex(title)) + "\n"
         said = [f"{line}\n" for line in (title, self.caption) if line]
         return "\n".join([*said[:1], *self.markdown(), "", *said[1:]])
-
-
-def markdown_table(lines: Sequence[Sequence[str]]) -> list[str]:
-    """Markdown table of lines of cells; the first line is the header."""
-    ruled = ["| " + " | ".join(line) + " |" for line in lines]
-    return [ruled[0], "|" + " --- |" * len(lines[0]), *ruled[1:]]
 
 
 _SPECIAL = str.maketrans(
@@ -133,7 +137,7 @@ _SPECIAL = str.maketrans(
         "|": r"\textbar{}",
     }
 )
-_NUMBER = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)(?![\w.])")
+_NUMBER = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)(?:e([+-]?\d+))?(?![\w.])")
 
 
 def escaped(text: str) -> str:
@@ -149,44 +153,11 @@ def is_number(text: str) -> bool:
         return False
 
 
-def latex_number(number: str) -> str:
-    """Number of a table in LaTeX's mathematics: 1.2e-05 becomes 1.2 times a power of ten."""
-    parts = re.fullmatch(r"(-?[0-9.]+)(?:e([+-]?\d+))?", number)
-    if parts is None:
-        return {"inf": r"\infty", "-inf": r"-\infty"}.get(number, rf"\mathrm{{{number}}}")
-    return parts[1] + (rf" \times 10^{{{int(parts[2])}}}" if parts[2] else "")
-
-
 def latex_text(text: str) -> str:
-    """Text in LaTeX, the numbers in it in mathematics."""
-    parts = _NUMBER.split(text)
-    return "".join(f"${latex_number(part)}$" if i % 2 else escaped(part) for i, part in enumerate(parts))
-
-
-def latex_table(
-    header: Sequence[str], body: Sequence[Sequence[str]], aligned: str, caption: str, above: Sequence[str] = ()
-) -> list[str]:
-    """Lines of a LaTeX table for the package booktabs, of cells in LaTeX; ``above`` are lines above the header."""
-    head = [" & ".join(header) + r" \\", r"\midrule"] if header else []
-    return [
-        r"% needs \usepackage{booktabs}, and LuaLaTeX for letters such as γ",
-        r"\begin{table}",
-        r"\centering",
-        rf"\caption{{{caption}}}",
-        rf"\begin{{tabular}}{{{aligned}}}",
-        r"\toprule",
-        *above,
-        *head,
-        *(" & ".join(line) + r" \\" for line in body),
-        r"\bottomrule",
-        r"\end{tabular}",
-        r"\end{table}",
-    ]
-
-
-def heading_of(key: str) -> str:
-    """Heading of a column: its key, with spaces for the underscores of a name."""
-    return key.replace("_", " ") if key.isidentifier() else key
+    """Text in LaTeX, the numbers in it in mathematics: 1.2e-05 becomes 1.2 times a power of ten."""
+    return _NUMBER.sub(
+        lambda parts: f"${parts[1]}" + (rf" \times 10^{{{int(parts[2])}}}$" if parts[2] else "$"), escaped(text)
+    )
 
 
 @dataclass(frozen=True)
@@ -254,7 +225,7 @@ class Table:
         if self.stored is not None:
             return self.stored
         keys = self.columns(verbose)
-        header = [self.names.get(key, heading_of(key)) for key in keys]
+        header = [self.names.get(key, key.replace("_", " ") if key.isidentifier() else key) for key in keys]
         lines = [[self.cell(key, row.get(key)) for key in keys] for row in self.rows]
         if self.across:
             header, *lines = map(list, zip(header, *lines, strict=True))

@@ -20,7 +20,6 @@ from injected import python_process, topcli_process
 from resuming import killed
 from stored_results import experiment
 from topcli import STUDIES, __version__
-from topcli.__main__ import main
 from topcli.cli.app import COMMANDS, GROUPS, all_commands, command_function
 from topcli.cli.options import complete
 from topcli.cli.running import code_of_sweep
@@ -193,17 +192,6 @@ def test_an_impossible_folder_is_refused_before_computing(cli: Cli, monkeypatch:
     monkeypatch.setattr("topcli.runs.run.drive", None)
     said = cli("run", HK, "--out", out, *SHORT)
     assert (said.code, said.out, said.err[:7]) == (2, "", "error: ")
-
-
-def test_windows_is_refused_at_once_naming_wsl(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("topcli.__main__.os.name", "nt")
-    with pytest.raises(SystemExit) as leaving:
-        main()
-    monkeypatch.undo()
-    err = capsys.readouterr().err
-    assert (leaving.value.code, "WSL" in err, len(err.splitlines())) == (2, True, 1)
 
 
 # a sweep, its rows and its table

@@ -70,7 +70,7 @@ def test_a_false_declaration_is_named(check: Callable[..., Said], old: str, new:
 def test_code_that_fails_is_named_once(check: Callable[..., Said]) -> None:
     said = check(HEUN, "    raise KeyError('no')")
     assert said.code == 2
-    assert said.err.splitlines()[-1] == "error: heun (gyrostat): mine.py:50: in build: KeyError: 'no'"
+    assert said.err.splitlines()[-1] == "error: heun (gyrostat): mine.py:62: in build: KeyError: 'no'"
     assert said.err.count("KeyError") == 1
 
 

@@ -63,6 +63,47 @@ class Document:
     data: dict[str, Any]
     places: dict[KeyPath, str] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, data: Any, places: dict[KeyPath, str] | None = None) -> Document:
+        """Document of a copy of ``data`` as plain data. Raises ConfigError for what is none."""
+        places = places or {}
+        return cls(plain_data(data, cls({}, places)), places)
+
+    def override(self, overrides: Sequence[str]) -> None:
+        """Set the overridden keys; whole sections before keys inside them, in whichever order given.
+
+        Raises ConfigError for a malformed override, and for a key inside a value that is not a section.
+        """
+        parsed = [(*parse_override(text), override_label(text)) for text in overrides]
+        self.drop_partner({path[0]: value for path, value, _ in parsed if len(path) == 1})
+        for path, value, label in sorted(parsed, key=lambda item: len(item[0])):
+            self.set(path, value, label)
+
+    def set(self, path: tuple[str, ...], value: Any, place: str = "") -> None:
+        """Set the key ``path``, with ``place`` for messages; the bare name of a top or scheme becomes a section.
+
+        Raises ConfigError for a key inside what is no section.
+        """
+        section = self.data
+        for depth, key in enumerate(path[:-1]):
+            inner: Any = section.get(key)
+            if key in BARE and isinstance(inner, str):
+                inner = {BARE[key]: inner}
+            elif inner is not None and not isinstance(inner, dict):
+                whole = key_text(path[: depth + 1])
+                raise ConfigError(f"{place}: {whole} is {describe(inner)}, not a section; set {whole} as a whole")
+            section[key] = section = dict(inner or {})
+        if isinstance(section.get(path[-1]), dict | list):  # whose keys have places
+            self.places = {key: where for key, where in self.places.items() if key[: len(path)] != path}
+        section[path[-1]] = plain_data(value, Document({}, {path: place}), path)
+        self.places[path] = place
+
+    def drop_partner(self, changes: Mapping[str, Any]) -> None:
+        """Remove N if ``changes`` set T, and T if they set N; nothing if they set both or neither."""
+        for key, other in PARTNER.items():
+            if key in changes and other not in changes:
+                self.data.pop(other, None)
+
     def place(self, path: KeyPath) -> str:
         """Place of ``path``, or of the section that holds it; empty for data without a file."""
         sections = (path[:length] for length in range(len(path), -1, -1))
@@ -98,7 +139,9 @@ class Document:
             self.fault(path, f"must be a section with {', '.join(keys)}, not {describe(data)}")
         faults = [self.message((*path, key), unknown_key(key, keys)) for key in data if key not in keys]
         try:
-            instance = read_model(model, {key: value for key, value in data.items() if key in fields})
+            # JSON, because pydantic's strict mode then still accepts a list for a tuple and text for an enum
+            text = to_json({key: value for key, value in data.items() if key in fields}, inf_nan_mode="constants")
+            instance = model.model_validate_json(text, strict=True)
         except ValidationError as error:
             errors = error.errors(include_url=False)
             faults += [self.message((*path, *fault["loc"]), _words(fault, model)) for fault in errors]
@@ -181,12 +224,6 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
     return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
-def read_model(model: type[Model], data: object) -> Model:
-    """Return an instance of ``model`` from plain data. Raises pydantic's ValidationError."""
-    # JSON, because pydantic's strict mode then still accepts a list for a tuple and text for an enum
-    return model.model_validate_json(to_json(data, inf_nan_mode="constants"), strict=True)
-
-
 _WORDS = {
     "Input should": "must",
     "a valid number": "a number",
@@ -201,21 +238,19 @@ _WORDS = {
 
 def _words(fault: Any, model: type[BaseModel]) -> str:
     """Message for one of pydantic's errors about data for ``model``."""
-    wrong = describe(fault["input"])
-    *path, key = fault["loc"] or ("",)
-    match fault["type"]:
+    kind, path, wrong = fault["type"], fault["loc"] or ("",), describe(fault["input"])
+    section = _section_at(model, path if kind == "model_type" else path[:-1])
+    keys = fields_of(section) if section else {}
+    match kind:
         case "value_error":
             return str(fault["ctx"]["error"])
         case "missing":
-            section = _section_at(model, path)
-            text = description_of(section, str(key)) if section else ""
+            text = description_of(section, str(path[-1])) if section else ""
             return f"missing; give {text}" if text else "missing"
         case "extra_forbidden":
-            section = _section_at(model, path)
-            return unknown_key(str(key), fields_of(section) if section else ())
+            return unknown_key(str(path[-1]), keys)
         case "model_type":
-            section = _section_at(model, fault["loc"])
-            return f"must be a section with {', '.join(fields_of(section) if section else ())}, not {wrong}"
+            return f"must be a section with {', '.join(keys)}, not {wrong}"
         case "too_short" | "too_long":
             return fault["msg"]
     text = fault["msg"]
@@ -245,10 +280,8 @@ def override_label(text: str) -> str:
     return f"--set {shortened(text)}"
 
 
-def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
+def parse_override(text: str) -> tuple[tuple[str, ...], Any]:
     """Return the path and the value of ``key=value``: a dotted path, and a value in YAML.
-
-    ``label`` names the text in messages, by default as an override.
 
     >>> parse_override("initial.gamma=[auto, 0, 1e-3]")
     (('initial', 'gamma'), ['auto', 0, 0.001])
@@ -257,43 +290,7 @@ def parse_override(text: str, label: str = "") -> tuple[tuple[str, ...], Any]:
     """
     key, _, value = text.partition("=")
     path = tuple(part.strip() for part in key.split("."))
-    label = label or override_label(text)
+    label = override_label(text)
     if not value.strip() or not all(_KEY.fullmatch(part) for part in path):
         raise ConfigError(f"{label}: expected key=value, such as h=0.01 or top.c0=2")
     return path, parse_yaml(value, label)[0]
-
-
-def apply_overrides(document: Document, overrides: Sequence[str]) -> None:
-    """Set the overridden keys in ``document``; whole sections before keys inside them, in whichever order given.
-
-    T takes the place of N, and N that of T. A bare name of a top or a scheme becomes a section if a key inside it is
-    set. Raises ConfigError for a malformed override, and for a key inside a value that is not a section.
-    """
-    parsed = [(*parse_override(text), override_label(text)) for text in overrides]
-    drop_partner(document.data, {path[0]: value for path, value, _ in parsed if len(path) == 1})
-    for path, value, label in sorted(parsed, key=lambda item: len(item[0])):
-        set_key(document, path, value, label)
-
-
-def set_key(document: Document, path: tuple[str, ...], value: Any, place: str) -> None:
-    """Set the key ``path``, with ``place`` for messages. Raises ConfigError for a key inside what is no section."""
-    section = document.data
-    for depth, key in enumerate(path[:-1]):
-        inner: Any = section.get(key)
-        if key in BARE and isinstance(inner, str):
-            inner = {BARE[key]: inner}
-        elif inner is not None and not isinstance(inner, dict):
-            whole = key_text(path[: depth + 1])
-            raise ConfigError(f"{place}: {whole} is {describe(inner)}, not a section; set {whole} as a whole")
-        section[key] = section = dict(inner or {})
-    if isinstance(section.get(path[-1]), dict | list):  # whose keys have places
-        document.places = {key: where for key, where in document.places.items() if key[: len(path)] != path}
-    section[path[-1]] = plain_data(value, Document({}, {path: place}), path)
-    document.places[path] = place
-
-
-def drop_partner(data: dict[str, Any], changes: Mapping[str, Any]) -> None:
-    """Remove N from a config if ``changes`` set T, and T if they set N; nothing if they set both or neither."""
-    for key, other in PARTNER.items():
-        if key in changes and other not in changes:
-            data.pop(other, None)

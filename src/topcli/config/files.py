@@ -6,7 +6,7 @@ import itertools
 import os
 from pathlib import Path
 
-from topcli.config.document import Document, describe, plain_data
+from topcli.config.document import Document, describe
 from topcli.config.text import parse_toml, parse_yaml
 from topcli.errors import ConfigError, UnknownNameError, nearest, quoted
 
@@ -80,4 +80,4 @@ def read_document(path: Path) -> Document:
         fault = f"a config is a list of `key: value` lines, not {describe(data)}; `topcli init` writes one"
         raise ConfigError(f"{path}:1: {fault}")
     places = {key: f"{path}:{line}" for key, line in lines.items()}
-    return Document(plain_data(data, Document({}, places)), places)
+    return Document.of(data, places)

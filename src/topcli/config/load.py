@@ -12,16 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from topcli.config.document import (
-    BARE,
-    Document,
-    apply_overrides,
-    describe,
-    drop_partner,
-    parse_override,
-    plain_data,
-    set_key,
-)
+from topcli.config.document import BARE, Document, describe, parse_override
 from topcli.config.ensemble import read_ensemble
 from topcli.config.files import find_config, first_sentence, read_document, scene_files
 from topcli.config.models import Config, Experiment, changed_name, steps_of
@@ -120,13 +111,13 @@ def read_config(
         path = find_config(source)
         document, name = read_document(path), path.stem
     elif isinstance(source, Mapping):
-        document, name = Document(plain_data(source, Document({}))), None
+        document, name = Document.of(source), None
     else:
         raise ConfigError(f"a config is a dict with the keys {', '.join(Config.model_fields)}")
-    drop_partner(document.data, changes or {})
+    document.drop_partner(changes or {})
     for key, value in (changes or {}).items():
-        set_key(document, (key,), value, "")
-    apply_overrides(document, overrides)
+        document.set((key,), value)
+    document.override(overrides)
     return document, name
 
 
@@ -165,11 +156,8 @@ def read_experiment(
     # the sections, each by itself; vectors and components choose the form of the top
     config = document.read(Config, data)
     N = _steps(config, document)
-    vectors = [
-        *(initial if isinstance(initial, dict) else ()),
-        *named,
-        *(config.ensemble.named if config.ensemble else ()),
-    ]
+    vectors = [*(initial if isinstance(initial, dict) else ()), *named]
+    vectors += config.ensemble.named if config.ensemble else []
     top = read_top(data["top"], vectors, document)
     scheme, options = read_scheme(data["scheme"], type(top), document)
     many = None
@@ -320,16 +308,13 @@ def _check(experiment: Experiment, config: Config, document: Document) -> None:
         if (first, second) != ("ensemble", "section"):
             document.fault(tuple(second.split(".")), f"cannot be combined with {first}; leave out one of them")
     # values that are possible by themselves, but not for this run
+    part = section and config.ensemble and config.ensemble.store != "trajectories"
     for key, wrong, text in (
         ("output.every", output.every > N, f"must be at most N = {N}, not {output.every}"),
         ("output.every", section and output.every > 1, "a section looks at every step; leave out output.every"),
         ("N", not math.isfinite(N * h), f"N*h = {N} * {h!r} is not finite; take fewer or smaller steps"),
         ("max_digits", config.max_digits and config.precision != RATIONAL, "needs precision: rational"),
-        (
-            "ensemble.store",
-            section and config.ensemble and config.ensemble.store != "trajectories",
-            "a section records every crossing; leave out store",
-        ),
+        ("ensemble.store", part, "a section records every crossing; leave out store"),
     ):
         if wrong:
             document.fault(tuple(key.split(".")), text)

@@ -66,13 +66,13 @@ WHOLE_NUMBER = 4.0 * 2.0**-52
 """Relative deviation of T/h from a whole number that is accepted, for the rounding of T, h and their quotient."""
 
 
-def steps_of(T: float, h: float, adapted: Literal["T", "h"] = "T") -> int:
+def steps_of(T: float, h: float) -> int:
     """Return the number of steps T/h, a whole number within round-off (4 ulp).
 
     >>> steps_of(50, 0.001)
     50000
 
-    Raises UsageError with the nearest values that fit of the one of the two that is ``adapted``.
+    Raises UsageError with the nearest T that fit.
     """
     ratio = T / h
     if 0.5 <= ratio <= MAX_STEPS + 0.5 and abs(ratio - (N := round(ratio))) <= WHOLE_NUMBER * N:
@@ -80,16 +80,14 @@ def steps_of(T: float, h: float, adapted: Literal["T", "h"] = "T") -> int:
     if not 0.0 < ratio <= MAX_STEPS:
         raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.6g} steps; must be from 1 to {MAX_STEPS}")
     counts = [N for N in (math.floor(ratio), math.floor(ratio) + 1) if 1 <= N <= MAX_STEPS]
-    near = " or ".join(f"{adapted} = {_shortest(T, h, N, adapted)} (N = {N})" for N in counts)
+    near = " or ".join(f"T = {_duration(N, h)} (N = {N})" for N in counts)
     raise UsageError(f"T/h = {T:g}/{h:g} = {ratio:.9g} is not a whole number of steps; nearest: {near}")
 
 
-def _shortest(T: float, h: float, N: int, adapted: str) -> str:
-    """Fewest digits of the T or h that gives N steps."""
-    value = N * h if adapted == "T" else T / N
-    texts = (f"{value:.{digits}g}" for digits in range(6, 18))
-    ratios = ((text, float(text) / h if adapted == "T" else T / float(text)) for text in texts)
-    return next((text for text, ratio in ratios if abs(ratio - N) <= WHOLE_NUMBER * N), f"{value:g}")
+def _duration(N: int, h: float) -> str:
+    """Text of the T that gives N steps, with few digits if these do."""
+    text = f"{N * h:.15g}"
+    return text if abs(float(text) / h - N) <= WHOLE_NUMBER * N else repr(N * h)
 
 
 Name = Annotated[str, AfterValidator(_name)]

@@ -20,16 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator
 
-from topcli.config.document import (
-    STRICT,
-    Document,
-    apply_overrides,
-    drop_partner,
-    number_of,
-    plain_data,
-    set_key,
-    unknown_key,
-)
+from topcli.config.document import STRICT, Document, number_of, unknown_key
 from topcli.config.ensemble import MAX_SWEEP_ROWS, Interval, Range, is_range, read_axis
 from topcli.config.files import find_config, read_document
 from topcli.config.load import read_experiment
@@ -193,9 +184,9 @@ class Sweep:
         places = self._places_in_rows
         document = Document(dict(self.file.base), dict(places))
         if "h" in document.data or "h" in values:
-            drop_partner(document.data, values)
+            document.drop_partner(values)
         for key in sorted(chosen, key=lambda key: key.count(".")):
-            set_key(document, tuple(key.split(".")), chosen[key], places.get(("grid", key), ""))
+            document.set(tuple(key.split(".")), chosen[key], places.get(("grid", key), ""))
         _fit_step(document.data, any(is_range(section.get("h")) for section in (self.file.grid, *self.file.zip)))
 
         # the states, which may need the top
@@ -313,14 +304,14 @@ def _read_sweep(source: Path | str | Mapping[str, Any], overrides: Sequence[str]
         path = find_config(source, sweep=True)
         document = read_document(path)
     else:
-        path, document = Path("sweep"), Document(plain_data(source, Document({})))
+        path, document = Path("sweep"), Document.of(source)
     if isinstance(base := document.data.get("base"), str):
         with document.at("base"):
             config = find_config(base)
         inner = read_document(path.parent / config)
         document.data["base"] = {key: value for key, value in inner.data.items() if key != "name"}
         document.places |= {("base", *key): place for key, place in inner.places.items() if key}
-    apply_overrides(document, overrides)
+    document.override(overrides)
     for section, inside in (("grid", ()), ("zip", ()), ("random", ("top",))):
         raw = document.data.get(section)
         if isinstance(raw, dict):  # also where TOML or an override has made sections

@@ -28,8 +28,9 @@ def top(declared: type[Top]) -> type[Top]:
 
     The class derives from ``topcli.Top``. It declares ``kind``, ``components``, its parameters as floats with defaults,
     the right-hand side ``field(y, p)`` of the equations of motion (y is the state, p contains the constants), and
-    ``integrals``, a mapping of names to functions of ``y`` and ``p``. The first line of its docstring is its title. All
-    quantities are dimensionless.
+    ``integrals``, a mapping of names to functions of ``y`` and ``p``. The first line of its docstring is its title, and
+    the underlined parts ``Source`` and ``Formula`` (in LaTeX) are those of its equations. All quantities are
+    dimensionless.
 
     Parameters
     ----------
