@@ -2,8 +2,8 @@
 
 A command is a function. Its positional parameters are arguments, its keyword-only ones options: ``max_steps`` becomes
 ``--max-steps``. The type, the default and the number of values follow from the annotation, and the help is the first
-sentence about the parameter in the docstring. Parameters that mean the same in several commands are described in the file
-``options.txt``.
+sentence about the parameter in the docstring. The file ``options.txt`` describes parameters that mean the same in
+several commands.
 """
 
 from __future__ import annotations
