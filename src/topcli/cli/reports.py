@@ -26,7 +26,7 @@ from topcli.store.series import read_series, series_names
 from topcli.studies.report import Report, read_record
 from topcli.sweeps.store import COMPLETED, intact_sweep, is_sweep, stored_sweep_file
 from topcli.sweeps.table import Frame, key_labels, read_rows
-from topcli.table import DASH, Table, number, plain
+from topcli.table import Table, number, plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -223,16 +223,12 @@ def rows_table(rows: Frame) -> Table:
     keys, measures = rows.attrs["keys"], rows.attrs["measures"]
     columns = ["row", *keys, "outcome", *measures]
     first = plain(rows.head(MOST_ROWS)[columns].to_dict("records"))
-    formats: dict[str, Any] = {key: partial(_label, key_labels(rows[key])) for key in keys}
+    formats: dict[str, Any] = {key: key_labels(rows[key]).get for key in keys}
     formats |= {name: _format_of(rows[name]) for name in measures}
     more = len(rows) - len(first)
     caption = f"The first {MOST_ROWS} rows; {more} more are in {rows.attrs['path']}." if more > 0 else ""
     marks = {outcome: "bad" for outcome in rows["outcome"] if outcome != COMPLETED}
     return Table("Rows", first, formats, names={name: name for name in columns}, caption=caption, marks=marks)
-
-
-def _label(labels: Mapping[Any, str], value: Any) -> str:
-    return labels.get(value, DASH)
 
 
 def _format_of(values: Frame) -> Any:
