@@ -243,9 +243,10 @@ def stored_record(place: Path) -> dict[str, Any]:
     Raises UsageError if there is nothing that topcli stored or the result is not finished, and RunError if it is
     damaged.
     """
-    if place.suffix == ".json" and place.name not in (MANIFEST, REPORT):
+    beside = place.suffix != ".json" and (place.parent / MANIFEST).is_file()
+    folder = place.parent if place.is_file() and (beside or place.name in (MANIFEST, REPORT)) else place
+    if not folder.is_dir():
         return read_record(place)
-    folder = place if place.is_dir() else place.parent
     if is_sweep(folder):
         return report_on_sweep(intact_sweep(folder)).record()
     stored = intact_result(folder)
