@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,21 +12,18 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.integrate import solve_ivp
 
-from cases import cases_of, table_of
+from cases import cases_of
 from conftest import ROOT, Said
 from custom_tops import VOLTERRA, Y0
-from documentation import read_page
 from injected import python_process, topcli_process
 from resuming import killed
 from stored_results import experiment
 from topcli import STUDIES, __version__
 from topcli.cli.app import COMMANDS, GROUPS, all_commands, command_function
 from topcli.cli.options import complete
-from topcli.cli.running import code_of_sweep
 from topcli.config.files import scene_files
 from topcli.config.load import load_experiment
 from topcli.store.series import read_series
-from topcli.sweeps.run_sweep import SweepResult
 
 Cli = Callable[..., Said]
 HK = str(ROOT / "configs" / "kowalevski_hk.yaml")
@@ -161,28 +158,21 @@ def test_several_runs_have_titles_one_document_and_one_code(cli: Cli, in_tmp: Pa
     assert (in_tmp / "results" / "far" / "series.parquet").is_file()
 
 
-SIZES = {"a denormal": 5e-324, "large": 1e20, "the largest": 1.7e308}
 SCENES_OF_SIZES = [*[name for name in scene_files() if name.endswith("_gentle")][1::3], "euler_hk"]
 
 
-def settings_of_size(scene: str, size: float) -> Iterator[str]:
-    """Each number that a run depends on, alone."""
-    config = load_experiment(scene).resolved()
-    yield f"h={size}"
-    yield from (f"top.{name}={size}" for name, value in config["top"].items() if isinstance(value, float))
-    for name, vector in config["initial"].items():
-        if name != "gamma":
-            yield f"initial.{name}={[size, *vector[1:]] if isinstance(vector, list) else size}"
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [5e-324, 1e20, 1.7e308])
 @pytest.mark.parametrize("scene", SCENES_OF_SIZES)
-def test_runs_with_numbers_of_any_size_end_or_are_refused(cli: Cli, scene: str, size: str) -> None:
-    """The call fails on a traceback."""
-    for number, setting in enumerate(settings_of_size(scene, SIZES[size])):
-        said = cli("run", scene, "--set", setting, "--set", "N=3", "--set", f"name=run{number}")
-        assert said.code in (0, 1, 2), setting
+def test_runs_with_numbers_of_any_size_end_or_are_refused(cli: Cli, scene: str, size: float) -> None:
+    """Each number that a run depends on, alone; the call fails on a traceback."""
+    config = load_experiment(scene).resolved()
+    initial = {name: vector for name, vector in config["initial"].items() if name != "gamma"}
+    settings = {f"top.{name}": size for name, value in config["top"].items() if isinstance(value, float)}
+    settings |= {f"initial.{name}": [size, *v[1:]] if isinstance(v, list) else size for name, v in initial.items()}
+    for number, (key, value) in enumerate({"h": size, **settings}.items()):
+        said = cli("run", scene, "--set", f"{key}={value}", "--set", "N=3", "--set", f"name=run{number}")
+        assert said.code in (0, 1, 2), key
         assert "Warning" not in said.err
 
 
@@ -266,21 +256,7 @@ def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
     many = "grid.h={from: 9, to: 20, count: 30}"
     said = cli("sweep", "study.yaml", "--set", many, "--set", "grid.scheme=[rk4]", "--set", "base.N=500")
     assert (said.err.count("error: row "), said.err.count("further failures are only counted")) == (20, 1)
-
-
-@pytest.mark.parametrize(
-    ("finished", "failed", "interrupted", "code"),
-    table_of("""
-4  0  False  0
-4  1  False  3
-4  4  False  1
-1  1  True   130
-0  0  False  0
-"""),
-)
-def test_exit_codes_count_the_rows_that_finished(finished: int, failed: int, interrupted: bool, code: int) -> None:
-    outcomes = {"completed": finished - failed, "blew_up": failed}
-    assert code_of_sweep(SweepResult(Path(), 4, 4, outcomes, interrupted, 1.0)) == code
+    assert said.code == 1, "no row completed"
 
 
 # a top of fifteen lines of YAML, and a plugin with a top and a scheme, in all commands
@@ -314,27 +290,6 @@ def test_an_own_top_agrees_with_an_independent_integration(cli: Cli, in_tmp: Pat
     assert {row["figure"]: row["value"] for row in judged}["max error"] < 1e-11
 
 
-@pytest.mark.slow
-def test_a_plugin_of_the_documentation_takes_part_everywhere(cli: Cli, in_tmp: Path) -> None:
-    for name, text in read_page(ROOT / "docs" / "own.md").files().items():
-        Path(name).write_text(text)
-
-    def gyrostat(*arguments: str) -> Said:
-        return cli(*arguments, "--plugin", "gyrostat.py")
-
-    tops = {top["name"]: top["origin"] for top in gyrostat("list", "tops", "--json").json()["tops"]}
-    assert (tops["gyrostat"], tops["heavy"]) == ("gyrostat.py", "topcli")
-    listed = gyrostat("list", "schemes", "--top", "gyrostat", "--json").json()["schemes"]
-    origins = {scheme["name"]: scheme["origin"] for scheme in listed}
-    assert (origins["heun"], origins["hk"]) == ("gyrostat.py", "topcli")
-    for name in set(origins) - {"taylor"}:
-        said = gyrostat("run", "rotor.yaml", "--set", f"scheme={name}", "--set", "T=0.1", "--quiet")
-        assert said.code == 0, said.err
-    assert "note = {Volterra 1899}" in gyrostat("cite", "gyrostat").out
-    stressed = gyrostat("stress", "heun", "--json").json()["tables"][0]["rows"]
-    assert {row["case"]: row["outcome"] for row in stressed}["there-and-back"] == "degraded"
-
-
 # show, list, init
 
 
@@ -346,18 +301,6 @@ def test_a_top_is_described_by_what_it_declares_and_what_its_field_says(cli: Cli
         assert top["degree"] == 2
         assert {"hk", "midpoint"} <= set(top["schemes"])
     assert "; conserved where m_gamma = 0" in " ".join(cli("show", "goryachev-chaplygin").out.split())
-
-
-def test_generated_code_can_be_read_and_run(cli: Cli) -> None:
-    """The code of Kahan's step of v' = 6 x^2 - g2/2, x' = v, against its defining equations."""
-    code = cli("show", "hk", "--top", "weierstrass", "--source").out
-    scope: dict = {"fma": lambda a, b, c: a * b + c}
-    exec(code, scope)
-    h, x, v = 0.1, 0.3, -0.2
-    p = [3.0, *(eval(line.partition(" = ")[2]) for line in code.splitlines() if line.startswith("# p["))]
-    new_x, new_v = scope["step"]((x, v), h, p)
-    assert (new_x - x) / h == pytest.approx((v + new_v) / 2, rel=1e-14)
-    assert (new_v - v) / h == pytest.approx(6 * x * new_x - 1.5, rel=1e-14)
 
 
 def test_a_motion_is_shown_with_what_has_no_value(cli: Cli) -> None:

@@ -18,7 +18,7 @@ import pytest
 from conftest import ROOT
 from topcli.studies.bench import PEERS
 
-SUFFIXES = {".py", ".pyi", ".yaml", ".toml", ".mplstyle", ".bib", ".ll", ".css"}
+SUFFIXES = {".html", ".txt", ".py", ".pyi", ".yaml", ".toml", ".mplstyle", ".bib", ".ll", ".css"}
 
 
 def build(source: Path, target: str, into: Path) -> Path:

@@ -17,7 +17,7 @@ from conftest import ROOT
 from terminal import in_terminal
 from topcli.cli.output import table_lines
 from topcli.config.files import scene_files
-from topcli.errors import ExitCode, UsageError, printable, quoted
+from topcli.errors import ExitCode
 from topcli.runs.report import invariant_table
 from topcli.table import Cells, plus_minus, rounded_up, two_digits
 
@@ -26,13 +26,6 @@ EVIL = "\x1b]0;own\x07\x1b[31m\u202egnp\x9b2J\x7f\n\r\tx[link=http://evil]y[/lin
 TOPCLI = [sys.executable, "-m", "topcli"]
 CONTROLS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\r")
 MOST_LINES = 12
-
-
-def test_messages_escape_control_characters_and_cut_names() -> None:
-    assert printable("a\x1b[0m\n\x9b\u202e\u200bγ²") == r"a\x1b[0m\n\x9b\u202e\u200bγ²"
-    assert quoted("x" * 100) == "'" + "x" * 57 + "...'"
-    error = UsageError("one\ntwo\x1b", "three")
-    assert str(error) == "one\\ntwo\\x1b\nthree"
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from attitude_runs import TURNED, stored
-from cases import table_of
 from conftest import Said
 from topcli.figures.animation import BodyFigure, BodyMotion, frame_times, stored_body_motion, write_animation
 from topcli.figures.style import styled
@@ -79,18 +78,9 @@ def test_mp4_is_playable(tmp_path: Path, motion: BodyMotion) -> None:
     assert all(word in output.stderr.decode() for word in ("h264", "25 fps", "yuv420p"))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    table_of("""
---out a.webm                           --out a.webm: must end in .gif or .mp4
---out a.gif --seconds 200              a GIF has at most 2500 frames; write an .mp4
---out a.mp4                            --out a.mp4: MP4 needs an encoder, which is not installed
-"""),
-)
-def test_wrong_options_are_refused(
-    folder: Path, cli: Callable[..., Said], monkeypatch: pytest.MonkeyPatch, arguments: str, expected: str
+def test_an_mp4_without_an_encoder_is_refused(
+    folder: Path, cli: Callable[..., Said], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("topcli.figures.animation._encoder", lambda: "no-such-program")
-    output = cli("animate", str(folder), *arguments.split())
-    assert output.code == 2
-    assert expected in output.err
+    output = cli("animate", str(folder), "--out", "a.mp4")
+    assert (output.code, "MP4 needs an encoder, which is not installed" in output.err) == (2, True)

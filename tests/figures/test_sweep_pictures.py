@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from matplotlib.figure import Figure
 
 from cases import table_of
 from sweep_rows import write_rows
-from topcli.errors import UsageError
 from topcli.figures.figure import canvas_of
 from topcli.figures.sweep import Choice, draw_sweep, is_geometric, points_of, scale_of
 from topcli.sweeps.aggregates import read_rows
@@ -112,22 +110,6 @@ def test_scales_follow_the_magnitudes(values: list[float], scale: str, width: fl
     assert (scale_of(np.array(values)), is_geometric(np.array(values))) == (expected, geometric)
 
 
-@pytest.mark.parametrize(
-    ("choice", "message"),
-    table_of("""
-x=h y=max_error by=scheme                up to 3 values fall into one cell, because seed still varies
-x=hh y=max_error                         --x and --by: unknown key 'hh'; did you mean 'h'
-x=h y=max_eror                           --y: unknown measure 'max_eror'; did you mean 'max_error'
-x=h y=scheme by=seed colour=max_error    --colour and --by cannot be combined
-x=h y=max_error by=h                     key 'h' is named twice
-x=h y=max_error aggregate=avg            --aggregate 'avg': unknown
-"""),
-)
-def test_wrong_choices_are_named(folder: Path, choice: str, message: str) -> None:
-    with pytest.raises(UsageError, match=re.escape(message)):
-        points_of(read_rows(folder), Choice(**dict(word.split("=") for word in choice.split())))
-
-
 def test_the_command_stores_the_points_that_it_draws(cli: Callable[..., Any], folder: Path) -> None:
     command = ("plot", "sweep", str(folder), "--x", "h", "--y", "max_error", "--by", "scheme", "--where", "seed=2")
     name = "mine_max_error_over_h_by_scheme"
@@ -137,11 +119,3 @@ def test_the_command_stores_the_points_that_it_draws(cli: Callable[..., Any], fo
     assert columns["value"].tolist() == [error_of(scheme, h, 2) for scheme in SCHEMES for h in SIZES]
     assert cli(*command[:-1], "seed=1", "--format", "png").code == 0
     assert pd.read_parquet(f"results/figures/{name}.parquet")["value"][0] == error_of("hk", 0.1, 1)
-    for words, message in (
-        ("sweep", "name one folder"),
-        (f"sweep {folder} --x h", "keys: scheme, h, seed; measures: max_error, drift.energy"),
-        ("fig1 --where h=1", "--where is only for sweeps"),
-    ):
-        refused = cli("plot", *words.split())
-        assert (refused.code, refused.out) == (2, "")
-        assert message in refused.err

@@ -26,7 +26,7 @@ from topcli.store.series import read_series, series_names
 from topcli.studies.report import Report, read_record
 from topcli.sweeps.aggregates import Frame, key_labels, read_rows
 from topcli.sweeps.store import COMPLETED, intact_sweep, is_sweep, stored_sweep_file
-from topcli.table import DASH, Table, number, plain
+from topcli.table import Table, number, plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -223,16 +223,12 @@ def rows_table(rows: Frame) -> Table:
     keys, measures = rows.attrs["keys"], rows.attrs["measures"]
     columns = ["row", *keys, "outcome", *measures]
     first = plain(rows.head(MOST_ROWS)[columns].to_dict("records"))
-    formats: dict[str, Any] = {key: partial(_label, key_labels(rows[key])) for key in keys}
+    formats: dict[str, Any] = {key: key_labels(rows[key]).get for key in keys}
     formats |= {name: _format_of(rows[name]) for name in measures}
     more = len(rows) - len(first)
     caption = f"The first {MOST_ROWS} rows; {more} more are in {rows.attrs['path']}." if more > 0 else ""
     marks = {outcome: "bad" for outcome in rows["outcome"] if outcome != COMPLETED}
     return Table("Rows", first, formats, names={name: name for name in columns}, caption=caption, marks=marks)
-
-
-def _label(labels: Mapping[Any, str], value: Any) -> str:
-    return labels.get(value, DASH)
 
 
 def _format_of(values: Frame) -> Any:
@@ -247,9 +243,10 @@ def stored_record(place: Path) -> dict[str, Any]:
     Raises UsageError if there is nothing that topcli stored or the result is not finished, and RunError if it is
     damaged.
     """
-    if place.suffix == ".json" and place.name not in (MANIFEST, REPORT):
+    beside = place.suffix != ".json" and (place.parent / MANIFEST).is_file()
+    folder = place.parent if place.is_file() and (beside or place.name in (MANIFEST, REPORT)) else place
+    if not folder.is_dir():
         return read_record(place)
-    folder = place if place.is_dir() else place.parent
     if is_sweep(folder):
         return report_on_sweep(intact_sweep(folder)).record()
     stored = intact_result(folder)

@@ -94,11 +94,11 @@ def _ellipsoid(moments: Array, axis: Array) -> Array:
 
 def _spinning_top() -> Array:
     """Surface of a spinning top with its tip in the fixed point."""
-    radius, height = np.array(SILHOUETTE).T
-    at = np.linspace(0.0, len(radius) - 1.0, LATITUDES + 1)
-    points = sphere(LATITUDES, LONGITUDES)
-    points[..., :2] = points[LATITUDES // 2, :, :2] * np.interp(at, np.arange(len(radius)), radius)[:, None, None]
-    points[..., 2] = np.interp(at, np.arange(len(height)), height)[:, None]
+    corners, points = np.arange(len(SILHOUETTE)), sphere(LATITUDES, LONGITUDES)
+    at = np.linspace(0.0, corners[-1], LATITUDES + 1)
+    radius, height = (np.interp(at, corners, values)[:, None] for values in zip(*SILHOUETTE, strict=True))
+    points[..., :2] = points[LATITUDES // 2, :, :2] * radius[..., None]
+    points[..., 2] = height
     return points
 
 
@@ -115,12 +115,10 @@ def draw_space(axes: Any, body: Body, start: Array) -> Array:
     return camera
 
 
-def draw_body(axes: Any, camera: Array, body: Body, rotation: Array, path: Array, width: float) -> None:
+def draw_body(axes: Any, camera: Array, body: Body, rotation: Array, path: Array) -> None:
     """Draw the body in the attitude ``rotation`` (3, 3) and the ``path`` (m, 3) of its axis up to it."""
-    curve(axes, camera, path, TRACE, width, zorder=20, label="trace of the axis")
-    sector = np.arange(LONGITUDES + 1) * 8 // LONGITUDES
-    colours = np.where((sector % 2 == 0)[:, None], PALE, BLUE)
-    colours = np.where((sector == 0)[:, None], MARK, colours)
+    curve(axes, camera, path, TRACE, 1.3, zorder=20, label="trace of the axis")
+    colours = np.array([MARK, BLUE, *[PALE, BLUE] * 3, PALE])[np.arange(LONGITUDES + 1) * 8 // LONGITUDES]
     surface(axes, body.surface @ rotation.T, np.broadcast_to(colours, body.surface.shape), camera, zorder=10)
 
     # the axis from the surface to the sphere, its end and its name
@@ -216,7 +214,7 @@ class BodyFigure:
         for artist in set(self.axes.get_children()) - self.fixed:
             artist.remove()
         path = self.path[: _PARTS * index + 1]
-        draw_body(self.axes, self.camera, self.body, self.rotations[index], path, 1.3)
+        draw_body(self.axes, self.camera, self.body, self.rotations[index], path)
         self.time.set_text(f"$t = {self.times[index]:.2f}$")
         self.dot.set_data([self.times[index]], [path[-1, 2]])
 
@@ -225,18 +223,15 @@ def require_format(path: Path, seconds: float) -> None:
     """Raise UsageError for a format that cannot be written here, and for a GIF of too many frames."""
     from matplotlib.animation import FFMpegWriter
 
-    if path.suffix.lower() not in (".gif", ".mp4"):
+    form = path.suffix.lower()
+    if form not in (".gif", ".mp4"):
         raise UsageError(f"--out {path}: must end in .gif or .mp4")
-    if path.suffix.lower() == ".gif":
-        if FPS * seconds > GIF_FRAMES:
-            raise UsageError(f"--out {path}: a GIF has at most {GIF_FRAMES} frames; write an .mp4")
-        return
+    if form == ".gif" and FPS * seconds > GIF_FRAMES:
+        raise UsageError(f"--out {path}: a GIF has at most {GIF_FRAMES} frames; write an .mp4")
     with styled({"animation.ffmpeg_path": _encoder()}):
-        if not FFMpegWriter.isAvailable():
-            raise UsageError(
-                f"--out {path}: MP4 needs an encoder, which is not installed",
-                "pip install 'topcli[video]' brings it; a .gif needs nothing more",
-            )
+        if form == ".mp4" and not FFMpegWriter.isAvailable():
+            advice = "pip install 'topcli[video]' brings it; a .gif needs nothing more"
+            raise UsageError(f"--out {path}: MP4 needs an encoder, which is not installed", advice)
 
 
 def _encoder() -> str:

@@ -37,13 +37,6 @@ MAPS = {
 """Scheme and top of each map."""
 
 
-def random_orbits(count: int, seed: int = 7) -> Array:
-    """States (count, 6): omega normal with a standard deviation of 1.5, gamma a unit vector in a random direction."""
-    y = np.random.default_rng(seed).normal(size=(count, 6)) * np.repeat([1.5, 1.0], 3)
-    y[:, 3:] /= np.linalg.norm(y[:, 3:], axis=1, keepdims=True)
-    return y
-
-
 def chaotic_share(growth: Growth) -> tuple[float, float]:
     """Share of chaotic orbits among those with a verdict, and its standard error (of at least half an orbit)."""
     chaotic = shares_of_chaos(growth.verdicts)
@@ -96,7 +89,9 @@ def chaos() -> Columns:
         rows.append(np.where(share == 1.0, growth.exponents, share))
     columns = {"map:h": np.repeat(sizes, MAP_SIZE), "map:omega": np.tile(lengths, MAP_SIZE)}
     columns |= {"map:exponent": np.concatenate(rows), "h": np.array(STEP_SIZES)}
-    y = random_orbits(ORBITS)
+    # omega normal with a standard deviation of 1.5, gamma in a random direction
+    y = np.random.default_rng(7).normal(size=(ORBITS, 6)) * np.repeat([1.5, 1.0], 3)
+    y[:, 3:] /= np.linalg.norm(y[:, 3:], axis=1, keepdims=True)
     for label in MAPS:
         shares = [chaotic_share(_growth(label, h, ORBIT_STEPS, y)) for h in STEP_SIZES]
         columns[f"share:{label}"], columns[f"error:{label}"] = map(np.array, zip(*shares, strict=True))

@@ -17,21 +17,7 @@ from topcli.store.provenance import now
 from topcli.studies.cite import ALWAYS, bibliography, works_of
 from topcli.table import Cells, stored_cells
 
-STYLES = Path(__file__).with_name("page.css")
-HEAD = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>
-{styles}</style>
-</head>
-<body>
-<h1>{title}</h1>
-<p class="quiet">Written by topcli {version} on {written}. All quantities are dimensionless.</p>
-"""
+HEAD, STYLES = Path(__file__).with_suffix(".html"), Path(__file__).with_suffix(".css")
 LONGEST_TEXT = 400
 """Lines of a config that a page shows; an ensemble may list thousands of states."""
 
@@ -39,8 +25,8 @@ LONGEST_TEXT = 400
 def page_of(records: Sequence[Mapping[str, Any]]) -> str:
     """Page of reports, each a ``Report.record``, under headings if there are several; their texts are escaped."""
     title = text(records[0]["title"] if len(records) == 1 else counted(len(records), "result"))
-    styles = STYLES.read_text(encoding="utf-8")
-    head = HEAD.format(title=title, styles=styles, version=__version__, written=now())
+    head, styles = (path.read_text(encoding="utf-8") for path in (HEAD, STYLES))
+    head = head.format(title=title, styles=styles, version=__version__, written=now())
     sections = [section_html(record, len(records) > 1) for record in records]
     return head + "".join(sections) + "</body>\n</html>\n"
 
