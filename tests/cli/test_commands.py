@@ -303,6 +303,18 @@ def test_a_top_is_described_by_what_it_declares_and_what_its_field_says(cli: Cli
     assert "; conserved where m_gamma = 0" in " ".join(cli("show", "goryachev-chaplygin").out.split())
 
 
+def test_generated_code_can_be_read_and_run(cli: Cli) -> None:
+    """The code of Kahan's step of v' = 6 x^2 - g2/2, x' = v, against its defining equations."""
+    code = cli("show", "hk", "--top", "weierstrass", "--source").out
+    scope: dict = {"fma": lambda a, b, c: a * b + c}
+    exec(code, scope)
+    h, x, v = 0.1, 0.3, -0.2
+    p = [3.0, *(eval(line.partition(" = ")[2]) for line in code.splitlines() if line.startswith("# p["))]
+    new_x, new_v = scope["step"]((x, v), h, p)
+    assert (new_x - x) / h == pytest.approx((v + new_v) / 2, rel=1e-14)
+    assert (new_v - v) / h == pytest.approx(6 * x * new_x - 1.5, rel=1e-14)
+
+
 def test_a_motion_is_shown_with_what_has_no_value(cli: Cli) -> None:
     asymptotic = [f"top.{name}={value}" for name, value in (("A", 6), ("B", 4), ("C", 3))]
     words = [word for text in (*asymptotic, "initial.omega=[0.5, 0.25, 1]") for word in ("--set", text)]

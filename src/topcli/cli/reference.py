@@ -206,6 +206,7 @@ def show_command(
     *,
     row: int | None = None,
     top: str | None = None,
+    source: bool = False,
     motion: bool = False,
     overrides: Sequence[str] = (),
     results: Path = Path("results"),
@@ -219,6 +220,8 @@ def show_command(
         Config file, packaged scene, scheme, top, or folder of a run or sweep.
     row : int, optional
         Show this row of a stored sweep as a config.
+    source : bool, optional
+        Show the code generated for a scheme from the equations of motion.
     motion : bool, optional
         Show the class, frequencies and periods of the exact motion.
     """
@@ -241,9 +244,13 @@ def show_command(
     names = {scheme.name for scheme in all_schemes()} if is_name else set()
     is_scheme = subject.lower().partition("+")[0] in names
     of_name = schemes_called(subject, [form.form for form in forms(top)] if top else ()) if is_scheme else []
-    if top and not of_name:
-        raise UsageError(f"--top: needs the name of a scheme, not {quoted(subject)}")
+    if (top or source) and not of_name:
+        raise UsageError(f"--{'top' if top else 'source'}: needs the name of a scheme, not {quoted(subject)}")
     width = min(WIDTH, width_of(sys.stdout))
+    if source:
+        code = describe.generated_source(of_name)
+        screen.show(code.removesuffix("\n"))
+        return CommandResult({"source": code})
     if is_name and subject.lower() in top_names():
         described = [form.new() for form in forms(subject)]
         screen.show("\n\n".join(describe.top_text(each, width) for each in described))

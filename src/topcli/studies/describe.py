@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Iterable, Sequence
 from textwrap import fill
 from typing import Any
 
-from topcli.contracts import Scheme, Top, parts_of
+from topcli.contracts import Block, Scheme, Top, parts_of
+from topcli.errors import UsageError
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.registry import names_for
 from topcli.table import DASH
 from topcli.tops import TOPS
+
+
+def generated_source(schemes: Sequence[Scheme]) -> str:
+    """Code that schemes are made of for the default parameters of their tops, each under a line with the name.
+
+    Schemes that are written out are left out. Raises UsageError if all are.
+    """
+    texts = []
+    for scheme in schemes:
+        method = scheme.build(TOPS[scheme.top].new(), scheme.options())
+        source = method.text if isinstance(method, Block) else getattr(method, "source", None)
+        if source is not None:
+            texts.append(f"# {scheme.name} ({scheme.top})\n{source()}")
+    if not texts:
+        name, top, file = schemes[0].name, schemes[0].top, inspect.getsourcefile(schemes[0].maker)
+        raise UsageError(f"scheme {name!r} of the top {top!r} is not made from the field; see {file}")
+    return "\n".join(texts)
 
 
 def scheme_data(scheme: Scheme) -> dict[str, Any]:
