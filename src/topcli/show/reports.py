@@ -24,7 +24,7 @@ from topcli.store.results import MANIFEST, REPORT, StoredResult, intact_result
 from topcli.store.series import read_series, series_names
 from topcli.studies.report import Report, read_record
 from topcli.sweeps.aggregates import Frame, key_labels, read_rows
-from topcli.sweeps.store import COMPLETED, ROWS_FILE, SWEEP_FILE, intact_sweep, is_sweep, stored_sweep_file
+from topcli.sweeps.store import COMPLETED, ROWS_FILE, SWEEP_FILE, is_sweep, stored_sweep_file
 from topcli.table import DASH, Table, number, plain
 
 if TYPE_CHECKING:
@@ -261,7 +261,7 @@ def stored_record(place: Path) -> dict[str, Any]:
     folder = place.parent if place.name in FILES or place.suffix in (".parquet", ".csv") else place
     if not folder.is_dir():
         return read_record(place)
-    if is_sweep(folder):
-        return sweep_report(intact_sweep(folder)).record()
     stored = intact_result(folder)
+    if is_sweep(folder):
+        return sweep_report(stored).record()
     return run_report(RunResult(stored, stored.report(), "up to date")).record()
