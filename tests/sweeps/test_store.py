@@ -16,7 +16,7 @@ from injected import in_fork
 from sweeping import BASE, DATA, MANY, sweep, table, with_grid
 from topcli.errors import RunError, UsageError
 from topcli.store.result_folder import locked, release
-from topcli.studies.health import check_all
+from topcli.studies.verify import check_all
 from topcli.sweeps.store import DATABASE, RowStore
 
 
