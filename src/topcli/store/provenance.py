@@ -50,17 +50,21 @@ def now() -> str:
 
 def git_commit() -> dict[str, Any]:
     """``commit`` of the running topcli, and ``dirty`` if a tracked file differs from it; None outside a checkout."""
-    root, unknown = Path(__file__).resolve().parents[3], {"commit": None, "dirty": None}
+    root = Path(__file__).resolve().parents[3]
+    state: dict[str, Any] = {"commit": None, "dirty": None}
     if not (root / ".git").exists():
-        return unknown
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+        return state
+    command = ["git", "-C", str(root), "status", "--porcelain=v2", "--branch", "--untracked-files=no"]
     unlocked = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=2, check=True, env=unlocked)
-    except (OSError, subprocess.SubprocessError):
-        return unknown
-    commit, _, dirty = done.stdout.strip().partition("-")
-    return {"commit": commit, "dirty": bool(dirty)}
+        done = subprocess.run(command, capture_output=True, text=True, timeout=2, check=False, env=unlocked)
+    except (OSError, subprocess.TimeoutExpired):
+        return state
+    lines = done.stdout.splitlines()
+    for line in lines:
+        if line.startswith("# branch.oid ") and "(initial)" not in line:
+            state = {"commit": line.split()[-1], "dirty": any(not line.startswith("#") for line in lines)}
+    return state
 
 
 def environment() -> dict[str, Any]:
