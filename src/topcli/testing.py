@@ -16,20 +16,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from topcli.analysis.conformance import (
-    completed,
-    deviation,
-    differing_lanes,
-    is_vector_of,
-    reversal_defect,
-    states_near,
-    working_states,
-)
-from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order
+from topcli.analysis.order import OrderVerdict, convergence, is_consistent, judge_order, one_step_back_and_forth
 from topcli.analysis.reference import reference_states
 from topcli.config.load import load_experiment
-from topcli.contracts import Array, Invariant, Method, Scheme, Stepper, Top
-from topcli.engine.drive import orbit
+from topcli.contracts import Array, Invariant, Method, Outcome, Scheme, Stepper, Top
+from topcli.engine.drive import drive, orbit
+from topcli.engine.loops import interpreted, loop_of
+from topcli.engine.machine import Machine
+from topcli.engine.rows import Plan
 from topcli.field.integrals import RATE, exact_rate, rates_along
 from topcli.field.polynomial import NotPolynomialError, field_of
 from topcli.schemes.registry import find_scheme
@@ -49,6 +43,8 @@ STEPS, FEW = 5000, 400
 """Steps of the runs that show invariants; in the interpreter fewer."""
 _LONG = 0.05
 """Step size of these runs."""
+ULPS = 50.0
+"""Deviation of an exact invariant that round-off may cause, in ulp of its terms times the square root of the steps."""
 
 
 class Trait(NamedTuple):
@@ -126,7 +122,7 @@ def _traits(scheme: Scheme, top: Top, options: Any, method: Method, y0: Array) -
     modified = scheme.modified(top, _LONG, options) if scheme.modified else ()
     if exact or modified:
         N = FEW if plain else STEPS
-        states = completed(top, method, start, _LONG, N)
+        states = _completed(top, method, start, _LONG, N)
         for trait, invariants in (("exact invariants", exact), ("modified invariants", modified)):
             if not invariants:
                 continue
@@ -139,7 +135,7 @@ def _traits(scheme: Scheme, top: Top, options: Any, method: Method, y0: Array) -
     few = states_near(start, 3 if plain else 9)
     yield Trait("ensembles equal single runs", differing_lanes(top, method, few, few, 0.02, 20 if plain else 100), 0.0)
     if isinstance(method, Stepper) and not plain:
-        python, compiled = working_states(top, method, start, 0.02, 100)
+        python, compiled = _working_states(top, method, start, 0.02, 100)
         differing = sum(a.hex() != b.hex() for a, b in zip(python, compiled, strict=True))
         yield Trait("machine code equals Python", differing, 0.0)
 
@@ -199,7 +195,7 @@ def check_top(top: Top | str, y0: Sequence[float] | None = None) -> list[Trait]:
     top = TOPS[top].new() if isinstance(top, str) else top
     states = states_near(generic_state(top) if y0 is None else y0, 20)
     p = top.constants()
-    wrong = sum(not is_vector_of(top.field(tuple(y.tolist()), p), top) for y in states)
+    wrong = sum(not _is_vector_of(top.field(tuple(y.tolist()), p), top) for y in states)
     traits = [Trait("field", wrong, 0.0)]
     for each in top.invariants():
         try:
@@ -211,3 +207,58 @@ def check_top(top: Top | str, y0: Sequence[float] | None = None) -> list[Trait]:
             _, sizes = rates_along(top, each.value, states[1:])
             traits.append(Trait(f"{each.name}: rate on random states", float(sizes.max()), RATE))
     return traits
+
+
+def states_near(y0: Sequence[float], count: int) -> Array:
+    """States (count, d) of the size of ``y0``, the first of which is ``y0``; components of zero are moved too."""
+    y, number = np.array(y0, dtype=float), np.arange(count)[:, None]
+    size = max(float(np.abs(y).max()), 1e-3)
+    return y + 0.3 * size * (number > 0) * np.cos(1.0 + 2.0 * number + 3.0 * np.arange(len(y)))
+
+
+def reversal_defect(top: Top, method: Method, h: float, states: Array) -> float:
+    """Largest component missed by one step there and one back, over the ``states`` (n, d)."""
+    return max(one_step_back_and_forth(top, method, y, h) for y in states)
+
+
+def deviation(states: Array, invariant: Invariant, steps: int) -> float:
+    """Largest deviation of an invariant from its first value, in units of what round-off explains.
+
+    The unit is ``ULPS`` ulp of its terms times the square root of the number of ``steps`` taken.
+    """
+    values, scale = invariant.value(states), float(invariant.scale(states).max())
+    return float(np.abs(values - values[0]).max()) / (ULPS * np.finfo(float).eps * math.sqrt(steps) * scale or 1.0)
+
+
+def _working_states(top: Top, method: Stepper, y0: Sequence[float], h: float, N: int) -> list[list[float]]:
+    """Working state after N steps of the interpreter, and of machine code."""
+    start, p, states = np.array(y0, dtype=float), np.array(top.constants()), []
+    for make in (interpreted, loop_of):
+        loop, work = make(method, len(start), len(p)), np.zeros(method.width)
+        loop.enter(start, work, p, h)
+        loop.take_steps(work, work[:0], p, h, N, N + 1, N + 1)
+        states.append(work.tolist())
+    return states
+
+
+def differing_lanes(top: Top, method: Method, alone: Array, together: Array, h: float, N: int) -> int:
+    """Number of states (n, d) whose trajectory ``alone`` ends on other bits than that ``together`` with the others."""
+    machine = Machine(top, method)
+    last = drive(Plan(top, machine, np.ascontiguousarray(together), h, N, N)).last
+    ends = [orbit(top, machine, y, h, N, N).states[-1] for y in alone]
+    return sum(end.tobytes() != other.tobytes() for end, other in zip(ends, last, strict=True))
+
+
+def _completed(top: Top, method: Method, y0: Sequence[float], h: float, N: int) -> Array | None:
+    """States of every tenth step of a run; None if it does not complete."""
+    _, states, ending = orbit(top, method, y0, h, N, 10)
+    return states if ending.outcome in (Outcome.COMPLETED, Outcome.LEFT_MOTION) else None
+
+
+def _is_vector_of(rates: Any, top: Top) -> bool:
+    """True if ``rates`` are as many finite floats as the top has components."""
+    return (
+        isinstance(rates, tuple)
+        and len(rates) == len(top.components)
+        and all(isinstance(x, int | float) and math.isfinite(x) for x in rates)
+    )

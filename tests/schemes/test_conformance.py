@@ -18,10 +18,9 @@ from conformance import (
 from declared import SCHEMES, TRIALS, by_name, gen
 from kick_turn import SPLIT
 from stepping import states_of
-from topcli.analysis.conformance import reversal_defect
 from topcli.contracts import Scheme, Stepper
 from topcli.schemes.registry import find_scheme
-from topcli.testing import check_scheme
+from topcli.testing import check_scheme, reversal_defect
 from topcli.tops import TOPS
 
 SEVERAL = Counter(scheme.name for scheme in SCHEMES)

@@ -13,9 +13,8 @@ import pytest
 import topcli
 from conftest import ROOT, Said
 from documentation import read_page
-from topcli.analysis.conformance import differing_lanes, states_near
 from topcli.contracts import Stepper, Top
-from topcli.testing import check_top
+from topcli.testing import check_top, differing_lanes, states_near
 from topcli.tops.euler import Euler
 
 FILES = read_page(ROOT / "docs" / "own.md").files()

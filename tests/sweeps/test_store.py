@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 
 from faults import Disk
-from injected import fork, in_fork
+from injected import in_fork
 from sweeping import BASE, DATA, MANY, sweep, table, with_grid
 from topcli.errors import RunError, UsageError
-from topcli.studies.health import check_all
+from topcli.store.result_folder import locked, release
+from topcli.studies.verify import check_all
 from topcli.sweeps.store import DATABASE, RowStore
 
 
@@ -115,30 +116,13 @@ def test_a_damaged_store_is_named_and_force_begins_anew(tmp_path: Path) -> None:
     assert sweep(tmp_path, force=True).ran == 4
 
 
-@pytest.mark.slow
-def test_a_second_sweep_in_the_folder_is_refused_while_the_first_lives(tmp_path: Path) -> None:
-    """The first one says when it writes its manifest, which is after it has locked the folder, and waits there."""
-    begun, says = os.pipe()
-
-    def first() -> int:
-        def wait() -> None:
-            os.write(says, b"!")
-            signal.pause()
-
-        Disk(tmp_path, 1, meanwhile=wait, only="replace").install()
-        return sweep(tmp_path).failed
-
-    pid = fork(first)
-    os.close(says)
-    try:
-        assert os.read(begun, 1) == b"!", "the first sweep ended before it wrote its manifest"
-        with pytest.raises(UsageError, match="another sweep is running in this folder"):
-            sweep(tmp_path)
-    finally:
-        os.close(begun)
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-    assert sweep(tmp_path).finished == 4, "the lock dies with its process"
+def test_a_second_sweep_in_the_folder_is_refused(tmp_path: Path) -> None:
+    lock = locked(tmp_path / "study")
+    assert lock is not None
+    with pytest.raises(UsageError, match="another sweep is running in this folder"):
+        sweep(tmp_path)
+    release(tmp_path / "study", lock)
+    assert sweep(tmp_path).finished == 4
 
 
 def test_rows_of_other_definitions_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,7 @@ from topcli.store.results import MANIFEST, REPORT, StoredResult, intact_result
 from topcli.store.series import read_series, series_names
 from topcli.studies.report import Report, read_record
 from topcli.sweeps.aggregates import Frame, key_labels, read_rows
-from topcli.sweeps.store import COMPLETED, intact_sweep, is_sweep, stored_sweep_file
+from topcli.sweeps.store import COMPLETED, is_sweep, stored_sweep_file
 from topcli.table import Table, number, plain
 
 if TYPE_CHECKING:
@@ -247,7 +247,7 @@ def stored_record(place: Path) -> dict[str, Any]:
     folder = place.parent if place.is_file() and (beside or place.name in (MANIFEST, REPORT)) else place
     if not folder.is_dir():
         return read_record(place)
-    if is_sweep(folder):
-        return report_on_sweep(intact_sweep(folder)).record()
     stored = intact_result(folder)
+    if is_sweep(folder):
+        return report_on_sweep(stored).record()
     return report_on_run(RunResult(stored, stored.report(), "up to date")).record()

@@ -49,7 +49,7 @@ def verify_command(runs: Sequence[str], *, results: Path = Path("results"), scre
     runs : sequence of str
         Folders or names of runs and sweeps, or JSON files.
     """
-    from topcli.studies.health import check_all
+    from topcli.studies.verify import check_all
 
     checked = [check_all(run, results) for run in runs]
     for result in checked:

@@ -142,17 +142,14 @@ class SharedReferences:
                 states = reference.states(np.asarray(y0, dtype=np.float64), h, n, SHARED_TAYLOR_STEPS)
             except RunError as error:
                 states = str(error)
-            self._store(key, states)
+            with self._lock:
+                if key not in self._states:
+                    self._states[key], self._bytes = states, self._bytes + _size(states)
+                while self._bytes > self._max_bytes:
+                    self._bytes -= _size(self._states.popitem(last=False)[1])
         if isinstance(states, str):
             raise RunError(states)
         return states
-
-    def _store(self, key: Any, states: Array | str) -> None:
-        with self._lock:
-            if key not in self._states:
-                self._states[key], self._bytes = states, self._bytes + _size(states)
-            while self._bytes > self._max_bytes:
-                self._bytes -= _size(self._states.popitem(last=False)[1])
 
 
 def _size(states: Array | str) -> int:

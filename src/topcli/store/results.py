@@ -112,7 +112,7 @@ def stored_results(out: Path) -> dict[str, StoredResult | RunError]:
 
 
 def intact_result(folder: Path) -> StoredResult:
-    """Result in ``folder`` that can be read, with all its checksums compared.
+    """Result in ``folder`` that can be read, as an interrupted run but no interrupted sweep, all checksums compared.
 
     Raises UsageError if there is none or it is not finished, and RunError if it is damaged.
     """
@@ -121,8 +121,9 @@ def intact_result(folder: Path) -> StoredResult:
         inside, beside = ([str(parent / name) for name in stored_results(parent)] for parent in (folder, folder.parent))
         hint = f"; {nearest(str(folder), inside or beside)}" if inside or beside else ""
         raise UsageError(f"{folder}: no run is stored here ({MANIFEST} is missing){hint}")
-    if result.outcome is None:
-        raise UsageError(f"{folder}: the run is unfinished; run it again to continue it")
+    sweep = result.manifest.get("kind") == SWEEP
+    if not result.complete if sweep else result.outcome is None:
+        raise UsageError(f"{folder}: the {'sweep' if sweep else 'run'} is unfinished; run it again to continue it")
     for name, fault in result.damage().items():
-        raise RunError(f"{folder / name}: damaged: {fault}; run again with --force")
+        raise RunError(f"{folder / name}: damaged: {fault}; run again{'' if sweep else ' with --force'}")
     return result

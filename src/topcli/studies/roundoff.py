@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +29,14 @@ from scipy.special import stdtrit
 from topcli.analysis.frequencies import weights
 from topcli.config.load import load_experiment
 from topcli.config.models import Experiment
-from topcli.contracts import Array, Outcome, Sampler
+from topcli.contracts import Array, Floats, Invariant, Outcome, Sampler
 from topcli.engine.timing import nanoseconds_per_step
 from topcli.errors import ExitCode, UsageError, counted
 from topcli.runs.simulate import simulate
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import SCENE, SCHEME, entry_named, refuse_keys
 from topcli.studies.report import Report, Table
-from topcli.table import two_digits
+from topcli.table import Row, two_digits
 
 BLOCKS, ROWS = 1024, 16
 """Largest number of blocks of a run, and rows that are recorded in each."""
@@ -112,54 +113,65 @@ def roundoff(
     invariants = _conserved(forms["plain"], scheme)
     watch.begin("roundoff", base, unit="runs")
     # before the runs, which heat the processor; thread time does not depend on other threads
-    timed = [(form.top, form.method(), form.y0, form.h) for form in forms.values()]
-    nanoseconds = nanoseconds_per_step(timed)
-    random, y0 = np.random.default_rng(1), np.array(base.y0)
-    states = np.array([y0, *(y0 * (1.0 + SHIFT * random.uniform(-1.0, 1.0, len(y0))) for _ in range(copies - 1))])
-    rows: list[dict[str, Any]] = []
+    nanoseconds = nanoseconds_per_step([(form.top, form.method(), form.y0, form.h) for form in forms.values()])
+    rows: list[Row] = []
     columns: dict[str, Array] = {}
     errors: list[str] = []
-    for i, (name, form) in enumerate(forms.items()):
-        run = simulate(form.resolved(), states=states)
+    for (name, form), cost in zip(forms.items(), nanoseconds, strict=True):
+        run = simulate(form.resolved(), states=_copies(base.y0, copies))
         failed = np.flatnonzero(~run.endings.is_(Outcome.COMPLETED))
         if len(failed):
             errors.append(f"{scheme} with {name} sums: {run.endings[int(failed[0])].message}")
         for invariant in () if len(failed) else invariants:
-            values = np.array([invariant.value(copy) for copy in run.states])
-            deviations = (values[:, 1:] - values[:, :1]).reshape(copies, blocks, ROWS)
-            means = deviations @ weights(ROWS)
-            scale = max(float(invariant.scale(copy).max()) for copy in run.states)
+            means, scale = _block_means(invariant, run.states, blocks)
             fit = growth(means, ROWS * every, scale)
             rows.append({
                 "invariant": invariant.symbol, "sums": name,
                 "rms_drift": float(np.sqrt(np.mean(means[:, -1] ** 2))), "largest_drift": float(np.abs(means).max()),
                 "exponent": fit.exponent, "exponent_error": fit.exponent_error, "growth": fit.verdict,
                 "bias_per_step": fit.bias, "bias_error": fit.bias_error,
-                "ns_per_step": nanoseconds[i], "cost": nanoseconds[i] / nanoseconds[0],
+                "ns_per_step": cost, "cost": cost / nanoseconds[0],
             })  # fmt: skip
             columns |= {"steps": np.array(fit.steps), f"{invariant.symbol} {name}": np.array(fit.rms)}
-        watch(i + 1, len(forms))
-
-    def draw(axes: Any, looks: Callable[..., Any]) -> None:
-        styles = looks([each.symbol for each in invariants], markers=True)
-        for label, drifts in columns.items():
-            symbol, _, sums = label.rpartition(" ")
-            if sums in forms and drifts.max() > 0.0:
-                line = {**styles[symbol], "linestyle": "-" if sums == "plain" else "--"}
-                axes.loglog(columns["steps"], drifts, label=label, markersize=4, **line)
-        guide = 2.0**-52 * np.sqrt(columns["steps"])
-        axes.loglog(columns["steps"], guide, color="0.6", linestyle="-", linewidth=0.9, label=r"$\epsilon\sqrt{N}$")
-        axes.set(xlabel="number of steps", ylabel="drift (rms)", title=base.name.replace("$", r"\$"))
-
-    rows.sort(key=lambda row: [each.symbol for each in invariants].index(row["invariant"]))
+        watch(1 + [*forms].index(name), len(forms))
+    symbols = [invariant.symbol for invariant in invariants]
+    rows.sort(key=lambda row: symbols.index(row["invariant"]))
     small = dict.fromkeys(("rms_drift", "largest_drift", "bias_per_step", "bias_error"), two_digits)
     formats = {**small, "exponent": ".2f", "exponent_error": ".2f", "ns_per_step": ".1f", "cost": ".2f"}
     table = Table("Growth of round-off", rows, formats, ("largest_drift", "bias_per_step", "bias_error"))
     size = f"{counted(every * blocks * ROWS, 'step')}, {counted(copies, 'copy')}"
     title = f"{scheme} on {base.name}: {base.top.title}, h = {base.h:g}, {size}"
-    code = ExitCode.FAILED if errors else ExitCode.SUCCESS
-    resolved, picture = forms["plain"].resolved(), draw if columns else None
-    return Report("roundoff", title, _answer(rows), [table], (), errors, code, resolved, columns, picture)
+    code, resolved = ExitCode.FAILED if errors else ExitCode.SUCCESS, forms["plain"].resolved()
+    draw = partial(_draw, symbols, columns, base.name) if columns else None
+    return Report("roundoff", title, _answer(rows), [table], (), errors, code, resolved, columns, draw)
+
+
+def _copies(y0: Floats, count: int) -> Array:
+    """Initial states (count, d): the first as it is, the others with changes in the last digits."""
+    random, y = np.random.default_rng(1), np.array(y0)
+    return np.array([y, *(y * (1.0 + SHIFT * random.uniform(-1.0, 1.0, len(y))) for _ in range(count - 1))])
+
+
+def _block_means(invariant: Invariant, states: Array, blocks: int) -> tuple[Array, float]:
+    """Weighted means (copies, blocks) of the deviation of an invariant, and the largest size of its terms."""
+    values = np.array([invariant.value(copy) for copy in states])
+    deviations = (values[:, 1:] - values[:, :1]).reshape(len(states), blocks, ROWS)
+    return deviations @ weights(ROWS), max(float(invariant.scale(copy).max()) for copy in states)
+
+
+def _draw(
+    symbols: Sequence[str], columns: Mapping[str, Array], title: str, axes: Any, looks: Callable[..., Any]
+) -> None:
+    """Draw the drifts of each invariant over the number of steps, dashed with compensated sums."""
+    styles = looks(symbols, markers=True)
+    for label, drifts in columns.items():
+        symbol, _, sums = label.rpartition(" ")
+        if symbol in styles and drifts.max() > 0.0:
+            line = {**styles[symbol], "linestyle": "-" if sums == "plain" else "--"}
+            axes.loglog(columns["steps"], drifts, label=label, markersize=4, **line)
+    guide = 2.0**-52 * np.sqrt(columns["steps"])
+    axes.loglog(columns["steps"], guide, color="0.6", linestyle="-", linewidth=0.9, label=r"$\epsilon\sqrt{N}$")
+    axes.set(xlabel="number of steps", ylabel="drift (rms)", title=title.replace("$", r"\$"))
 
 
 def _forms(base: Experiment, scheme: str) -> dict[str, Experiment]:
@@ -182,7 +194,7 @@ def _lasting(experiment: Experiment, every: int, rows: int) -> Experiment:
     return experiment.model_copy(update={"N": rows * every, "output": output})
 
 
-def _conserved(experiment: Experiment, scheme: str) -> list[Any]:
+def _conserved(experiment: Experiment, scheme: str) -> list[Invariant]:
     """Invariants of the top and of the scheme that stay but for round-off. Raises UsageError if there are none."""
     conserved = [each for each in experiment.top.invariants() if each.name in experiment.scheme.conserves]
     if invariants := [*conserved, *experiment.modified]:

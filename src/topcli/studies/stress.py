@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.analysis.conformance import deviation
 from topcli.analysis.order import observed_order
 from topcli.analysis.reference import reference_states
 from topcli.analysis.swings import minima_times
@@ -45,7 +44,7 @@ from topcli.schemes.registry import schemes_of
 from topcli.studies import SILENT, Watch
 from topcli.studies.entries import code_failures, entry_named, schemes_called
 from topcli.studies.report import Report, Table
-from topcli.testing import GENERIC
+from topcli.testing import GENERIC, deviation
 from topcli.tops import BUILT_IN, CATALOGUE, TOPS, forms, gentle_scene
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange

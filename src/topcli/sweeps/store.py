@@ -29,8 +29,6 @@ from topcli.store.results import (
     MANIFEST,
     MANIFEST_VERSION,
     SWEEP,
-    StoredResult,
-    read_result,
     stored_results,
 )
 
@@ -148,19 +146,6 @@ def stored_sweep_file(folder: Path, overrides: Sequence[str] = ()) -> Sweep:
     if not is_sweep(folder):
         raise UsageError(f"{folder}: is not the folder of a sweep; give one such as results/NAME")
     return load_sweep(folder / SWEEP_FILE, overrides)
-
-
-def intact_sweep(folder: Path) -> StoredResult:
-    """Finished sweep in ``folder``, with all its checksums compared.
-
-    Raises UsageError if it is not finished, and RunError if it is damaged.
-    """
-    stored = read_result(folder)
-    if stored is None or not stored.complete:
-        raise UsageError(f"{folder}: the sweep is not finished; topcli sweep continues it")
-    for name, fault in stored.damage().items():
-        raise RunError(f"{folder / name}: damaged: {fault}; topcli sweep writes it again")
-    return stored
 
 
 def missing_result(place: str, results: Path) -> UsageError:

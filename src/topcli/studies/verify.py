@@ -34,9 +34,12 @@ def check_all(name: str, out: Path) -> Checked:
     place = out / name
     try:
         place = Path(name) if Path(name).exists() else place
-        if place.is_file():
-            return Checked(place.parent, True, (place.name,), _damage_of_study(place))
+        if place.is_file():  # of a study, which holds its own checksum
+            check_seal(read_json(place))
+            return Checked(place.parent, True, (place.name,), {})
         stored = read_result(place)
+    except DamagedError as error:
+        return Checked(place.parent, True, (place.name,), {place.name: str(error)})
     except OSError as error:
         raise UsageError(f"{name[:400]}: cannot be read ({error.strerror})") from None
     except RunError as error:
@@ -45,12 +48,3 @@ def check_all(name: str, out: Path) -> Checked:
     if stored is None:
         raise missing_result(name, out)
     return Checked(place, stored.complete, (MANIFEST, *stored.manifest["files"]), stored.damage())
-
-
-def _damage_of_study(path: Path) -> dict[str, str]:
-    """Fault of the file of a study, which holds its own checksum."""
-    try:
-        check_seal(read_json(path))
-    except DamagedError as error:
-        return {path.name: str(error)}
-    return {}
