@@ -65,6 +65,8 @@ def test_errors_of_mixed_steps_are_those_of_single_runs() -> None:
     report = topcli.compare(*MIXED, config=SCENE, overrides=["h=0.01", "N=2000"])
     t = report.columns["t"]
     assert len(t) == 501
+    np.testing.assert_array_equal(report.columns["swing:hk"], topcli.simulate(SCENE, h=0.01, N=2000)["gamma1"][::4])
+    np.testing.assert_allclose(report.columns["swing:reference"], report.columns["swing:hk"], atol=0.1)
     assert [row["scheme"] for row in report.tables[0].rows] == list(MIXED)
     for row in report.tables[0].rows:
         name, _, _ = row["scheme"].partition(":")
