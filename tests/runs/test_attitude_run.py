@@ -79,11 +79,11 @@ def test_motion_without_recorded_times_is_over_those_of_its_steps(tmp_path: Path
 
 
 def test_euler_angles_give_the_same_motion(tmp_path: Path) -> None:
-    one, other = (
+    quaternions, angles = (
         stored_body_motion(stored(tmp_path, "kowalevski_generic_hk", "N=400", *sets)).attitude
         for sets in ((TURNED, "name=turned"), (ANGLES,))
     )
-    assert turned_apart(other, one).max() < 1e-14
+    assert turned_apart(angles, quaternions).max() < 1e-14
 
 
 def test_a_run_without_attitude_is_refused(tmp_path: Path) -> None:

@@ -119,10 +119,10 @@ def test_a_stopped_sweep_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (rest.ran, rest.finished, rest.interrupted) == (160 - result.finished, 160, False)
 
 
+@pytest.mark.slow
 def test_options_of_one_scheme_have_machine_code_of_their_own(tmp_path: Path) -> None:
     """Two rows of a batch: the code of one is not used for the other."""
-    other = {"name": "hk", "compensated": True}
-    h = {"h": [0.01, 0.02, 0.03, 0.04]}
+    other, h = {"name": "hk", "compensated": True}, {"h": [0.01, 0.02, 0.03, 0.04]}
     sweep(tmp_path / "both", {**DATA, "grid": {**h, "scheme": ["hk", other]}}, threads=1)
     sweep(tmp_path / "alone", {**DATA, "grid": {**h, "scheme": [other]}}, threads=1)
     both, alone = ([row["max_deviation.energy"] for row in table(tmp_path / name)] for name in ("both", "alone"))
