@@ -23,6 +23,7 @@ from topcli.cli.app import COMMANDS, GROUPS, all_commands, command_function
 from topcli.cli.options import complete
 from topcli.config.files import scene_files
 from topcli.config.load import load_experiment
+from topcli.errors import ExitCode
 from topcli.store.series import read_series
 
 Cli = Callable[..., Said]
@@ -156,6 +157,12 @@ def test_several_runs_have_titles_one_document_and_one_code(cli: Cli, in_tmp: Pa
     said = cli("run", HK, *far)
     assert (said.code, "blew up at step 1 (t = 1" in said.err) == (1, True)
     assert (in_tmp / "results" / "far" / "series.parquet").is_file()
+
+
+def test_an_interruption_ends_the_runs_that_follow(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("topcli.cli.running.run_one", lambda *_: (ExitCode.INTERRUPTED, {}))
+    said = cli("run", HK, HYBRID, *SHORT)
+    assert (said.code, "0 of 2 runs succeeded; 1 failed; 1 not run" in said.err) == (130, True)
 
 
 SCENES_OF_SIZES = [*[name for name in scene_files() if name.endswith("_gentle")][1::3], "euler_hk"]

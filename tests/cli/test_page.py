@@ -26,7 +26,7 @@ from topcli.figures.stored import draw_series, panels_of
 from topcli.runs.report import report_tables
 from topcli.runs.run import run_experiment
 from topcli.store.files import SEAL
-from topcli.studies.page import page_of
+from topcli.studies.page import lines_html, page_of
 from topcli.studies.report import Report, Table
 from topcli.table import Cells
 
@@ -152,6 +152,7 @@ def test_everything_is_escaped_and_nothing_comes_from_elsewhere() -> None:
     record |= {"picture": "<svg/>", "environment": {HOSTILE: HOSTILE}}
     text = page_of([record])
     text.encode("utf-8")
+    assert lines_html("x\n" * 402).endswith("x\nx\n... and 2 more lines</pre>")
     page, several = read_html(text), read_html(page_of([record, record]))
     visible = HOSTILE.replace("\x1b", r"\x1b").replace("\ud800", r"\ud800")
     for name in ("title", "h1", "h3", "p", "li", "th", "td"):

@@ -30,7 +30,8 @@ def test_chaos_appears_with_the_step_size_in_one_map_only(monkeypatch: pytest.Mo
     assert low < 0.05 < 0.2 < high
     assert not columns["share:HK, Lagrange"].any()
     assert not columns["share:Bäcklund, Kowalevski"].any()
-    canvas_of(partial(schemes.draw_chaos, columns=columns), (7.0, 2.9))
+    right = canvas_of(partial(schemes.draw_chaos, columns=columns), (7.0, 2.9)).axes[1]
+    np.testing.assert_allclose(right.lines[0].get_ydata(), [100.0 * low, 100.0 * high])
 
 
 @pytest.mark.slow
@@ -87,4 +88,5 @@ def test_spacings_follow_the_law_and_scale_as_order_one(monkeypatch: pytest.Monk
     coarse, fine = columns["spacing:bohlin-a"]
     assert fine == pytest.approx(15.2967, abs=1e-3)
     assert fine - coarse == pytest.approx(math.sqrt(2.0) * math.log(10.0), rel=0.01)
-    canvas_of(partial(paper.draw_period, columns=columns), (7.0, 4.4))
+    rows = canvas_of(partial(paper.draw_period, columns=columns), (7.0, 4.4)).axes[0].lines
+    np.testing.assert_allclose(rows[3].get_ydata(), columns["gamma1:bohlin-a:0.001"] - 2.6)

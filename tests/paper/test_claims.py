@@ -14,7 +14,7 @@ import topcli
 from conftest import Said
 from topcli.paper import claims as module
 from topcli.paper.checks import TOLERANCE, Measured
-from topcli.paper.claims import all_claims, excluded
+from topcli.paper.claims import all_claims, chosen, excluded
 
 NAMES = ("matrix-m", "hk-heavy-equation", "hybrid-reversible")
 
@@ -32,6 +32,7 @@ def test_a_claim_of_each_kind_has_its_recorded_verdict() -> None:
 def test_recorded_verdicts() -> None:
     recorded = {claim.id: claim.recorded for claim in all_claims().values()}
     assert {*recorded.values()} == {"holds", "holds within", "misprint", "does not hold as stated"}
+    assert [claim.id for claim in chosen((), fast=True)] == [id for id, claim in all_claims().items() if not claim.slow]
     assert [name for name, verdict in recorded.items() if not verdict.startswith("holds")] == [
         *("kowalevski-fourth", "hk-euler-correction-order", "hk-heavy-equation", "bohlin-angle", "branch-by-sign"),
         *("fig2-cause", "hybrid-k-sq-formula", "hybrid-reversible"),

@@ -60,6 +60,7 @@ def test_verify_of_nothing_is_a_usage_error(cli: Callable[..., Said], in_tmp: Pa
         assert len(said.err) < 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"manifest_version": 2}', "[" * 100_000], ids=range(5))
 def test_a_damaged_manifest_is_reported_and_stays(cli: Callable[..., Said], in_tmp: Path, text: str) -> None:
     folder = run_experiment(small(), in_tmp / "results").stored.folder

@@ -143,6 +143,8 @@ def test_recorded_verdicts(command: str) -> None:
     report = topcli.integrability(command)
     numbers = verdict(report)
     assert degrees_of(report)[:5] == [int(text) for text in listed.split(",")]
+    *_, (n, bits) = ((row["n"], row["bits"]) for row in report.tables[1].rows if row["bits"])
+    assert report.table.loc["heights", "found"] == f"{bits} bits after {n} steps"
     assert numbers["entropy"] == pytest.approx(math.log(LAWS[law] or 1.0), rel=1e-9)
     assert numbers["integrals"] == int(integrals)
     assert numbers["density_degree"] == (None if density == "none" else int(density))

@@ -97,6 +97,7 @@ def test_a_transient_is_left_out_and_noted() -> None:
     assert 25.0 <= default["transient"] <= 75.0
     assert (whole["transient"], late["transient"], late["discarded"], late["T"]) == (0.0, 0.0, 60.0, 340.0)
     assert not [*reports[1].notes, *reports[2].notes]
+    assert {orbit["completed_steps"] for orbit in (default, whole, late)} == {40_000}
     first = [report.table.loc[1] for report in reports]
     for row in (first[0], first[2]):
         assert row["exponent"] == pytest.approx(0.9056, abs=row["error"])

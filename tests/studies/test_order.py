@@ -130,6 +130,11 @@ def test_order_reports_false_declarations(with_file: Callable[..., Said]) -> Non
     assert with_file("order", "honest", "modest", *SHORT).code == 0
 
 
+def test_a_scheme_without_any_result_is_a_failure() -> None:
+    report = topcli.order("hk", "rk2", overrides=["T=200"], sizes=[5.0, 2.5])
+    assert (report.code, report.notes[1]) == (1, "rk2: no result with h=5 fails at step 6")
+
+
 @pytest.mark.parametrize(("schemes", "code"), [(["badbuild", "honest", "raising"], 3), (["badbuild"], 2)])
 def test_studies_go_on_without_code_that_fails(with_file: Callable[..., Said], schemes: list[str], code: int) -> None:
     orders, trials = with_file("order", *schemes, *SHORT), with_file("stress", *schemes, "--case", "delone")

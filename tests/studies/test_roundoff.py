@@ -73,7 +73,6 @@ def test_the_figures_of_both_forms_are_in_their_places() -> None:
         assert plain["rms_drift"] > 10.0 * other["rms_drift"]
         for row in (plain, other):
             assert row["rms_drift"] < row["largest_drift"]
-            assert abs(row["bias_per_step"]) * 20_000 < 2.0 * row["largest_drift"]
             assert row["bias_error"] > 0.0
             assert row["cost"] == row["ns_per_step"] / plain["ns_per_step"]
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from topcli.show.reports import sweep_report
 
 import topcli
 from sweeping import BASE, DATA, MANY, sweep, table
+from topcli.cli.reports import report_on_sweep
 from topcli.contracts import stopping_when
 from topcli.errors import RunError
+from topcli.store.results import intact_result
 from topcli.sweeps.batch import Measuring
-from topcli.sweeps.store import intact_sweep
 
 
 def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
@@ -33,6 +33,7 @@ def test_a_sweep_writes_a_tidy_table(tmp_path: Path) -> None:
     (tmp_path / "study" / "rows.parquet").write_bytes(b"damaged")
     assert sweep(tmp_path).ran == 0
     assert pd.read_parquet(tmp_path / "study" / "rows.parquet").equals(rows), "a damaged table is written again"
+    assert json.loads((tmp_path / "study" / "manifest.json").read_text())["step"] == 4
 
 
 def test_rows_hold_the_states_and_parameters_that_were_drawn(tmp_path: Path) -> None:
@@ -73,7 +74,7 @@ def test_a_failed_run_is_a_result(tmp_path: Path) -> None:
     assert row["max_deviation.energy"] is None
     again = sweep(tmp_path, FAILING)
     assert (again.ran, again.failed) == (0, 1)
-    assert sweep_report(intact_sweep(tmp_path / "study")).code == 3
+    assert report_on_sweep(intact_result(tmp_path / "study")).code == 3
 
 
 @pytest.mark.parametrize("raising", [[1], [0, 17, 18], list(range(40))])
@@ -116,6 +117,16 @@ def test_a_stopped_sweep_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert json.loads((tmp_path / "study" / "manifest.json").read_text())["outcome"] == "interrupted"
     rest = sweep(tmp_path, MANY)
     assert (rest.ran, rest.finished, rest.interrupted) == (160 - result.finished, 160, False)
+
+
+@pytest.mark.slow
+def test_options_of_one_scheme_have_machine_code_of_their_own(tmp_path: Path) -> None:
+    """Two rows of a batch: the code of one is not used for the other."""
+    other, h = {"name": "hk", "compensated": True}, {"h": [0.01, 0.02, 0.03, 0.04]}
+    sweep(tmp_path / "both", {**DATA, "grid": {**h, "scheme": ["hk", other]}}, threads=1)
+    sweep(tmp_path / "alone", {**DATA, "grid": {**h, "scheme": [other]}}, threads=1)
+    both, alone = ([row["max_deviation.energy"] for row in table(tmp_path / name)] for name in ("both", "alone"))
+    assert both[1::2] == alone != both[::2]
 
 
 def test_equal_rows_are_computed_once(tmp_path: Path) -> None:
