@@ -122,17 +122,13 @@ def test_the_run_goes_on_and_says_so_everywhere(cli: Callable[..., Said], in_tmp
         assert (kept["step"], "step 14 " in kept["message"]) == (1000, True)
     assert report["left_motion"] == {"step": 14, "t": 28.0}
     metadata = pq.read_metadata(folder / "series.parquet").metadata
-    assert metadata[b"topcli.outcome"] == b"left_motion"
     assert json.loads(metadata[b"topcli.left_motion"]) == {"step": 14, "t": 28.0}
     assert cli("list", "runs", "--json").json()["runs"][0]["outcome"] == "left_motion"
     again = cli("run", "kowalevski_hk", *(part for text in BIG for part in ("--set", text)))
     assert (again.code, "(not run again, because it ended as left_motion before" in again.err) == (1, True)
     compared = cli("compare", "hk", "midpoint", "--set", "h=2", "--set", "N=100", "--json")
     assert compared.code == 1
-    first, second = compared.json()["tables"][0]["rows"]
-    assert (first["outcome"], second["outcome"]) == ("left_motion", "completed")
-    assert first["final_error"] is not None
-    assert "left_motion" in cli("compare", "hk", "--set", "h=2", "--set", "N=100").out
+    assert [row["outcome"] for row in compared.json()["tables"][0]["rows"]] == ["left_motion", "completed"]
 
 
 def test_a_later_failure_keeps_its_outcome_and_mentions_it() -> None:
