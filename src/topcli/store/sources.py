@@ -12,7 +12,7 @@ import topcli
 
 ROOMS = ("contracts", "arithmetic", "field", "tops", "schemes", "engine", "analysis")
 """Packages of topcli, and a module, whose code makes the numbers of a run."""
-NO_NUMBERS = frozenset(f"topcli.{name}" for name in ("schemes.display", "tops.own", "engine.code_store"))
+NO_NUMBERS = frozenset(f"topcli.{name}" for name in ("schemes.display", "tops.own"))
 """Modules there that do not."""
 _ROOT = Path(topcli.__file__).parent
 _IMPORT = re.compile(r"^ *(?:from (topcli[\w.]*) import (\([^)]*\)|.*)|import (topcli[\w.]*))", re.MULTILINE)
