@@ -107,6 +107,20 @@ def test_doubles_are_refused(value: Any, precision: int | str) -> None:
         carried_out(ready(scheme, precision), 2)
 
 
+@pytest.mark.parametrize("precision", [40, RATIONAL])
+def test_constants_of_a_build_are_computed_exactly(precision: int | str) -> None:
+    """Half of a parameter whose double is that of one third."""
+
+    def build(top: Any, options: Any) -> Stepper:
+        half = 0.5 * top.c0
+        return Stepper(lambda s, h, p: (s[0] + half * s[1], *s[1:]), 6)
+
+    scheme, c0 = replace(find_scheme("rk2", "kowalevski"), build=build), Fraction("0.33333333333333333333")
+    run = prepared(scheme, TOPS["kowalevski"].new(), None, precision, (H, {"c0": c0}, STATE))
+    first = run.arithmetic.fraction(carried_out(run, 1).states[1, 0])
+    assert abs(first - STATE[0] - c0 / 2 * STATE[1]) < Fraction(1, 10**38)
+
+
 H = Fraction(1, 20)
 BELOW = 1e-45
 CANNOT = [scheme for scheme in SCHEMES if scheme.name in ("dop853", "exact", "hk-exact", "taylor")]
