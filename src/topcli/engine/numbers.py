@@ -270,7 +270,9 @@ def digits(count: int) -> Numbers:
     convert = context.convert
 
     def converted(x: object, strings: bool = True) -> Any:
-        return convert(short(x) if isinstance(x, float) and math.isfinite(x) else x, strings)
+        if isinstance(x, float) and math.isfinite(x) and not is_short(x):
+            raise StrayDoubleError(x)
+        return convert(x, strings)
 
     def real(function: Callable[..., Any]) -> Callable[..., Any]:
         """The function with nan instead of complex numbers, as for doubles."""
