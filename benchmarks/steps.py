@@ -19,7 +19,7 @@ import numpy as np
 
 from topcli.contracts import Method, Sampler, Scheme, Stepper, Top
 from topcli.engine.loops import loop_of
-from topcli.engine.tangent import tangent_code
+from topcli.engine.tangent import TangentRun, tangent_code
 from topcli.errors import UsageError
 from topcli.schemes.registry import all_schemes, find_scheme
 from topcli.tops import CATALOGUE, TOPS
@@ -89,7 +89,7 @@ def stepping(top: Top, method: Method) -> Callable[[], float]:
 def with_tangent(top: Top, scheme: Scheme, method: Method) -> Callable[[], float]:
     """Function that measures the nanoseconds per step with a tangent vector."""
     d = len(top.components)
-    run = tangent_code(scheme, top, method, 1).run(H, np.resize(GENERIC, (1, d)), np.ones((1, d)))
+    run = TangentRun(tangent_code(scheme, top, method, 1), H, np.resize(GENERIC, (1, d)), np.ones((1, d)))
 
     def measured() -> float:
         begin = time.thread_time_ns()

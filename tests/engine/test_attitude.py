@@ -94,6 +94,7 @@ def test_order_is_that_of_the_scheme_up_to_four(top: str, scheme: str, order: in
     table_of("""
 kowalevski         hk
 kowalevski         bohlin-a
+kowalevski         dop853
 heavy              taylor
 lagrange/inertial  bs
 euler              hk
@@ -101,9 +102,13 @@ euler+gamma        exact
 """),
 )
 def test_the_fixed_direction_stays_upright(top: str, scheme: str) -> None:
-    """gamma, the axis's vertical or the angular momentum, at every row, also of schemes that do not keep its length."""
-    one = experiment(top, scheme, 0.1, 300)
+    """gamma, the axis's vertical or the angular momentum, at every row, also of schemes that do not keep its length.
+
+    The states have the bits of a run without attitude, over several blocks of steps.
+    """
+    one = experiment(top, scheme, 0.1, 2500, every=9)
     states, matrices = rows(one)
+    assert np.array_equal(states, orbit(one.top, one.method(), one.y0, one.h, one.N, 9).states)
     if top == "lagrange/inertial":  # the axis is the third one of the body
         seen, expected = matrices[:, :, 2], states[:, 3:]
     else:
@@ -115,20 +120,13 @@ def test_the_fixed_direction_stays_upright(top: str, scheme: str) -> None:
     assert np.abs(seen - expected).max() < 2e-15
 
 
-@pytest.mark.parametrize(
-    ("top", "scheme", "h", "every"),
-    table_of("""
-kowalevski  hk      0.02  9
-kowalevski  taylor  0.02  9
-euler       exact   0.02  9
-kowalevski  dop853  0.02  9
-kowalevski  rk4     2.0   1
-"""),
-)
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("top", "scheme", "h", "every"), [("kowalevski", "taylor", 0.02, 9), ("kowalevski", "rk4", 2.0, 1)]
+)
 def test_states_have_the_bits_of_a_run_without_attitude(top: str, scheme: str, h: float, every: int) -> None:
-    """The last one blows up."""
-    one = experiment(top, scheme, h, 5000, every=every)
+    """The second one blows up."""
+    one = experiment("kowalevski", scheme, h, 5000, every=every)
     plain = orbit(one.top, one.method(), one.y0, one.h, one.N, every)
     found = trajectory_of(one)
     assert found.n.tobytes() == plain.n.tobytes()

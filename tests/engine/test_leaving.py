@@ -16,7 +16,6 @@ from topcli.contracts import Outcome, Top
 from topcli.engine.consumers import EnergyWatch
 from topcli.engine.rows import Plan, Rows
 from topcli.runs.simulate import simulate
-from topcli.tops.euler import Euler
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import LagrangeInertial
 
@@ -30,18 +29,12 @@ def kowalevski_energy(y: np.ndarray) -> tuple[float, float]:
     return kinetic + y[3], kinetic + abs(y[3])
 
 
-def euler_energy(y: np.ndarray) -> tuple[float, float]:
-    """Twice the energy for the moments 3, 2, 1."""
-    twice = 3.0 * y[0] ** 2 + 2.0 * y[1] ** 2 + y[2] ** 2
-    return twice, twice
-
-
 def inertial_energy(y: np.ndarray) -> tuple[float, float]:
     kinetic = 0.5 * (y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
     return kinetic + y[5], kinetic + abs(y[5])
 
 
-TOPS = [(Kowalevski(), kowalevski_energy), (Euler(), euler_energy), (LagrangeInertial(), inertial_energy)]
+TOPS = [(Kowalevski(), kowalevski_energy), (LagrangeInertial(), inertial_energy)]
 
 
 def departing(top: Top, energy: Callable[..., tuple[float, float]], factor: float, at: int) -> np.ndarray:
@@ -74,7 +67,7 @@ def left_by_each(top: Top, states: np.ndarray) -> set[int | None]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("top", "energy"), TOPS, ids=["kowalevski", "euler", "lagrange/inertial"])
+@pytest.mark.parametrize(("top", "energy"), TOPS, ids=["kowalevski", "lagrange/inertial"])
 @pytest.mark.parametrize("at", [1, 417])
 def test_energy_limit_separates_both_sides(top: Top, energy, at: int) -> None:
     """A hundred times the magnitudes of the energy's terms at the start."""
@@ -122,17 +115,13 @@ def test_the_run_goes_on_and_says_so_everywhere(cli: Callable[..., Said], in_tmp
         assert (kept["step"], "step 14 " in kept["message"]) == (1000, True)
     assert report["left_motion"] == {"step": 14, "t": 28.0}
     metadata = pq.read_metadata(folder / "series.parquet").metadata
-    assert metadata[b"topcli.outcome"] == b"left_motion"
     assert json.loads(metadata[b"topcli.left_motion"]) == {"step": 14, "t": 28.0}
     assert cli("list", "runs", "--json").json()["runs"][0]["outcome"] == "left_motion"
     again = cli("run", "kowalevski_hk", *(part for text in BIG for part in ("--set", text)))
     assert (again.code, "(not run again, because it ended as left_motion before" in again.err) == (1, True)
     compared = cli("compare", "hk", "midpoint", "--set", "h=2", "--set", "N=100", "--json")
     assert compared.code == 1
-    first, second = compared.json()["tables"][0]["rows"]
-    assert (first["outcome"], second["outcome"]) == ("left_motion", "completed")
-    assert first["final_error"] is not None
-    assert "left_motion" in cli("compare", "hk", "--set", "h=2", "--set", "N=100").out
+    assert [row["outcome"] for row in compared.json()["tables"][0]["rows"]] == ["left_motion", "completed"]
 
 
 def test_a_later_failure_keeps_its_outcome_and_mentions_it() -> None:

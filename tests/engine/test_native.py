@@ -15,7 +15,6 @@ from cases import parts_of
 from conftest import ROOT
 from injected import python_process
 from scheme_files import run_scheme, write_scheme
-from topcli.engine import code_store
 from topcli.engine import native as machine_code
 from topcli.engine.native import native
 from topcli.engine.reach import reach
@@ -148,10 +147,10 @@ def test_code_runs_without_a_folder_and_the_folder_is_bounded(tmp_path: Path, mo
     (tmp_path / "file").write_text("not a folder")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
     assert not doubled()
-    monkeypatch.setattr(code_store, "ENTRIES", 2)
+    monkeypatch.setattr(machine_code, "ENTRIES", 2)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     for i in range(4):
-        code_store.store_code(f"{i}.o", b"old")
+        machine_code.store_code(f"{i}.o", b"old")
         os.utime(tmp_path / "topcli" / f"{i}.o", (i, i))
     assert not doubled()
     assert len(list((tmp_path / "topcli").iterdir())) == 2

@@ -50,7 +50,7 @@ def code_of(name: str, form: str, lanes: int = 1, **options: object) -> Any:
 
 def image(code: Any, y: np.ndarray, v: np.ndarray, h: float, steps: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """States and vectors (m, d) after some steps."""
-    run = code.run(h, y, v)
+    run = TangentRun(code, h, y, v)
     run.advance(steps)
     return run.states, run.images
 
@@ -139,7 +139,7 @@ def test_strong_growth_neither_overflows_nor_vanishes(
     factor: Callable[[float], float], steps: int, expected: float, lanes: int
 ) -> None:
     code = tangent_code(find_scheme("rk4", "euler"), Pair(), stretching(factor), lanes)
-    run = code.run(H, np.array([[0.0, 0.25]]), np.array([[0.0, 3.0]]))
+    run = TangentRun(code, H, np.array([[0.0, 0.25]]), np.array([[0.0, 3.0]]))
     run.advance(steps)
     with np.errstate(divide="ignore"):
         assert growth(run)[0] - math.log(3.0) == pytest.approx(expected, rel=1e-12, abs=1e-12)

@@ -10,11 +10,10 @@ from fractions import Fraction
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from cases import table_of
 from conftest import random_states
 from topcli.arithmetic import fused as dd
 from topcli.arithmetic.fused import fma
@@ -109,6 +108,9 @@ def squared(w: tuple[float, float]) -> tuple[Fraction, Fraction]:
     return a * a - b * b, 2 * a * b
 
 
+@example(-4.0, 0.0, 0.0, 2.0)
+@example(-4.0, -0.0, 0.0, 2.0)
+@example(-1.0, -1e-14, 0.0, 1.0)
 @given(number, number, number, number)
 def test_root_squares_back_and_is_the_nearest(x: float, y: float, p1: float, p2: float) -> None:
     assume(math.hypot(x, y) > 1e-140 and not 0.0 < math.hypot(p1, p2) < 1e-140)
@@ -117,26 +119,6 @@ def test_root_squares_back_and_is_the_nearest(x: float, y: float, p1: float, p2:
     assert math.hypot(float(re - Fraction(x)), float(im - Fraction(y))) <= 4 * EPS * math.hypot(x, y)
     towards = w[0] * p1 + w[1] * p2
     assert towards >= -4 * EPS * math.hypot(*w) * math.hypot(p1, p2)
-
-
-@pytest.mark.parametrize(
-    "z",
-    table_of("""
-(-4.0, 0.0)
-(-4.0, -0.0)
-(0.0, 2.0)
-(0.0, -2.0)
-(9.0, 0.0)
-(-1.0, 1e-14)
-(-1.0, -1e-14)
-"""),
-)
-def test_root_on_and_about_the_axes(z: tuple[float, float]) -> None:
-    root = cmath.sqrt(complex(*z))
-    for p in (root, -root):
-        assert root_nearest(0.5 * z[0], 0.5 * z[1], p.real, p.imag) == pytest.approx(
-            (p.real, p.imag), rel=4 * EPS, abs=1e-300
-        )
 
 
 @given(number, number, number, number)

@@ -173,8 +173,6 @@ def test_times_that_do_not_lead_away_from_zero_are_refused(times):
 
 
 def test_unreachable_accuracy_is_reported(monkeypatch):
-    with pytest.raises(RunError, match=r"would need at least 1\.8e\+308"):
-        reference_states(Heavy(A=5e-324), GEN, np.array([1.0]))
     monkeypatch.setattr(NaturalUnits, "at", lambda self, y: (self.field, 0, [0] * len(y)))
     with pytest.raises(RunError, match=r"beyond t = 0: it is not finite"):
         reference_states(Kowalevski(), (1e150, *GEN[1:]), np.array([1e-150]))

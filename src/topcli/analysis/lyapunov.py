@@ -313,7 +313,7 @@ def growth_of(
         here, done = slice(first, first + code.lanes), 0
         # the same vector for all orbits, each in its own units, so that its growth does not depend on the others
         start = np.random.default_rng(SEED).normal(size=y0.shape[1]) * _units(top, y0[None, here])
-        run = code.run(h, y0[here], start)
+        run = TangentRun(code, h, y0[here], start)
         _advance(run, discard or 0)
         for k, n in enumerate(points.tolist()):
             _advance(run, n - done)
@@ -361,7 +361,7 @@ def spectrum_of(
     for k, n in enumerate((begin + points).tolist()):
         while done < n:
             steps = min(every, n - done)
-            run = code.run(h, np.tile(y, (d, 1)), vectors)  # all vectors on the same orbit
+            run = TangentRun(code, h, np.tile(y, (d, 1)), vectors)  # all vectors on the same orbit
             run.advance(steps)
             with np.errstate(all="ignore"):
                 q, r = np.linalg.qr(run.images.T)

@@ -21,6 +21,7 @@ import math
 import sys
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 
@@ -57,8 +58,13 @@ def double_of(x: Fraction) -> float:
 
 def defined(text: str, label: str, **names: Any) -> dict[str, Any]:
     """Functions that a text defines, by name; it may use the ``names``, among them the name of its module."""
-    exec(compile(text, f"<{label}>", "exec"), names)
+    exec(_code(text, f"<{label}>"), names)
     return names
+
+
+@lru_cache(maxsize=256)
+def _code(text: str, label: str) -> Any:
+    return compile(text, label, "exec")
 
 
 def unlikely(condition: bool) -> bool:

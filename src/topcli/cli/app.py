@@ -187,7 +187,7 @@ def print_usage_error(error: Any) -> None:
 
 def _print_version(asked: bool) -> None:
     if asked:
-        from topcli.engine.code_store import cache_folder, cache_problem
+        from topcli.engine.native import cache_folder, cache_problem
         from topcli.store.provenance import installed
 
         packages = ", ".join(f"{package} {installed(package)}" for package in ("numba", "numpy"))

@@ -79,12 +79,11 @@ def drive(
     """
     threads = threads or default_threads()
     everyone = [EnergyWatch(), *consumers]
-    parts = _parts(start, 1 + len(everyone)) if start else []
-    run = Integration(plan, threads, parts[0] if parts else None)
-    for i, consumer in enumerate(everyone):
+    run = Integration(plan, threads, _part(start, 0) if start else None)
+    for i, consumer in enumerate(everyone, start=1):
         consumer.begin(plan)
-        if parts:
-            consumer.restore(parts[1 + i])
+        if start:
+            consumer.restore(_part(start, i))
 
     def advance(tile: int) -> list[Any]:
         rows = run.advance(tile)
@@ -134,13 +133,9 @@ def _in_order(
     return [results[tile] for tile in tiles if tile in results]
 
 
-def _parts(state: State, count: int) -> list[State]:
-    """States of the trajectories and of the consumers from that of a chunk."""
-    parts: list[State] = [{} for _ in range(count)]
-    for key, array in state.items():
-        i, _, name = key.partition(".")
-        parts[int(i)][name] = array
-    return parts
+def _part(state: State, i: int) -> State:
+    """State of the trajectories (0) or of consumer number ``i`` from that of a chunk."""
+    return {key.removeprefix(f"{i}."): array for key, array in state.items() if key.startswith(f"{i}.")}
 
 
 class Orbit(NamedTuple):

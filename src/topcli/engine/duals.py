@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
-from topcli.arithmetic.fused import fma
+from topcli.arithmetic.fused import defined, fma
 
 
 def dual(value: float, slope: float) -> Any:
@@ -152,7 +152,6 @@ def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
     from numba.extending import overload
 
     kind, make, value, slope = _dual_type()
-    scope: dict[str, Any] = {"dual": make, "value": value, "slope": slope, "fma": fused, "math": math}
     options: Any = {"error_model": "numpy", "forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
     def learn(function: Callable[..., Any], text_for: Callable[..., str | None]) -> None:
@@ -164,10 +163,9 @@ def dual_numbers(fused: Any) -> dict[Callable[..., Any], Any]:
             if (text := text_for(*arguments)) is None:
                 return None
             names = _NAMES[: len(arguments)]
-            lines = [f"    {x}, d{x} = value({x}_), slope({x}_)" for x in names]
-            head = f"def rule({', '.join(f'{x}_' for x in names)}):"
-            exec("\n".join((head, *lines, f"    return {text}")), scope)
-            return scope["rule"]
+            lines = [f"    {x}, d{x} = value({x}_), slope({x}_)\n" for x in names]
+            source = f"def rule({', '.join(f'{x}_' for x in names)}):\n{''.join(lines)}    return {text}\n"
+            return defined(source, "rule", dual=make, value=value, slope=slope, fma=fused, math=math)["rule"]
 
         overload(function, jit_options=options, strict=False, prefer_literal=function is operator.pow)(rule)
 

@@ -108,10 +108,8 @@ class Integration:
         self._call_steps = plan.N if self.lanes == 1 and self.machine.loop.returns_early else 1
         self._buffers = threading.local()
         if start:
-            for name in ("work", "last", "done", "alive", "last_n", "seconds"):
-                getattr(self, name)[:] = start[name]
-            for name in ("outcome", "step", "counts"):
-                getattr(self.endings, name)[:] = start[name]
+            for name, array in self._arrays().items():
+                array[:] = start[name]
         for tile in range(tiles):
             self._fill_idle(tile)
 
@@ -260,5 +258,9 @@ class Integration:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All of it as arrays, from which another integration of the plan continues bit for bit."""
-        arrays = {name: getattr(self, name).copy() for name in ("work", "last", "done", "alive", "last_n", "seconds")}
-        return arrays | {name: getattr(self.endings, name).copy() for name in ("outcome", "step", "counts")}
+        return {name: array.copy() for name, array in self._arrays().items()}
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        names = ("work", "last", "done", "alive", "last_n", "seconds")
+        ended = {"outcome": self.endings.outcome, "step": self.endings.step, "counts": self.endings.counts}
+        return {name: getattr(self, name) for name in names} | ended

@@ -10,7 +10,6 @@ import types
 import warnings
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
-from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -27,15 +26,8 @@ class CompileError(Exception):
     """A function that the compiler refuses; the message is its reason in one line."""
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """Compilation in progress: stand-ins for kernels, and the kernels met so far."""
-
-    stand_ins: Mapping[Any, Any]
-    kernels: dict[types.FunctionType, Any] = field(default_factory=dict)
-
-
-_choice: ContextVar[_Choice] = ContextVar("choice")
+_stand_ins: ContextVar[Mapping[Any, Any]] = ContextVar("stand_ins")
+"""What stands for some kernels in the compilation in progress."""
 _kernels: dict[Any, Any] = {}
 """Kernels that this process has compiled, by content and stand-ins: a composition has those of its base."""
 _OPTIONS: Any = {
@@ -47,12 +39,10 @@ _OPTIONS: Any = {
 }
 
 
-def _kernel(function: types.FunctionType, choice: _Choice) -> Any:
+def _kernel(function: types.FunctionType, stand_ins: Mapping[Any, Any]) -> Any:
     """Dispatcher of numba for a kernel. Raises SchemeCodeError for one that raises or asserts."""
-    if function in choice.kernels:
-        return choice.kernels[function]
     content, functions = reach(function)
-    key = content, frozenset(pair for pair in choice.stand_ins.items() if pair[0] in functions)
+    key = content, frozenset(pair for pair in stand_ins.items() if pair[0] in functions)
     if key not in _kernels:
         import dis
 
@@ -70,7 +60,6 @@ def _kernel(function: types.FunctionType, choice: _Choice) -> Any:
             kernel = types.FunctionType(function.__code__, *parts)
             kernel.__kwdefaults__ = function.__kwdefaults__
         _kernels[key] = njit(**_OPTIONS)(kernel)
-    choice.kernels[function] = _kernels[key]
     return _kernels[key]
 
 
@@ -108,14 +97,14 @@ def _numba() -> dict[Any, Any]:
 
     def kernel_type(value: Any, context: Any) -> Any:
         """Type of a function in compiled code."""
-        choice = _choice.get(None)
-        if choice is None or is_standard(home_of(value)):
+        stand_ins = _stand_ins.get(None)
+        if stand_ins is None or is_standard(home_of(value)):
             return getattr(value, "_numba_type_", None)  # numba's own rule
-        stand_in = choice.stand_ins.get(value, value)
-        if stand_in is value and value in choice.stand_ins:
+        stand_in = stand_ins.get(value, value)
+        if stand_in is value and value in stand_ins:
             return None  # numba has rules for it
         if isinstance(stand_in, types.FunctionType):
-            return kinds.Dispatcher(_kernel(stand_in, choice))
+            return kinds.Dispatcher(_kernel(stand_in, stand_ins))
         typing: Any = cpu_target.typing_context
         return typing.resolve_value_type(stand_in)
 
@@ -134,7 +123,7 @@ def compiled(function: Callable[..., Any], signature: str, variants: Variants, d
     letters = {"p": kinds.CPointer(kinds.float64), "d": kinds.float64, "q": kinds.int64}
     # inlined into the wrapper too: then no path to numba's error reporting, and none of its symbols, is left
     compiler = cfunc(kinds.int64(*(letters[c] for c in signature)), error_model="numpy", forceinline=True)
-    token = _choice.set(_Choice(stand_ins))
+    token = _stand_ins.set(stand_ins)
     try:
         compiled: Any = compiler(function)
     except (TopcliError, MemoryError):
@@ -144,7 +133,7 @@ def compiled(function: Callable[..., Any], signature: str, variants: Variants, d
         reasons = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "["))]
         raise CompileError((reasons or [type(error).__name__])[0]) from error
     finally:
-        _choice.reset(token)
+        _stand_ins.reset(token)
     ir = compiled.inspect_llvm()
     if compiled._library.has_dynamic_globals or "numba.dynamic.globals" in ir:
         raise CompileError("it refers to an array that is large or not contiguous; use a smaller one, or plain=True")

@@ -13,13 +13,12 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topcli.arithmetic.fused import unlikely
+from topcli.arithmetic.fused import defined, unlikely
 from topcli.arithmetic.vectors import VECTOR_VARIANTS
 from topcli.contracts import Array, Block, Method, Outcome, Sampler, StepFunction, Stepper, Top, check_stop, same_state
 from topcli.engine.kernels import NO_VARIANTS, CompileError, Variants
@@ -31,7 +30,7 @@ SINGLE, LANES, PARTS = "pppdqqq", "pppdqqqq", "ppppdq"
 """Signatures of the machine code of the three loops."""
 
 _SINGLE = """
-def take_steps(work, out, params, h, steps, every, until_record):
+def loop(work, out, params, h, steps, every, until_record):
     # returns the number of steps done, or minus the number of the first step whose result is not finite;
     # that result is left in work
     p = ({constants})
@@ -52,7 +51,7 @@ def take_steps(work, out, params, h, steps, every, until_record):
     return steps
 """
 _LANES = """
-def take_steps(work, out, params, h, steps, every, until_record, stride):
+def loop(work, out, params, h, steps, every, until_record, stride):
     p = ({constants})
     k, left = 0, until_record
     for i in range(steps):
@@ -70,7 +69,7 @@ def take_steps(work, out, params, h, steps, every, until_record, stride):
     return steps
 """
 _PARTS = """
-def part_steps(before, theta, out, params, h, count):
+def loop(before, theta, out, params, h, count):
     p = ({constants})
     for k in range(count):
         part = theta[k] * h
@@ -93,11 +92,6 @@ def _sum(terms: Sequence[str]) -> str:
     return f"({_sum(terms[:half])} + {_sum(terms[half:])})" if half else terms[0]
 
 
-@cache
-def _compiled_text(text: str) -> Any:
-    return compile(text, "<time loop>", "exec")
-
-
 def _function(template: str, stepper: Stepper, d: int, constants: int, lanes: int = 1) -> Callable[..., int]:
     """The loop of a ``template`` for a step; its parameters are the constants of the top and ``more_parameters``."""
     width, checked, count = stepper.width, stepper.checked or stepper.width, constants + len(stepper.constants)
@@ -118,16 +112,9 @@ def _function(template: str, stepper: Stepper, d: int, constants: int, lanes: in
         lanes=lanes,
         d=d,
     )
-    scope: dict[str, Any] = {
-        "step": staged[0] if staged else stepper.step,
-        "enter": stepper.enter or same_state,
-        "leave": stepper.leave or same_state,
-        "unlikely": unlikely,
-        "nan": math.nan,
-        "__name__": __name__,
-    }
-    exec(_compiled_text(text), scope)
-    return scope["part_steps" if template == _PARTS else "take_steps"]
+    functions = {"enter": stepper.enter or same_state, "leave": stepper.leave or same_state, "unlikely": unlikely}
+    step = staged[0] if staged else stepper.step
+    return defined(text, "time loop", step=step, nan=math.nan, __name__=__name__, **functions)["loop"]
 
 
 def more_parameters(stepper: Stepper) -> tuple[float, ...]:

@@ -31,8 +31,7 @@ class Machine:
     def __init__(self, top: Top, method: Method, loop: Loop | None = None) -> None:
         self.method, self.d = method, len(top.components)
         self.p = np.array(top.constants(), dtype=None if loop else np.float64)
-        compilable = loop is None and isinstance(method, Stepper) and not method.plain
-        self.stepper = method if compilable else None
+        self.stepper = method if isinstance(method, Stepper) and not method.plain and loop is None else None
         """The method if its steps can be taken side by side; otherwise None."""
         self._loop, self._lanes = loop, dict[int, Native]()
 

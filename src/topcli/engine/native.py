@@ -7,6 +7,9 @@ prints the exception and returns 0.
 
 The name of the stored code is a digest of the functions that can be reached, with the signature, the versions of
 topcli, Python, numpy, numba and llvmlite, the processor and numba's settings.
+
+Who can write a file in the folder of the store decides what later processes execute. The folder must therefore belong
+to the effective user, and nobody else may write it; and the checksum of a file, which covers its name too, must agree.
 """
 
 from __future__ import annotations
@@ -29,7 +32,6 @@ from typing import Any
 import numpy as np
 
 from topcli import __version__
-from topcli.engine.code_store import store_code, stored_code
 from topcli.engine.kernels import NO_VARIANTS, CompileError, Variants, compiled
 from topcli.engine.reach import reach
 from topcli.errors import SchemeCodeError
@@ -39,6 +41,8 @@ _NEUTRAL = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_DISABLE_JIT")
 """Settings of numba that do not change its code."""
 _MAKERS = ("native.py", "kernels.py", "duals.py")
 """Modules that decide which code is made of a function."""
+ENTRIES = 1024
+"""Number of files that the folder keeps; the oldest ones are removed."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,61 @@ def _object_code(ir: str, symbol: str) -> bytes:
     needs = [name for name in (*functions, *variables) if not name.startswith("llvm.")]
     # sin: the compiler may call mathematical functions without declaring them
     return f"{' '.join(['sin', *needs])}\n{symbol}\n".encode() + _target().emit_object(module)
+
+
+def cache_folder() -> Path:
+    """Folder of the machine code: ``$NUMBA_CACHE_DIR/topcli`` if that is set, else in the user's cache folder."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen:
+        return Path(chosen) / "topcli"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("topcli") / "kernels"
+
+
+def cache_problem() -> str:
+    """Reason not to use the folder; empty if there is none."""
+    try:
+        about = cache_folder().stat()
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        return str(error)
+    if hasattr(os, "geteuid") and about.st_uid != os.geteuid():
+        return f"it belongs to the user with number {about.st_uid}, not to {os.geteuid()}"
+    return f"others may write it (mode {about.st_mode & 0o777:o})" if about.st_mode & 0o022 else ""
+
+
+def _checksum(name: str, content: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + content).digest()
+
+
+def stored_code(name: str) -> bytes | None:
+    """Content of a file of the folder; None if it is absent, or not as it was stored, or the folder is not trusted."""
+    with suppress(OSError):
+        data = b"" if cache_problem() else (cache_folder() / name).read_bytes()
+        if data[:32] == _checksum(name, data[32:]):
+            return data[32:]
+    return None
+
+
+def store_code(name: str, content: bytes) -> None:
+    """Store a file atomically; do nothing if the folder cannot be used."""
+    folder = cache_folder()
+    temporary = folder / f"{name}.{os.getpid()}.{os.urandom(4).hex()}"
+    with suppress(OSError):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if cache_problem():
+            return
+        try:
+            with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(_checksum(name, content) + content)
+            temporary.replace(folder / name)
+        finally:
+            temporary.unlink(missing_ok=True)
+        for old in sorted(folder.iterdir(), key=lambda path: -path.stat().st_mtime_ns)[ENTRIES:]:
+            old.unlink(missing_ok=True)
 
 
 _one_at_a_time = threading.RLock()

@@ -259,18 +259,20 @@ def rationals(longest: int = 0) -> Numbers:
     return Numbers("rational numbers", 0, "fractions", kind, _math())
 
 
-def floating(bits: int, name: str = "") -> Numbers:
-    """Binary floating point of ``bits`` binary digits, rounded to nearest (mpmath)."""
+def digits(count: int) -> Numbers:
+    """Binary floating point of ``count`` decimal digits, rounded to nearest (mpmath)."""
     from mpmath import __version__
     from mpmath.ctx_mp import MPContext
     from mpmath.libmp import from_rational
 
     context: Any = MPContext()
-    context.prec = bits
+    context.prec = bits = math.ceil(count * math.log2(10.0)) + 3
     convert = context.convert
 
     def converted(x: object, strings: bool = True) -> Any:
-        return convert(short(x) if isinstance(x, float) and math.isfinite(x) else x, strings)
+        if isinstance(x, float) and math.isfinite(x) and not is_short(x):
+            raise StrayDoubleError(x)
+        return convert(x, strings)
 
     def real(function: Callable[..., Any]) -> Callable[..., Any]:
         """The function with nan instead of complex numbers, as for doubles."""
@@ -289,12 +291,7 @@ def floating(bits: int, name: str = "") -> Numbers:
 
     context.convert = converted
     functions = {name: real(getattr(context, name)) for name in _FUNCTIONS} | {"pi": +context.pi, "fma": fused}
-    return Numbers(name or f"numbers of {bits} bits", bits, f"mpmath {__version__}", number, _math(**functions))
-
-
-def digits(count: int) -> Numbers:
-    """Binary floating point of ``count`` decimal digits."""
-    return floating(math.ceil(count * math.log2(10.0)) + 3, f"numbers of {count} digits")
+    return Numbers(f"numbers of {count} digits", bits, f"mpmath {__version__}", number, _math(**functions))
 
 
 def _composition(step: StepFunction, weights: tuple[float, ...]) -> StepFunction:
@@ -337,9 +334,9 @@ def precise_scheme(
         raise refused(scheme, numbers, "calls library functions that compute with doubles")
     if method.iterative and not numbers.bits:
         raise refused(scheme, numbers, "solves its equations by iteration, and the solution is not rational")
-    # the scheme is built from fractions, which are not rounded at all
+    # the scheme is built from rational numbers, which are not rounded at all
     exact, other = (
-        precise_top(top, {name: of(x) for name, x in parameters.items()}) for of in (Fraction, numbers.number)
+        precise_top(top, {name: of(x) for name, x in parameters.items()}) for of in (Rational, numbers.number)
     )
     built = scheme.build(exact, options)
     assert isinstance(built, Stepper)

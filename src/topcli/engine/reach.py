@@ -119,7 +119,7 @@ class _Walk:
         elif isinstance(value, types.ModuleType):
             self.text("module", value.__name__)
         elif _is_named(value):
-            self.text(kind.__name__, getattr(value, "__module__", ""), value.__name__)
+            self.text(kind.__name__, getattr(value, "__module__", ""), value.__name__)  # pyright: ignore[reportAttributeAccessIssue]
         else:
             raise SchemeCodeError(
                 f"{place}, which is or holds a {kind.__name__}; "

@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topcli.arithmetic.fused import defined
 from topcli.contracts import Array, Block, Method, Sampler, Scheme, StepFunction, Stepper, Top, same_state
 from topcli.engine.duals import dual, primal_of, slope_of
 from topcli.engine.loops import Loop, loop_code, loop_of, state_after
@@ -44,15 +44,8 @@ def _with_slopes(function: StepFunction, width: int, length: int) -> StepFunctio
         values="".join(f"value_of(y[{i}]), " for i in range(length)),
         slopes="".join(f"slope_of(y[{i}]), " for i in range(length)),
     )
-    scope: dict[str, Any] = {
-        "function": function,
-        "dual": dual,
-        "value_of": primal_of,
-        "slope_of": slope_of,
-        "__name__": __name__,
-    }
-    exec(compile(text, f"<tangent map {width}/{length}>", "exec"), scope)
-    return scope["with_slopes"]
+    names = {"dual": dual, "value_of": primal_of, "slope_of": slope_of, "__name__": __name__}
+    return defined(text, f"tangent map {width}/{length}", function=function, **names)["with_slopes"]
 
 
 def _with_tangent(method: Stepper, d: int) -> Stepper:
@@ -84,13 +77,6 @@ class TangentCode:
     lanes: int
     restarts: bool = False
     """True for a method whose own time loop begins anew in each call."""
-
-    def run(self, h: float, y: Array, vectors: Array) -> TangentRun:
-        """Orbits with steps of ``h`` from the states ``y`` (m, d) and ``vectors`` (m, d).
-
-        There are at most ``lanes`` orbits, any number if the code ``restarts``.
-        """
-        return TangentRun(self, h, y, vectors)
 
 
 def tangent_obstacle(method: Method) -> str:
@@ -156,8 +142,9 @@ def _exponents(x: Array) -> NDArray[np.int64]:
 
 
 class TangentRun:
-    """Orbits with a tangent vector each, from the states ``y`` (m, d) and ``vectors`` (m, d).
+    """Orbits with steps of ``h`` and a tangent vector each, from the states ``y`` (m, d) and ``vectors`` (m, d).
 
+    There are at most ``code.lanes`` orbits, any number if the code ``restarts``.
     ``scales`` (m,) are the powers of two by which the vectors have been divided. An orbit of which a step failed has
     nan as state and vector from then on.
     """

@@ -16,7 +16,7 @@ from topcli.config.models import Experiment
 from topcli.contracts import Array
 from topcli.engine.drive import drive
 from topcli.engine.machine import lanes_of
-from topcli.engine.tangent import TangentCode, tangent_code
+from topcli.engine.tangent import TangentCode, TangentRun, tangent_code
 from topcli.errors import UsageError
 from topcli.runs.plans import plans
 
@@ -109,7 +109,7 @@ class StepMap:
         results = np.full((2, *y.shape), np.nan)
         for first in range(0, len(y), lanes):
             part = slice(first, first + lanes)
-            run = self._tangents[lanes].run(self.h, y[part], v[part])
+            run = TangentRun(self._tangents[lanes], self.h, y[part], v[part])
             run.advance(steps)
             results[0, part], results[1, part] = run.states, run.images
         results[:, ~np.isfinite(results).all(axis=(0, 2))] = np.nan

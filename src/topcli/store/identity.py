@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 ROOMS = ("contracts", "arithmetic", "field", "tops", "schemes", "engine", "analysis")
 """Packages of topcli, and a module, whose code makes the numbers of a run."""
-NO_NUMBERS = frozenset(f"topcli.{name}" for name in ("schemes.display", "tops.own", "engine.code_store"))
+NO_NUMBERS = frozenset(f"topcli.{name}" for name in ("schemes.display", "tops.own"))
 """Modules there that do not."""
 LOOPS = ("topcli.engine.machine", "topcli.engine.integration", "topcli.schemes.registry")
 """Modules with the time loops of all schemes, and with the wrappers of their steps."""
@@ -59,7 +59,6 @@ def identity_of(experiment: Experiment) -> Identity:
     config = experiment.resolved()
     parts = {
         "engine.attitude": experiment.output.attitude,
-        "engine.numbers": experiment.written,
         "analysis.crossings": experiment.crossings,
     }
     modules = [f"topcli.{module}" for module, needed in parts.items() if needed]
