@@ -29,7 +29,7 @@ from topcli.analysis.frequencies import agreement_digits  # noqa: E402
 from topcli.analysis.lyapunov import LEAST_STEPS, Growth, Verdict, growth_of  # noqa: E402
 from topcli.config.load import load_experiment  # noqa: E402
 from topcli.schemes.registry import find_scheme  # noqa: E402
-from topcli.table import markdown_table  # noqa: E402
+from topcli.table import Cells  # noqa: E402
 from topcli.tops import TOPS  # noqa: E402
 
 PAGE = ROOT / "docs" / "chaos.md"
@@ -131,7 +131,7 @@ def scores(orbits: int, N: int, seed: int = 7) -> Iterator[Score]:
 def table(found: Sequence[Score]) -> list[str]:
     """Rows of the table in Markdown."""
     header = ["indicator", "steps", "regular", "chaotic", "missed", "false alarms", "undecided"]
-    return markdown_table([header, *([str(cell) for cell in score] for score in found)])
+    return Cells("", header, [[str(cell) for cell in score] for score in found]).markdown()
 
 
 def growth_along(config: Any, y: NDArray[np.float64], N: int) -> Growth:
@@ -206,7 +206,7 @@ def family_table() -> list[str]:
     for name, config, y in families():
         verdicts = [verdict for N in LENGTHS for verdict in growth_along(config, y, N).verdicts]
         rows.append([name, str(len(verdicts)), *(str(verdicts.count(kind)) for kind in kinds)])
-    return markdown_table(rows)
+    return Cells("", rows[0], rows[1:]).markdown()
 
 
 def seas() -> Iterator[tuple[str, Any, NDArray[np.float64], int, float | None]]:
@@ -241,7 +241,7 @@ def coverage_table() -> list[str]:
         truth = float(x.mean()) if exponent is None else exponent
         covered = f"{100.0 * np.mean(np.abs(x - truth) <= errors):.0f} %"
         rows.append([name, str(N), f"{truth:.3g}", f"{x.std():.2g}", f"{np.median(errors):.2g}", covered])
-    return markdown_table(rows)
+    return Cells("", rows[0], rows[1:]).markdown()
 
 
 def main() -> None:

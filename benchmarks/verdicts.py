@@ -24,7 +24,7 @@ from topcli.analysis.tally import invariant_report, series_rows, tally_of
 from topcli.analysis.verdict import InvariantRow
 from topcli.contracts import Array, Top
 from topcli.engine.rows import Rows
-from topcli.table import markdown_table
+from topcli.table import Cells
 
 KOWALEVSKI = ("kowalevski_hk", "kowalevski_generic_hk", "kowalevski_torus")
 SCENES = (
@@ -155,7 +155,7 @@ def table(found: Sequence[Judged]) -> str:
         counts = Counter(one.row.verdict for one in own)
         wrong = sum(one.false_alarm for one in own), sum(one.bound_too_low for one in own)
         lines.append([title, *(str(counts[word]) for word in words), *map(str, wrong)])
-    return "\n".join(markdown_table(lines))
+    return "\n".join(Cells("", lines[0], lines[1:]).markdown())
 
 
 def main() -> None:
@@ -174,7 +174,7 @@ def main() -> None:
         for name in CHANGES:
             both = [(counts[name, size, True], counts[name, size, False]) for size in SIZES]
             lines.append([name, *(f"{low} of {low + covered}" for low, covered in both)])
-        print("", *markdown_table(lines), sep="\n")
+        print("", *Cells("", lines[0], lines[1:]).markdown(), sep="\n")
     for one in found:
         if one.false_alarm or one.bound_too_low:
             print(f"\n{one.scheme}, {one.scene}, T = {one.T:g}: {one.row.name}: {one.row.statement}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -104,7 +105,7 @@ class Cells:
         caption = " ".join(escaped(f"{text.rstrip('.')}.") for text in (title, self.caption) if text)
         head = [" & ".join(map(escaped, self.header)) + r" \\", r"\midrule"] if self.header else []
         return [
-            r"% needs \usepackage{booktabs}, and LuaLaTeX for letters such as γ",
+            r"% needs \usepackage{booktabs}",
             r"\begin{table}",
             r"\centering",
             rf"\caption{{{caption}}}",
@@ -126,23 +127,42 @@ class Cells:
         return "\n".join([*said[:1], *self.markdown(), "", *said[1:]])
 
 
-_SPECIAL = str.maketrans(
-    {
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        **{letter: f"\\{letter}" for letter in "&%$#_{}"},
-        "<": r"\textless{}",
-        ">": r"\textgreater{}",
-        "|": r"\textbar{}",
-    }
-)
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    **{letter: f"\\{letter}" for letter in "&%$#_{}"},
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "–": "--",
+    "±": r"$\pm$",
+    "−": "$-$",
+    "·": r"$\cdot$",
+    "×": r"$\times$",
+    "≤": r"$\leq$",
+    "≥": r"$\geq$",
+    "ε": r"$\varepsilon$",
+    "µ": r"$\mu$",
+}
+_FORMS = {"<super>": "$^{%s}$", "<sub>": "$_{%s}$"}
+"""Raised and lowered characters in LaTeX, by their form in Unicode."""
 _NUMBER = re.compile(r"(?<![\w.])(-?\d+(?:\.\d+)?)(?:e([+-]?\d+))?(?![\w.])")
 
 
 def escaped(text: str) -> str:
-    """Text with the special characters of LaTeX escaped; LuaLaTeX reads all others, such as γ, as they are."""
-    return text.translate(_SPECIAL)
+    """Text with the special characters of LaTeX escaped; Greek letters, raised and lowered digits in mathematics."""
+    return "".join(map(_letter, text)).replace("$$", "").replace("}_{", "").replace("}^{", "")
+
+
+def _letter(letter: str) -> str:
+    """Character in LaTeX."""
+    if letter in _SPECIAL or letter.isascii():
+        return _SPECIAL.get(letter, letter)
+    if greek := re.fullmatch(r"GREEK (SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(letter, "")):
+        return f"$\\{greek[2].lower() if greek[1] == 'SMALL' else greek[2].capitalize()}$"
+    form, _, code = unicodedata.decomposition(letter).partition(" ")
+    return _FORMS[form] % chr(int(code, 16)) if form in _FORMS else letter
 
 
 def is_number(text: str) -> bool:
@@ -155,9 +175,10 @@ def is_number(text: str) -> bool:
 
 def latex_text(text: str) -> str:
     """Text in LaTeX, the numbers in it in mathematics: 1.2e-05 becomes 1.2 times a power of ten."""
-    return _NUMBER.sub(
-        lambda parts: f"${parts[1]}" + (rf" \times 10^{{{int(parts[2])}}}$" if parts[2] else "$"), escaped(text)
-    )
+    *parts, last = _NUMBER.split(text)
+    triples = zip(parts[::3], parts[1::3], parts[2::3], strict=True)
+    powers = (rf"{escaped(words)}${x}" + (rf" \times 10^{{{int(e)}}}$" if e else "$") for words, x, e in triples)
+    return "".join(powers) + escaped(last)
 
 
 @dataclass(frozen=True)

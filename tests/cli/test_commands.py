@@ -160,7 +160,7 @@ def test_several_runs_have_titles_one_document_and_one_code(cli: Cli, in_tmp: Pa
 
 
 def test_an_interruption_ends_the_runs_that_follow(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topcli.cli.running.run_one", lambda *_: (ExitCode.INTERRUPTED, {}))
+    monkeypatch.setattr("topcli.cli.running.code_of_run", lambda _: ExitCode.INTERRUPTED)
     said = cli("run", HK, HYBRID, *SHORT)
     assert (said.code, "0 of 2 runs succeeded; 1 failed; 1 not run" in said.err) == (130, True)
 

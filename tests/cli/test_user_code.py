@@ -123,7 +123,7 @@ def test_a_file_with_a_scheme_and_a_measure(cli: Cli, in_tmp: Path) -> None:
     assert [row.split()[-1] for row in named] == [item["origin"] for item in items]
     origins = {item["name"]: item["origin"] for item in items}
     assert (origins["omega1.least"], origins["seconds"]) == ("mine.py", "topcli")
-    assert "note = {none}" in cli("cite", "counting", "--plugin", "mine.py").out
+    assert "note = {A test}" in cli("cite", "counting", "--plugin", "mine.py").out
     (in_tmp / "study.yaml").write_text(SWEEP % "counter.pairs, steps, omega1.least")
     said = cli("sweep", "study.yaml", "--plugin", "mine.py")
     assert said.code == 0, said.err
@@ -151,7 +151,12 @@ def step(y, h, p):
 
 @topcli.scheme("counting", top="kowalevski", order=2, explicit=True, self_adjoint=True)
 def build(top, options):
-    '''A state at rest that counts two events a step.'''
+    '''A state at rest that counts two events a step.
+
+    Source
+    ------
+    A test
+    '''
     return Stepper(step, 7, lambda y, h, p: (*y, 0.0), lambda y, h, p: y[:6], counters=("pairs",))
 """
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from topcli.tops.heavy import Heavy
 
 import topcli
 from cases import table_of
-from declared import random_heavy_tops
+from declared import Heavy, random_heavy_tops
 from topcli.contracts import EulerPoisson, Floats
 from topcli.errors import UsageError
 from topcli.studies.lax import (

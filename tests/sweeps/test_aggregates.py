@@ -101,7 +101,7 @@ def test_failed_rows_are_left_out_and_counted(tmp_path: Path) -> None:
         "6 of 24 rows have no value and are left out"
     )
     rows = read_rows(stored(tmp_path, spoilt={3: np.nan})).assign(seconds=1.0)
-    assert sweep_table(rows[1:], ["scheme"], "h", ["seconds"], "max").notes == ["3 to 4 rows in each cell"]
+    assert sweep_table(rows[1:], ["scheme"], "h", ["seconds"], "max").caption == "3 to 4 rows in each cell"
     both = sweep_table(rows, ["scheme"], None, ["max_error", "seconds"], "max")
     assert (both.caption or "").endswith("; 1 of 24 rows have no value and are left out")
 
