@@ -20,7 +20,7 @@ from topcli.engine.machine import Machine
 from topcli.engine.numbers import (
     RATIONAL,
     PreciseRun,
-    digits,
+    decimals,
     meaning,
     prepared,
 )
@@ -59,7 +59,7 @@ def kernel(x: float, y: float = 0.1) -> float:
 
 
 def test_rebuilt_function_has_the_accuracy_of_its_numbers() -> None:
-    numbers = digits(60)
+    numbers = decimals(60)
     found = numbers.fraction(numbers.rebuilt(kernel)(numbers.number(Fraction(2))))
     scale = 2 ** (numbers.bits - 53)
     root = Fraction(math.isqrt(2 * 10**140), 10**70)

@@ -13,7 +13,7 @@ from topcli.contracts import Top
 from topcli.figures.animation import body_of
 from topcli.figures.figure import canvas_of
 from topcli.figures.space import SPATIAL, draw_trace, polhodes
-from topcli.tops.euler import Euler, EulerGamma, field
+from topcli.tops.euler import Euler, EulerGamma, euler_field
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
 
@@ -44,7 +44,7 @@ def test_curves_are_polhodes_in_the_sense_of_the_motion(moments: tuple[float, fl
         assert (number < 4) == (m_sq[0] == pytest.approx(sorted(moments)[1], abs=1e-12))
         if number >= 4:
             step = np.diff(curve, axis=0)
-            rate = np.array([field(tuple(w), top.constants()) for w in curve[:-1]])
+            rate = np.array([euler_field(tuple(w), top.constants()) for w in curve[:-1]])
             cosine = (step * rate).sum(axis=1) / np.linalg.norm(step, axis=1) / np.linalg.norm(rate, axis=1)
             assert cosine.min() > 0.99
 

@@ -15,7 +15,7 @@ from declared import TRIALS, gen
 from stepping import made
 from topcli.contracts import Top
 from topcli.engine.loops import loop_of
-from topcli.engine.numbers import digits
+from topcli.engine.numbers import decimals
 from topcli.schemes.registry import find_scheme
 from topcli.tops import TOPS
 
@@ -47,7 +47,7 @@ def test_hk_against_forty_digits(form: str) -> None:
     """After 150 steps the plain form is off by many ulp, the compensated one by hardly more than its rounding."""
     scheme, h, n, ratios = find_scheme("hk", form), 0.01, 150, []
     for top in TRIALS[form][:2]:
-        precise = ExactStep(Subject(scheme, top, scheme.options()), digits(40))
+        precise = ExactStep(Subject(scheme, top, scheme.options()), decimals(40))
         for y0 in [gen(top), tuple(random_states(1, seed=8)[0, : len(top.components)].tolist())]:
             plain, better = errors("hk", top, y0, h, precise(y0, *[h] * n), n)
             assert better < 3.0, (top, y0)

@@ -74,16 +74,16 @@ def test_wrong_choices_are_named(cli: Callable[..., Said], arguments: str, messa
 FILE = '''
 import topcli
 from topcli.contracts import Stepper
-from topcli.tops.kowalevski import field
+from topcli.tops.kowalevski import kowalevski_field
 
 def move(y, h, f):
     return tuple([y[i] + h * f[i] for i in range(6)])
 
 def rk2(y, h, p):
-    return move(y, h, field(move(y, 0.5 * h, field(y, p)), p))
+    return move(y, h, kowalevski_field(move(y, 0.5 * h, kowalevski_field(y, p)), p))
 
 def drifting(y, h, p):
-    return move(y, 1.001 * h, field(move(y, 0.5 * h, field(y, p)), p))
+    return move(y, 1.001 * h, kowalevski_field(move(y, 0.5 * h, kowalevski_field(y, p)), p))
 
 def raises(y, h, p):
     if h < 0.02:

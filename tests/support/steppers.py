@@ -6,7 +6,7 @@ from typing import Any
 
 from topcli.contracts import Floats, Method, StepFunction, Stepper, Top
 from topcli.schemes.registry import find_scheme
-from topcli.tops.kowalevski import Kowalevski, field
+from topcli.tops.kowalevski import Kowalevski, kowalevski_field
 
 
 def built(name: str, top: Top | None = None, **options: Any) -> Any:
@@ -40,7 +40,7 @@ def _moved(s: Floats, a: float, k: Floats) -> Floats:
 
 def rk2_step(s: Floats, h: float, p: Floats) -> Floats:
     """Explicit midpoint rule: order 2, irreversible, conserves nothing."""
-    return _moved(s, h, field(_moved(s, 0.5 * h, field(s, p)), p))
+    return _moved(s, h, kowalevski_field(_moved(s, 0.5 * h, kowalevski_field(s, p)), p))
 
 
 RK2 = Stepper(rk2_step, 6)

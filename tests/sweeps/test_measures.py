@@ -20,7 +20,7 @@ from topcli.errors import RunError, UsageError
 from topcli.runs.references import REFERENCES
 from topcli.schemes.registry import find_scheme
 from topcli.sweeps.measures import fitting_measures, measure, resolve_measures
-from topcli.tops.euler import field
+from topcli.tops.euler import euler_field
 from topcli.tops.kowalevski import Kowalevski
 
 A, C, OMEGA = 2.0, 1.0, (0.3, 0.4, 1.5)
@@ -109,7 +109,7 @@ def test_errors_are_distances_from_the_closed_form() -> None:
 def one_way_step(y: Any, h: float, p: Any) -> Any:
     if h < 0.0 and y[0] > 0.5:
         return (math.nan, y[1], y[2])
-    f = field(y, p)
+    f = euler_field(y, p)
     return (y[0] + h * f[0], y[1] + h * f[1], y[2] + h * f[2])
 
 

@@ -11,7 +11,7 @@ from cases import table_of
 from topcli.analysis.order import Convergence, convergence, is_consistent, judge_order
 from topcli.contracts import Stepper
 from topcli.studies.roundoff import growth
-from topcli.tops.kowalevski import Kowalevski, field
+from topcli.tops.kowalevski import Kowalevski, kowalevski_field
 
 EPS = 2.0**-52
 BELOW_AND_ABOVE = pytest.mark.parametrize("factor", [0.98, 1.02])
@@ -133,7 +133,7 @@ def test_slopes_of_the_fit_must_agree_within_a_quarter_of_the_shortfall(fine: fl
 )
 def test_a_step_is_consistent_if_its_error_falls_faster_than_h(factor: float, consistent: bool) -> None:
     def euler(y, h, p):
-        return tuple(a + factor * h * b for a, b in zip(y, field(y, p), strict=True))
+        return tuple(a + factor * h * b for a, b in zip(y, kowalevski_field(y, p), strict=True))
 
     assert is_consistent(Kowalevski(), Stepper(euler, 6), GENERIC) is consistent
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from topcli.arithmetic.sized import Sized
 from topcli.engine.native import native
-from topcli.engine.numbers import StrayDoubleError, digits, rationals
+from topcli.engine.numbers import StrayDoubleError, decimals, rationals
 from topcli.field.expression import FUNCTIONS, HIGHEST, ExpressionError, function_of, parse, value_of
 from topcli.field.polynomial import NotPolynomialError, Polynomial, polynomial_field
 
@@ -216,7 +216,7 @@ def test_functions_and_constants_have_the_digits_of_the_numbers(text: str) -> No
     y = Fraction(2, 7), Fraction(1, 3)
 
     def at(precision: int | str) -> Fraction | float:
-        arithmetic = digits(precision) if isinstance(precision, int) else rationals()
+        arithmetic = decimals(precision) if isinstance(precision, int) else rationals()
         found = value(text, [np.array([arithmetic.number(x)], dtype=object) for x in y], (1, 1))
         found = found[0] if isinstance(found, np.ndarray) else found
         return found if isinstance(found, float) else arithmetic.fraction(found)

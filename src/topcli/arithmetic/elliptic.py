@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.multiprecision import Real, mp
 
-Array = NDArray[np.floating[Any]]
+_Array = NDArray[np.floating[Any]]
 LANDEN_LIMIT = 64
 """Descents of a Landen transformation; for any double a dozen is enough."""
 
@@ -32,7 +32,7 @@ def _two_product(a: Any, b: Any) -> tuple[Any, Any]:
     return p, ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2
 
 
-def phase(start: Real, step: Real, n: NDArray[Any]) -> tuple[NDArray[np.int64], Array]:
+def phase(start: Real, step: Real, n: NDArray[Any]) -> tuple[NDArray[np.int64], _Array]:
     """Whole part and rest in [-1/2, 1/2] of start + n step, for numbers of mpmath and numbers ``n`` (m,)."""
     before = int(mp.nint(start))
     a, c = float(start - before), float(step)
@@ -43,7 +43,7 @@ def phase(start: Real, step: Real, n: NDArray[Any]) -> tuple[NDArray[np.int64], 
     return before + whole.astype(np.int64), ((high - whole) + a) + (low + (d * n + b))
 
 
-def landen(u: Array, m1: float) -> tuple[Array, Array, Array]:
+def landen(u: _Array, m1: float) -> tuple[_Array, _Array, _Array]:
     """Jacobi's sn, cn, dn at ``u`` (m,), |u| of the order of a period, for 0 < m1 <= 1, accurate for m1 near 0 too."""
     a = middle = 1.0
     root, ladder = m1, []
@@ -83,7 +83,7 @@ class Argument:
         """Argument with these constants."""
         return cls(start, rate, m1, mp.pi / (2 * mp.agm(1, mp.sqrt(m1))) if m1 else None)
 
-    def functions(self, n: NDArray[Any], h: Real) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
+    def functions(self, n: NDArray[Any], h: Real) -> tuple[NDArray[np.int64], _Array, _Array, _Array, _Array]:
         """``j``, u, sn, cn, dn (m,) after ``n`` (m,) steps of ``h``: the argument is 2 K j + u, and |u| <= K."""
         if self.quarter is None:
             u = float(self.start) + float(self.rate * h) * n
@@ -96,7 +96,7 @@ class Argument:
         odd = np.where(j % 2, -1.0, 1.0)
         return j, float(period) * turn, odd * sn, odd * cn, dn
 
-    def at(self, turn: Array) -> tuple[Array, Array, Array]:
+    def at(self, turn: _Array) -> tuple[_Array, _Array, _Array]:
         """sn, cn, dn (m,) at 2 K ``turn`` (m,), from -1/2 to 1/2.
 
         Beyond K/2 they are computed from K - |u|, so that cn keeps its digits where it is small.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]
+_Array = NDArray[np.floating[Any]]
 Quaternion = tuple[float, float, float, float]
 _Vector = tuple[float, float, float]
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -84,7 +84,7 @@ def canonical_quaternion(q: Quaternion) -> Quaternion:
     return q
 
 
-def euler_angles(q: Array) -> tuple[Array, Array, Array]:
+def euler_angles(q: _Array) -> tuple[_Array, _Array, _Array]:
     """Euler's angles psi, theta, phi (m,) of unit quaternions (m, 4), in the sequence z-x-z.
 
     They are rotations by phi about the third axis, theta about the first, psi about the third. psi and phi are in
@@ -99,7 +99,7 @@ def euler_angles(q: Array) -> tuple[Array, Array, Array]:
     return _wrapped(psi), theta, _wrapped(phi)
 
 
-def _wrapped(angle: Array) -> Array:
+def _wrapped(angle: _Array) -> _Array:
     """Angles (m,) of up to two revolutions, in (-pi, pi]."""
     angle = np.where(angle > math.pi, angle - 2.0 * math.pi, angle)
     return np.where(angle <= -math.pi, angle + 2.0 * math.pi, angle)

@@ -82,7 +82,7 @@ def is_short(value: float) -> bool:
     return numerator < _SHORT or numerator // (numerator & -numerator) < _SHORT
 
 
-def short(value: float) -> Fraction:
+def short_fraction(value: float) -> Fraction:
     """Exact value of a short double. Raises StrayDoubleError for any other."""
     if not is_short(value):
         raise StrayDoubleError(value)
@@ -222,7 +222,7 @@ def _exactly(operator: Callable[..., Any]) -> Callable[..., Any]:
 
     def operation(self: Rational, *others: Any) -> Any:
         if others and isinstance(others[0], float):
-            others = (short(others[0]),)
+            others = (short_fraction(others[0]),)
         result = operator(self, *others)
         if isinstance(result, float | complex):
             raise NotRationalError(f"the power {others[0]} of a rational number is not rational")
@@ -259,7 +259,7 @@ def rationals(longest: int = 0) -> Numbers:
     return Numbers("rational numbers", 0, "fractions", kind, _math())
 
 
-def digits(count: int) -> Numbers:
+def decimals(count: int) -> Numbers:
     """Binary floating point of ``count`` decimal digits, rounded to nearest (mpmath)."""
     from mpmath import __version__
     from mpmath.ctx_mp import MPContext
@@ -432,7 +432,7 @@ def prepared(
     """
     h, parameters, state = values
     max_bits = int(max_digits * math.log2(10.0)) if precision == RATIONAL else 0
-    numbers = digits(precision) if isinstance(precision, int) else rationals(ROOM * max_bits)
+    numbers = decimals(precision) if isinstance(precision, int) else rationals(ROOM * max_bits)
     other, method = precise_scheme(scheme, top, options, parameters, numbers)
     y0 = np.array([numbers.number(value) for value in state], dtype=np.object_)
     return PreciseRun(numbers, other, precise_loop(method, len(y0), numbers, max_bits), numbers.number(h), y0)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from topcli.arithmetic.sized import Operators
 from topcli.contracts import Scheme, StepFunction, Top
-from topcli.engine.numbers import NotRationalError, Numbers, precise_scheme, rationals, refused, short
+from topcli.engine.numbers import NotRationalError, Numbers, precise_scheme, rationals, refused, short_fraction
 from topcli.field.polynomial import DECIDES, decimal
 
 PRIME = 2**31 - 1
@@ -73,7 +73,7 @@ class Jet(Operators):
         if isinstance(other, Jet):
             return other
         if isinstance(other, float):
-            other = short(other)
+            other = short_fraction(other)
         return residue(Fraction(other)) if isinstance(other, int | Fraction) else None
 
     def __add__(self, other: Any) -> Jet:

@@ -86,7 +86,7 @@ class Figure:
         stored = read_metadata(table).get(KEY)
         if stored is None and not force:
             require_new([*pictures, table])
-        columns = None if force or stored != self.key else read_columns(table)
+        columns = None if force or stored != self.key else stored_columns(table)
         try:
             if columns is None:
                 columns = self.data()
@@ -114,7 +114,7 @@ def write_columns(path: Path, columns: Columns, key: str) -> None:
     pq.write_table(pa.table(padded).replace_schema_metadata({KEY: key}), path, compression="zstd")
 
 
-def read_columns(path: Path) -> dict[str, np.ndarray] | None:
+def stored_columns(path: Path) -> dict[str, np.ndarray] | None:
     """Columns as they were written; None if the file is damaged."""
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -30,10 +30,10 @@ from topcli.field.straight_line import ONE, Graph, Sum, compiled_function, minus
 
 DEPENDENT = 2.0**-30
 """Squared sine of the angle to the earlier gradients below which a gradient is left out."""
-SETTLED = 2.0**-52
+_SETTLED = 2.0**-52
 """Largest square of the last correction, relative to the square of the state."""
 ROUNDS = 3
-follow_precision(__name__, caps=("ROUNDS",), DEPENDENT=1, SETTLED=1)
+follow_precision(__name__, caps=("ROUNDS",), DEPENDENT=1, _SETTLED=1)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def projection(top: Top, first: int) -> Projection:
     n, values = len(integrals), [graph.node_of(invariant.value(formulas)[0].terms) for invariant, _ in integrals]
     slopes = [node(integral.derivative(j)) for _, integral in integrals for j in range(d)]
     evaluated, text = compiled_function(graph, "evaluated", [*values, *slopes]), graph.source("values", values)
-    limits = {"DEPENDENT": DEPENDENT, "SETTLED": SETTLED, "ROUNDS": ROUNDS, "nan": math.nan}
+    limits = {"DEPENDENT": DEPENDENT, "_SETTLED": _SETTLED, "ROUNDS": ROUNDS, "nan": math.nan}
     project = defined(_source(n, d), f"projection {n}/{d}", evaluated=evaluated, __name__=__name__, **limits)["project"]
     return Projection(n, compiled_function(graph, "values", values), project, tuple(graph.constants), text)
 
@@ -129,7 +129,7 @@ def _source(n: int, d: int) -> str:
         lines.append(f"m = (t[{i}] - v[{i}]{earlier}) * u{i}")
         lines += [f"e{j} = {f'e{j} + ' if i else ''}m * q{i}_{j}" for j in range(d)]
     lines += [f"y{j} = y{j} + e{j}" for j in range(d)]
-    lines.append(f"status = 0.0 if {dot('e', 'e')} <= SETTLED * ({dot('y', 'y')}) else nan")
+    lines.append(f"status = 0.0 if {dot('e', 'e')} <= _SETTLED * ({dot('y', 'y')}) else nan")
     body = "\n    ".join(lines)
     return (
         f"def corrected(y, t, p):\n    {body}\n    return ({state}status)\n"

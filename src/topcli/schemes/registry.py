@@ -154,9 +154,9 @@ def scheme(
     --------
     >>> import topcli
     >>> from topcli.contracts import Stepper
-    >>> from topcli.tops.euler import field
+    >>> from topcli.tops.euler import euler_field
     >>> def step(y, h, p):
-    ...     f = field(y, p)
+    ...     f = euler_field(y, p)
     ...     return (y[0] + h * f[0], y[1] + h * f[1], y[2] + h * f[2])
     >>> @topcli.scheme("euler-rule", top="euler", order=1, explicit=True, self_adjoint=False)
     ... def build(top, options):

@@ -112,8 +112,8 @@ def _subjects(
         if Path(file).suffix != ".py" and is_config(str(file)):
             hint = f"to check its top: topcli check --config {file}"
             raise UsageError(f"{quoted(str(file))} is a config, not a Python file; {hint}")
-        for kind, known in (("scheme", {each.name for each in all_schemes()}), ("top", {*top_names()})):
-            if str(file) in known and not Path(file).exists():
+        for kind, registered in (("scheme", {each.name for each in all_schemes()}), ("top", {*top_names()})):
+            if str(file) in registered and not Path(file).exists():
                 raise UsageError(f"{quoted(str(file))} is a {kind}, not a Python file; give --{kind} {file}")
         load_plugin_file(Path(file))
     tops = [form for form in TOPS if top_origin(TOPS[form]) == origin]

@@ -11,7 +11,7 @@ from topcli.contracts import EulerPoisson, Floats, Integral, Top
 from topcli.tops import BodyTop, gamma_sq, omega_of
 
 
-def field(y: Floats, p: Floats) -> Floats:
+def euler_field(y: Floats, p: Floats) -> Floats:
     """Right-hand side of Sogo's (Euler) without gravity: omega_i' = alpha_i omega_j omega_k."""
     w1, w2, w3 = y
     return (p[3] * w2 * w3, p[4] * w3 * w1, p[5] * w1 * w2)
@@ -84,7 +84,7 @@ class Euler(Top):
         "alpha2 = (C - A)/B",
         "alpha3 = (A - B)/C",
     )
-    field = staticmethod(field)
+    field = staticmethod(euler_field)
     angular_velocity = staticmethod(omega_of)
     vertical = staticmethod(momentum)
     integrals: ClassVar[Mapping[str, Integral]] = {"m_sq": m_sq, "m_omega": m_omega}

@@ -11,7 +11,7 @@ from topcli.contracts import EulerPoisson, Floats, Invariant, invariant_of
 from topcli.tops import BodyTop, gamma_sq
 
 
-def field(y: Floats, p: Floats) -> Floats:
+def kowalevski_field(y: Floats, p: Floats) -> Floats:
     """Right-hand side of Sogo's (K1), (K2), with c = mg x0/C = ``p[0]``."""
     w1, w2, w3, g1, g2, g3 = y
     c = p[0]
@@ -48,7 +48,7 @@ class Kowalevski(BodyTop):
     form = "kowalevski"
     swing = "gamma1"
     step_constants = ("c = c0/C",)
-    field = staticmethod(field)
+    field = staticmethod(kowalevski_field)
 
     c0: float = Field(
         default=1.0,

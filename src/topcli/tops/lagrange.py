@@ -15,7 +15,7 @@ from topcli.contracts import EulerPoisson, Floats, Integral, Invariant, Top, inv
 from topcli.tops import BodyTop, gamma_of, gamma_sq
 
 
-def field(y: Floats, p: Floats) -> Floats:
+def lagrange_field(y: Floats, p: Floats) -> Floats:
     """Right-hand side of Sogo's (Euler), (Poisson) with A = B, x0 = y0 = 0; ``p`` is ((A - C)/A, mg z0/A)."""
     w1, w2, w3, g1, g2, g3 = y
     k = p[0] * w3
@@ -64,7 +64,7 @@ class Lagrange(BodyTop):
     form = "lagrange"
     swing = "gamma3"
     step_constants = ("alpha = (A - C)/A", "nu = mu/A")
-    field = staticmethod(field)
+    field = staticmethod(lagrange_field)
 
     A: float = Field(default=1.0, gt=0.0, description="first and second moment of inertia")
     B: float | None = Field(

@@ -29,7 +29,7 @@ from topcli.arithmetic.multiprecision import DIGITS, Real, digits, mp, real
 from topcli.contracts import Array, Floats
 from topcli.schemes.kowalevski.curve import Curve, Integrals
 from topcli.schemes.kowalevski.separation import ROOT_DIGITS, Separated
-from topcli.tops.kowalevski import Kowalevski, field
+from topcli.tops.kowalevski import Kowalevski, kowalevski_field
 
 DISTANCE = "distance to the nearest separatrix: the smallest change of E/C or of k that leads there"
 
@@ -47,7 +47,7 @@ def kowalevski_motion(top: Kowalevski, y: Floats) -> Motion:
     of = Integrals.of(y, c)
     conserved = integrals_of(top, y)
     w1, w2, w3, _, _, g3 = exact = tuple(map(Fraction, y))
-    if not any(field(exact, (Fraction(c),))):  # type: ignore[arg-type]
+    if not any(kowalevski_field(exact, (Fraction(c),))):  # type: ignore[arg-type]
         return Motion(top.form, "equilibrium", "equilibrium: omega and gamma are constant", y, conserved)
     if w2 == 0 and Fraction(c) * g3 == w1 * w3:  # beside the torus with the same integrals
         return Motion(top.form, "pendulum", "pendulum (Bobylev-Steklov): ω2 = 0 at all times", y, conserved)

@@ -25,7 +25,7 @@ from topcli.arithmetic.multiprecision import Real, digits, mp, real
 from topcli.contracts import Floats, Top
 from topcli.errors import UsageError
 from topcli.schemes.classical.euler import free_motion
-from topcli.schemes.classical.lagrange import ROOT_DIGITS, AsymptoticError, oscillation
+from topcli.schemes.classical.lagrange import CUBIC_DIGITS, AsymptoticError, oscillation
 from topcli.tops.euler import Euler, EulerGamma
 from topcli.tops.kowalevski import Kowalevski
 from topcli.tops.lagrange import Lagrange, LagrangeInertial
@@ -59,7 +59,7 @@ def motion_of(top: Top, y0: Floats) -> Motion:
         free = True
     described: Described = "no closed form", "no closed form is known for a top with these parameters in these axes", ()
     conserved = integrals_of(top, y)
-    with digits(ROOT_DIGITS):
+    with digits(CUBIC_DIGITS):
         if free:
             described = _free(y[:3], tuple(map(float, top.euler_poisson().moments)))
         elif isinstance(top, Lagrange | LagrangeInertial):

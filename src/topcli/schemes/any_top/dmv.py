@@ -32,12 +32,12 @@ from topcli.tops.bodies import checked_equations
 NEEDED_BY = "scheme 'dmv'"
 CORRECTIONS = 3.0
 """Corrections of every step."""
-NEWTON_LIMIT = 30
+_NEWTON_LIMIT = 30
 """Maximum number of Newton corrections beyond them; four to six are typical."""
 LAST_BIT = 2.0**-50
 """Correction relative to c that is round-off."""
-follow_precision(__name__, caps=("NEWTON_LIMIT",), LAST_BIT=1)
-Solution = Floats
+follow_precision(__name__, caps=("_NEWTON_LIMIT",), LAST_BIT=1)
+_Solution = Floats
 """Cayley vector of a step, the status of the iteration (0.0 or nan), and the number of corrections."""
 
 
@@ -85,7 +85,7 @@ def corrected(c: Vector, matrix: Matrix, k: Vector, r: Vector) -> tuple[Vector, 
     return (c[0] - e1, c[1] - e2, c[2] - e3), (e1, e2, e3)
 
 
-def newton_from_zero(k: Vector, r: Vector) -> Solution:
+def newton_from_zero(k: Vector, r: Vector) -> _Solution:
     """Cayley vector on the branch through 0, by Newton's method; its status, and the number of corrections.
 
     From thousands of random states it converged to this branch or not at all. Without a solution c is 0, so that the
@@ -93,7 +93,7 @@ def newton_from_zero(k: Vector, r: Vector) -> Solution:
     """
     c: Vector = k
     count = 0.0
-    for _ in range(NEWTON_LIMIT):
+    for _ in range(_NEWTON_LIMIT):
         count += 1.0
         c, e = corrected(c, jacobian(c, k, r), k, r)
         if size(e) <= LAST_BIT * size(c):
@@ -101,7 +101,7 @@ def newton_from_zero(k: Vector, r: Vector) -> Solution:
     return (0.0, 0.0, 0.0, math.nan, count)
 
 
-def given_up(k: Vector, r: Vector) -> Solution:
+def given_up(k: Vector, r: Vector) -> _Solution:
     """Not a number: the trajectory needs a scalar step."""
     return (math.nan, math.nan, math.nan, math.nan, 0.0)
 
@@ -109,7 +109,7 @@ def given_up(k: Vector, r: Vector) -> Solution:
 VECTOR_VARIANTS[newton_from_zero] = given_up
 
 
-def cayley_vector(k: Vector, r: Vector) -> Solution:
+def cayley_vector(k: Vector, r: Vector) -> _Solution:
     """Cayley vector c of the step, the status of the iteration (0.0 or nan), and the number of corrections."""
     c = fixed_point(fixed_point(k, k, r), k, r)
     matrix = jacobian(c, k, r)

@@ -33,7 +33,7 @@ def _tangent(top: Top) -> Stepper:
 
 
 @lru_cache(maxsize=256)  # steppers that share the functions share their machine code
-def counted(change: StepFunction, determinants: StepFunction, d: int) -> Stepper:
+def with_counter(change: StepFunction, determinants: StepFunction, d: int) -> Stepper:
     """Stepper of d components that counts steps with a small determinant."""
 
     def counting(y: Floats, h: float, p: Floats) -> Floats:
@@ -115,5 +115,5 @@ def build_hk(top: Top, options: NoOptions) -> Stepper:
     if any(invariant.name == top.energy for invariant in top.invariants()) or not code.determinants:
         plain = Stepper(of("step", code.outputs), d, change=change)
     else:
-        plain = counted(change, of("determinants", code.determinants), d)
+        plain = with_counter(change, of("determinants", code.determinants), d)
     return replace(plain, constants=code.constants, source=partial(code.source, "step"), tangent=partial(_tangent, top))

@@ -21,15 +21,15 @@ from topcli.schemes.registry import quadratic_invariants, scheme
 from topcli.schemes.steppers import first, stepper
 
 _NEEDED_BY = "scheme 'midpoint'"
-NEWTON_LIMIT = 25
+_NEWTON_LIMIT = 25
 """Maximum number of Newton iterations; three or four are typical."""
-SETTLED = 2.0**-33
+_SETTLED = 2.0**-33
 """Tolerance of the last correction, relative; by quadratic convergence the error is far below the last bit.
 """
 FAR = 2.0**-10
 """Largest sum of such corrections relative to the state. After a singular matrix the state is huge, its rates are the
 square of that, and a correction as large as the state would be small beside them."""
-follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=0.5)
+follow_precision(__name__, caps=("_NEWTON_LIMIT",), _SETTLED=0.5)
 
 _CHANGE = """
 def change(s, h, p):
@@ -37,7 +37,7 @@ def change(s, h, p):
     u = zero
     status = nan
     iterations = 0.0
-    for _ in range(NEWTON_LIMIT):
+    for _ in range(_NEWTON_LIMIT):
         iterations += 1.0
         v = newton(({state}{half}), h, p)
         settled = {settled}
@@ -65,7 +65,7 @@ def _change(newton: NewtonStep) -> StepFunction:
         return " + ".join(text.format(i=i, size=d + i) for i in kind)
 
     tests = (
-        f"{total('abs(v[{i}] - u[{i}])', kind)} <= SETTLED * ({total('abs(s[{i}]) + abs(v[{size}])', kind)})"
+        f"{total('abs(v[{i}] - u[{i}])', kind)} <= _SETTLED * ({total('abs(s[{i}]) + abs(v[{size}])', kind)})"
         for kind in kinds
     )
     near = f"{total('abs(v[{i}] - u[{i}])', range(d))} <= FAR * ({total('abs(s[{i}]) + abs(v[{i}])', range(d))})"
@@ -78,7 +78,7 @@ def _change(newton: NewtonStep) -> StepFunction:
         changes=_listed("2.0 * u[{i}]", d),
     )
     step = compiled_function(newton.graph, "newton", newton.outputs)
-    limits = {"nan": math.nan, "NEWTON_LIMIT": NEWTON_LIMIT, "SETTLED": SETTLED, "FAR": FAR}
+    limits = {"nan": math.nan, "_NEWTON_LIMIT": _NEWTON_LIMIT, "_SETTLED": _SETTLED, "FAR": FAR}
     return defined(text, f"midpoint rule {d}", newton=step, __name__=__name__, **limits)["change"]
 
 

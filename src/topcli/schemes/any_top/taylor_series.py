@@ -28,7 +28,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 from topcli.field.polynomial import Field, Monomial
-from topcli.schemes.any_top.taylor_vectors import IRWriter, Pair, Scalar, Vector, pair_add, pair_mul, pair_scale
+from topcli.schemes.any_top.taylor_vectors import IRWriter, LaneValue, Pair, Scalar, pair_add, pair_mul, pair_scale
 
 Lanes = tuple[int, ...]
 """For each lane of a vector, the lane of another vector that it takes its number from."""
@@ -228,7 +228,7 @@ EXACTLY_DIVIDED = 7
 the same in every step, and its effect would accumulate systematically."""
 
 
-def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) -> tuple[Scalar, Scalar, Vector]:
+def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) -> tuple[Scalar, Scalar, LaneValue]:
     """Store the coefficients 0..order of the solution through ``y0`` as the array ``y``.
 
     ``y0`` is the state and its low part. Returns the two results of ``step_size`` and the low part of coefficient 1.
@@ -263,14 +263,14 @@ def expand(o: IRWriter, a: Arrangement, order: int, y0: Pair, log2_tol: Scalar) 
     return step[0], step[1], missed
 
 
-Permuted = Callable[[Lanes], Vector]
+Permuted = Callable[[Lanes], LaneValue]
 
 
-def _permuted(o: IRWriter, a: Arrangement, y: Vector) -> Permuted:
+def _permuted(o: IRWriter, a: Arrangement, y: LaneValue) -> Permuted:
     """Function that permutes the lanes of ``y``, each way once."""
     permuted = {a.identity: y}
 
-    def lanes(order: Lanes) -> Vector:
+    def lanes(order: Lanes) -> LaneValue:
         if order not in permuted:
             permuted[order] = o.permute(y, order)
         return permuted[order]
@@ -278,7 +278,7 @@ def _permuted(o: IRWriter, a: Arrangement, y: Vector) -> Permuted:
     return lanes
 
 
-def _store(o: IRWriter, a: Arrangement, m: int, y: Vector) -> Permuted:
+def _store(o: IRWriter, a: Arrangement, m: int, y: LaneValue) -> Permuted:
     """Store coefficient m and the factors that later sums need."""
     at = _permuted(o, a, y)
     o.store("y", m, y)
@@ -306,7 +306,7 @@ def _first(o: IRWriter, a: Arrangement, stage: Stage, y0: Pair) -> Pair:
     return total
 
 
-def _jacobian(o: IRWriter, stage: Stage, at: Permuted) -> list[Vector]:
+def _jacobian(o: IRWriter, stage: Stage, at: Permuted) -> list[LaneValue]:
     """Columns of the Jacobian at y_0."""
     columns = []
     for _, of, quadratic, linear in stage.jacobian:
@@ -320,7 +320,7 @@ def _jacobian(o: IRWriter, stage: Stage, at: Permuted) -> list[Vector]:
     return columns
 
 
-def _slope(stage: Stage, columns: list[Vector], o: IRWriter, at: Permuted, earlier: Vector | None) -> Vector:
+def _slope(stage: Stage, columns: list[LaneValue], o: IRWriter, at: Permuted, earlier: LaneValue | None) -> LaneValue:
     """Sum of the products of columns and permutations, plus ``earlier``; in two halves, for a short chain."""
     halves = [earlier, None]
     for k, (column, (lanes, *_)) in enumerate(zip(columns, stage.jacobian, strict=True)):
@@ -342,8 +342,8 @@ class _ProductSums:
 
     def __init__(self, o: IRWriter, a: Arrangement) -> None:
         self.o, self.a = o, a
-        self.halves: dict[tuple[int, int, int], Vector] = {}
-        self.sums: dict[int, list[Vector]] = {}
+        self.halves: dict[tuple[int, int, int], LaneValue] = {}
+        self.sums: dict[int, list[LaneValue]] = {}
 
     def _gather(self, m: int, k: int, half: int) -> None:
         o = self.o
@@ -361,7 +361,7 @@ class _ProductSums:
                 if target < order and target - k < even:
                     self._gather(target, k, k % 2)
 
-    def _complete(self, m: int) -> list[Vector]:
+    def _complete(self, m: int) -> list[LaneValue]:
         """Add the remaining products and return the sums for m."""
         newer = m - 2 - m % 2
         rest = [k for k in range(1, m) if k >= newer or m - k >= newer]
@@ -373,7 +373,7 @@ class _ProductSums:
             sums.append(self.o.add(*both) if len(both) == 2 else both[0])
         return sums
 
-    def earlier(self, m: int, stage: Stage) -> Vector | None:
+    def earlier(self, m: int, stage: Stage) -> LaneValue | None:
         """Terms of a stage that contain y_1..y_(m-1) only."""
         if m == 1 or not stage.sums:
             return None
@@ -387,7 +387,7 @@ class _ProductSums:
         return total
 
 
-def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: Vector) -> tuple[Vector, Vector]:
+def taylor_increment(o: IRWriter, order: int, d: Scalar, missed: LaneValue) -> tuple[LaneValue, LaneValue]:
     """Return the sum of y_m d^m over m = 1..order as y_1 d rounded, and the rest; ``missed`` is the low part of y_1.
 
     The rest is summed by pairs, pairs of pairs and so on (Estrin's scheme), for a short dependency chain.

@@ -9,15 +9,15 @@ import struct
 from collections.abc import Iterator
 from typing import Any
 
-Vector = Any
+LaneValue = Any
 Scalar = Any
 
 
-Pair = tuple[Vector, Vector]
+Pair = tuple[LaneValue, LaneValue]
 """Vector in more than double precision: high and low part."""
 
 
-def vector_two_sum(o: IRWriter, x: Vector, z: Vector) -> tuple[Vector, Vector]:
+def vector_two_sum(o: IRWriter, x: LaneValue, z: LaneValue) -> tuple[LaneValue, LaneValue]:
     """Return the rounded sum of two vectors and its rounding error."""
     rounded = o.add(x, z)
     part = o.sub(rounded, x)
@@ -36,7 +36,7 @@ def pair_mul(o: IRWriter, x: Pair, z: Pair) -> Pair:
     return rounded, o.fma(x[1], z[0], missing)
 
 
-def pair_scale(o: IRWriter, factor: Vector, x: Pair) -> Pair:
+def pair_scale(o: IRWriter, factor: LaneValue, x: Pair) -> Pair:
     """Return the product of an exact vector and a pair."""
     rounded = o.mul(factor, x[0])
     return rounded, o.fma(factor, x[1], o.fma(factor, x[0], o.negative(rounded)))

@@ -22,14 +22,14 @@ from topcli.contracts import Floats, Invariant, NoOptions, StepFunction, Stepper
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import stepper
 
-NEWTON_LIMIT = 40
-SETTLED = 2.0**-53
+_NEWTON_LIMIT = 40
+_SETTLED = 2.0**-53
 """Square of the last correction relative to the square of the change; by quadratic convergence the remaining error is
 below the last bit."""
 STEADY = 2.0**-200
 """Square of the last correction relative to the square of omega, sufficient as well: near a steady rotation the change
 itself tends to zero."""
-follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=1, STEADY=4)
+follow_precision(__name__, caps=("_NEWTON_LIMIT",), _SETTLED=1, STEADY=4)
 
 
 def old_change(w: Vector, d: float, p: Floats) -> Vector:
@@ -70,7 +70,7 @@ def new_change(w: Vector, d: float, p: Floats) -> Floats:
     # Newton's method from the change of the last step, until a correction is below the rounding of the change
     x1, x2, x3 = old_change(w, d, p)
     status = math.nan
-    for _ in range(NEWTON_LIMIT):
+    for _ in range(_NEWTON_LIMIT):
         y1, y2, y3 = w1 + x1, w2 + x2, w3 + x3
         r1 = (c1 * (y2 * y3 + w2 * w3) - x1) + e1 * (m2 * x3 - m3 * x2)
         r2 = (c2 * (y3 * y1 + w3 * w1) - x2) + e2 * (m3 * x1 - m1 * x3)
@@ -80,7 +80,7 @@ def new_change(w: Vector, d: float, p: Floats) -> Floats:
         row3 = (e3 * m2 - c3 * y2, -e3 * m1 - c3 * y1, 1.0)
         d1, d2, d3 = solve3((*row1, *row2, *row3), r1, r2, r3)
         x1, x2, x3 = x1 + d1, x2 + d2, x3 + d3
-        if norm_sq((d1, d2, d3)) <= SETTLED * norm_sq((x1, x2, x3)) + STEADY * norm_sq(w):
+        if norm_sq((d1, d2, d3)) <= _SETTLED * norm_sq((x1, x2, x3)) + STEADY * norm_sq(w):
             status = 0.0
             break
     return (x1, x2, x3, status)

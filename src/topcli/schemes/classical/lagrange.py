@@ -33,7 +33,7 @@ from topcli.schemes.registry import closed_form
 MAX_SAMPLES = 1 << 15
 _NOTHING = 1e-30
 """Squares that vanish are below this, relative to the largest, because of rounding."""
-ROOT_DIGITS = 120
+CUBIC_DIGITS = 120
 _REFUSED = "lagrange, scheme exact: {}; use scheme 'taylor'"
 
 
@@ -157,7 +157,7 @@ def _constants(y0: Floats, nu: float) -> _Constants:
     q = 2 * g, -2 * E, 2 * S * P - 2 * g * N, 2 * E * N - S * S - N * P * P
     upright, spins = S * S == N * P * P, 2 * g * S == P * (2 * E - P * P)
     # near an upright axis roots almost coincide, and their differences need many digits
-    with digits(ROOT_DIGITS):
+    with digits(CUBIC_DIGITS):
         nutation = oscillation([real(v) for v in q], real(a[2]), m[0] * a[1] - m[1] * a[0] >= 0)
         ends, root = (nutation.lower, nutation.upper), mp.sqrt(real(N))
         up, down = ([max(root + sign * u, mp.mpf(0)) for u in ends] for sign in (-1, 1))

@@ -33,15 +33,15 @@ from topcli.schemes.kowalevski.bohlin import ROOTS, BranchOptions, Root
 from topcli.schemes.registry import scheme
 from topcli.schemes.steppers import first, stepper
 
-NEWTON_LIMIT = 30
+_NEWTON_LIMIT = 30
 """Maximum number of Newton iterations; two or three are typical."""
 HALVINGS = 8
 """Maximum number of halvings of a correction that does not reduce the residual."""
-SETTLED = 4.0 * 2.0**-52
+_SETTLED = 4.0 * 2.0**-52
 """Tolerance of the residual, relative to the terms of the equation: round-off."""
 TINY = 1e-300
 """Avoids 0/0 in the residual of a body at rest."""
-follow_precision(__name__, caps=("NEWTON_LIMIT",), SETTLED=1, TINY=20)
+follow_precision(__name__, caps=("_NEWTON_LIMIT",), _SETTLED=1, TINY=20)
 
 
 def hybrid_step(hk: StepFunction, root: Root) -> StepFunction:
@@ -188,8 +188,8 @@ def hybrid_sym_change(hk: StepFunction) -> StepFunction:
         v1, v2, v3 = 0.5 * (q1 - w1), 0.5 * (q2 - w2), 0.5 * (q3 - w3)
         f1, f2, f3, b1, b2, b3, off = residuals(y, xi, h, c, v1, v2, v3)
         status = math.nan
-        for _ in range(NEWTON_LIMIT):
-            if off <= SETTLED:
+        for _ in range(_NEWTON_LIMIT):
+            if off <= _SETTLED:
                 status = 0.0
                 break
             iterations += 1.0
@@ -198,7 +198,7 @@ def hybrid_sym_change(hk: StepFunction) -> StepFunction:
             n1, n2, n3 = v1 + e1, v2 + e2, v3 + e3
             f1, f2, f3, b1, b2, b3, off = residuals(y, xi, h, c, n1, n2, n3)
             for _ in range(HALVINGS):
-                if off < before or off <= SETTLED:
+                if off < before or off <= _SETTLED:
                     break
                 e1, e2, e3 = 0.5 * e1, 0.5 * e2, 0.5 * e3
                 n1, n2, n3 = v1 + e1, v2 + e2, v3 + e3
