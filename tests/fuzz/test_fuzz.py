@@ -165,6 +165,3 @@ def test_a_series_is_refused_or_has_its_rows(folder: Path, data: bytes) -> None:
     if report is not None:
         assert 2 <= len(report.columns["t"]) <= ROWS
         assert np.isfinite(report.columns["t"]).all()
-
-
-# damaged and killed runs

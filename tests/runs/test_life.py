@@ -37,7 +37,7 @@ def many(store: str = "trajectories", **changes: Any) -> dict[str, Any]:
 
 CASES: dict[str, dict[str, Any]] = {
     "single": {},
-    "backwards, carried phase": {"scheme": "hybrid", "h": -0.02},
+    "backwards": {"scheme": "hybrid", "h": -0.02},
     "iterative with counters": {"scheme": "hybrid-sym"},
     "thinned, with a tail": {"N": 405, "output": {"every": 7}},
     "csv": {"output": {"format": "csv", "columns": ["t", "k_sq"]}},

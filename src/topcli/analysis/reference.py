@@ -1,8 +1,8 @@
 """Independent reference solution of the equations of motion, accurate to one ulp of the state's size.
 
 A Taylor series integrator of order 37 in double-double arithmetic with output at any time; it shares no code with the
-schemes that it judges but the polynomial of the field. Order and step follow Jorba and Zou, Experimental Mathematics
-14 (2005) 99-117, for a relative local error of 1e-31.
+schemes that it judges but the polynomial of the field and its units. Order and step follow Jorba and Zou,
+Experimental Mathematics 14 (2005) 99-117, for a relative local error of 1e-31.
 
 The field is a polynomial, so its Taylor coefficients follow from Cauchy products: every monomial is a product of two
 shorter ones, and each of these has a series. Buffers (one-dimensional, float64; pointers when compiled):

@@ -1,1 +1,1 @@
-"""The command line: parse, print, exit."""
+"""The command line, and the Python functions and reports of runs and sweeps."""

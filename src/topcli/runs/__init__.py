@@ -1,1 +1,1 @@
-"""Runs: identity, plans, computation, recording and report."""
+"""Runs: plans, computation, recording and report."""

@@ -34,7 +34,7 @@ NAMES = {
     "round_off_bound": "round-off bound",
     "within_round_off": "within round-off",
 }
-"""Headings of fields of ``InvariantRow`` that are not their names."""
+"""Headings of figures on an invariant that are not their names."""
 FORMATS: dict[str, Format] = {
     **dict.fromkeys(("first", "min", "max"), ten_digits),
     "drift_error": two_digits,

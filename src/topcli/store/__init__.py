@@ -1,1 +1,1 @@
-"""Run folders: time series as Parquet or CSV, reports, and the manifest written last."""
+"""Run folders: identity of a result, its manifest and checkpoint, time series as Parquet or CSV, and reports."""

@@ -1,8 +1,8 @@
 """Motion of the Kowalevski top: class of the torus, frequencies, distance to a separatrix, bifurcation diagram.
 
-All from the roots of Kowalevski's curve and integrals over its two real ovals (``schemes.kowalevski.separation``).
+All from the roots of Kowalevski's curve and integrals over its two real ovals (``schemes.kowalevski.curve``).
 
-For given L = l c and G = c² gamma² two roots of Phi (``separation``) coincide on the curves
+For given L = l c and G = c² gamma² two roots of Phi (``curve``) coincide on the curves
 
     k² = (E - 2 L²/G)²,    k = 0 (Delone),    E = x² + L/x, k² = G + x⁴ - 2 L x (a double root x of R).
 

@@ -95,6 +95,7 @@ def build_hybrid(top: Top, options: BranchOptions) -> Stepper:
     \gamma' - \gamma = h\,\bar\gamma\times\frac{\omega + \omega^{\mathrm{HK}}}{2}, \qquad
     \omega_3' = \omega_3^{\mathrm{HK}}, \qquad
     (\omega_1' + i\omega_2')^2 = e^{-ih\bar\omega_3}\,\xi + c\,(\gamma_1' + i\gamma_2')
+
     \xi = (\omega_1 + i\omega_2)^2 - c\,(\gamma_1 + i\gamma_2)
 
     Limits
