@@ -260,6 +260,8 @@ def test_each_number_of_a_result_is_in_its_place(cli: Cli, study: Path) -> None:
     outcomes = {"blew_up": 1, "completed": 5}
     figures = {"rows": 6, "finished": 6, "ran": 0, "failed": 1, "outcomes": outcomes}
     assert cli(*sweep, "--json").json().items() >= figures.items()
+    words = ["--rows", "scheme", "--value", "max_deviation.energy", "--aggregate", "max", "--format", "csv"]
+    assert "1 of 6 rows did not complete: 1 blew_up" in cli("table", "study", *words).err
     many = "grid.h={from: 9, to: 20, count: 30}"
     said = cli("sweep", "study.yaml", "--set", many, "--set", "grid.scheme=[rk4]", "--set", "base.N=500")
     assert (said.err.count("error: row "), said.err.count("further failures are only counted")) == (20, 1)

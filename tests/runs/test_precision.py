@@ -90,6 +90,8 @@ def test_run_stops_at_max_digits(cli: Callable[..., Said]) -> None:
     assert "have more digits than max_digits" in said.err
     report = json.loads(Path("results/x/report.json").read_text())
     assert report["outcome"] == "digit_limit"
+    said = cli("run", "kowalevski_hk", *sets, "--set", "h=1e-300", "--set", "max_digits=20")
+    assert (said.code, "needs numbers of 997 binary digits, more than max_digits allows" in said.err) == (2, True)
 
 
 REVERSIBLE = {"hk": True, "midpoint": True, "rk4": False}

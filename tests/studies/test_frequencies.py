@@ -61,6 +61,12 @@ def test_frequencies_of_the_euler_top() -> None:
     assert min(row["digits"] for row in rows.values()) > 14.0
 
 
+def test_the_limits_of_an_orbit_are_said() -> None:
+    *_, note = topcli.frequencies("euler_hk", overrides=["N=4000", "h=0.01"], component=["omega1"]).notes
+    assert "4001 rows over T = 40: a frequency above 50 appears" in note
+    assert "closer than about 1.8 disturb" in note
+
+
 def test_frequencies_of_the_kowalevski_top() -> None:
     """Every line is a sum of multiples of the two frequencies of the torus."""
     orbit, lines = config("kowalevski", "taylor", 1 << 14, [1.1, 0.5, 0.7]), {"omega1": (0, 2), "gamma3": (1, 1)}

@@ -109,6 +109,8 @@ def table_command(
             raise UsageError(f"{place}: is a sweep; give --rows KEY and --value MEASURE", names_hint(frame))
         swept = sweep_table(frame, list(rows), columns, list(value), aggregate)
         screen.show(swept.cells() if form == "text" else swept.text(form).removesuffix("\n"))
+        if form == "csv":
+            screen.warn(swept.caption)
         return CommandResult(swept.as_dict())
     data, tables = tables_of(place)
     names = [each.name for each in tables]

@@ -433,6 +433,9 @@ def prepared(
     h, parameters, state = values
     max_bits = int(max_digits * math.log2(10.0)) if precision == RATIONAL else 0
     numbers = decimals(precision) if isinstance(precision, int) else rationals(ROOM * max_bits)
-    other, method = precise_scheme(scheme, top, options, parameters, numbers)
-    y0 = np.array([numbers.number(value) for value in state], dtype=np.object_)
-    return PreciseRun(numbers, other, precise_loop(method, len(y0), numbers, max_bits), numbers.number(h), y0)
+    try:
+        step, y0 = numbers.number(h), np.array([numbers.number(value) for value in state], dtype=np.object_)
+        other, method = precise_scheme(scheme, top, options, parameters, numbers)
+    except TooLongError as error:
+        raise refused(scheme, numbers, f"needs numbers of {error}, more than max_digits allows") from None
+    return PreciseRun(numbers, other, precise_loop(method, len(y0), numbers, max_bits), step, y0)

@@ -21,6 +21,8 @@ from topcli.table import two_digits
 
 MOST_ROWS = 1 << 22
 """Largest number of rows of an orbit."""
+RESOLUTION = 70
+"""Distance of two lines, in cycles over the whole orbit, from which on neither shifts the other by 1e-13 of a cycle."""
 
 
 def frequencies(
@@ -89,7 +91,12 @@ def frequencies(
     else:
         measured = plain([_line(name, orbit[name], spacing) for name in names])
         judged = [row for row in measured if row["digits"] is not None]
-        answer, notes = _answer(judged), _slow(judged)
+        answer, T = _answer(judged), abs(experiment.N * experiment.h)
+        notes = [
+            *_slow(judged),
+            f"limits of {rows} rows over T = {T:g}: a frequency above {0.5 / abs(spacing):g} appears as a lower one, "
+            f"and two lines closer than about {RESOLUTION / T:.2g} disturb each other",
+        ]
     formats = {"frequency": ".12g", "period": ".6g", "change": two_digits, "digits": ".1f"}
     code = ExitCode.FAILED if errors else ExitCode.SUCCESS
     tables = [Table("Frequencies", measured, formats)]
