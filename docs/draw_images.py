@@ -51,9 +51,9 @@ def draw(name: str, folder: Path) -> Path:
 
 def summary(data: Path) -> dict[str, Any]:
     """Rows and, for each column of the plotted data, its largest magnitude and its root mean square, to 6 digits."""
-    from topcli.figures.figure import read_columns
+    from topcli.figures.figure import stored_columns
 
-    columns = read_columns(data) or {}
+    columns = stored_columns(data) or {}
     numbers = {name: values.astype(float) for name, values in columns.items() if values.dtype.kind in "fiu"}
     return {
         name: [

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from topcli.tops.kowalevski import field
+from topcli.tops.kowalevski import kowalevski_field
 
 y, c = np.array([0.7, -0.4, 1.3, 0.6, 0.48, 0.64]), 1.0
 
@@ -21,7 +21,7 @@ def separated(y):
     return s, R, R12, x, xi, k, l1, L, G
 
 
-rates = np.array(field(tuple(y), (c,)))
+rates = np.array(kowalevski_field(tuple(y), (c,)))
 s, R, R12, x, xi, k, l1, L, G = separated(y)
 # (1): s1, s2 separate the motion
 g2, g3 = k * k - G + 3 * l1 * l1, l1 * (k * k - G - l1 * l1) + L * L

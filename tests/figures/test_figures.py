@@ -18,7 +18,7 @@ import topcli
 from topcli.cli.options import complete
 from topcli.errors import UsageError
 from topcli.figures.catalogue import FIGURES
-from topcli.figures.figure import Figure, NothingMeasuredError, canvas_of, read_columns
+from topcli.figures.figure import Figure, NothingMeasuredError, canvas_of, stored_columns
 from topcli.figures.style import looks
 
 QUICK = ("fig1", "fig2", "fig3", "fig4", "modified", "traces", "bifurcation")
@@ -57,7 +57,7 @@ def test_columns_are_computed_again_for_other_results_or_code_only(
     assert pdf.stat().st_mtime_ns > drawn  # drawn again, for it showed the earlier columns
     table.write_bytes(table.read_bytes()[:-9])
     wave(calls, "other run").make(tmp_path, ["png"], force=True)
-    assert read_columns(table)
+    assert stored_columns(table)
     monkeypatch.setattr("topcli.figures.figure.package_digest", lambda: "other")
     wave(calls, "other run").make(tmp_path, ["png"])
     assert calls[-2:] == ["data", "draw"]
