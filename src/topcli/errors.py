@@ -115,7 +115,7 @@ class RunError(TopcliError):
 
 
 def successor(name: str) -> str:
-    """What to use instead of a command, option, scheme or key of an earlier version; empty for any other name.
+    """Return the replacement of a command, option, scheme or key of an earlier version; empty for any other name.
 
     >>> successor("scheme hybrid-xi")
     'use hybrid'

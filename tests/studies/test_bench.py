@@ -141,7 +141,7 @@ def test_decades_name_the_fastest_of_each_kind() -> None:
 def test_peers_run_in_a_process_of_their_own(
     monkeypatch: pytest.MonkeyPatch, fault: str, error: str, settings: int
 ) -> None:
-    """What they print, raise or break stays there and is reported."""
+    """Their output, exceptions and crashes stay there and are reported."""
     monkeypatch.setitem(PEERS, "mine", Peer("numpy", partial(start, fault=fault), [0.5, 0.25, 0.125]))
     report = bench("rk4", against=["mine"])
     assert len(rows_of(report, "mine")) == settings

@@ -21,7 +21,7 @@ def test_what_a_top_does_not_declare() -> None:
 
 @pytest.mark.parametrize("form", TOPS)
 def test_integrals_are_told_from_other_functions_by_differences_too(form: str) -> None:
-    """What is judged exactly elsewhere; the control adds a thousandth of the square of a component."""
+    """Other tests judge the same exactly; the control adds a thousandth of the square of a component."""
     top = TOPS[form].new()
     for invariant in top.invariants():
         if invariant.on:

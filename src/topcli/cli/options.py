@@ -99,10 +99,8 @@ def is_study(function: Callable[..., Any]) -> bool:
 
 def command_of(function: Callable[..., Any], name: str, perform: Callable[[Any], None]) -> Any:
     """Command of typer for a function; ``perform`` gets the values of the parameters as attributes."""
-    doc, helps = (
-        inspect.cleandoc(function.__doc__ or "").partition("Parameters\n")[0],
-        parameter_helps(function.__doc__),
-    )
+    doc = inspect.cleandoc(function.__doc__ or "").partition("Parameters\n")[0]
+    helps = parameter_helps(function.__doc__)
     fields = [
         option_of(parameter, helps.get(parameter.name, ""))
         for each in (function, *((of_studies,) if is_study(function) else ()), of_all)

@@ -27,7 +27,7 @@ class CompileError(Exception):
 
 
 _stand_ins: ContextVar[Mapping[Any, Any]] = ContextVar("stand_ins")
-"""What stands for some kernels in the compilation in progress."""
+"""Stand-ins for some kernels, in the compilation in progress."""
 _kernels: dict[Any, Any] = {}
 """Kernels that this process has compiled, by content and stand-ins: a composition has those of its base."""
 _OPTIONS: Any = {

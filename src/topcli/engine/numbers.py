@@ -335,9 +335,8 @@ def precise_scheme(
     if method.iterative and not numbers.bits:
         raise refused(scheme, numbers, "solves its equations by iteration, and the solution is not rational")
     # the scheme is built from rational numbers, which are not rounded at all
-    exact, other = (
-        precise_top(top, {name: of(x) for name, x in parameters.items()}) for of in (Rational, numbers.number)
-    )
+    exact = precise_top(top, {name: Rational(x) for name, x in parameters.items()})
+    other = precise_top(top, {name: numbers.number(x) for name, x in parameters.items()})
     built = scheme.build(exact, options)
     assert isinstance(built, Stepper)
     p = (*map(numbers.rebuilt, other.constants()), *map(numbers.number, built.constants))

@@ -57,11 +57,8 @@ class Identity:
 def identity_of(experiment: Experiment) -> Identity:
     """Identity of an experiment or an ensemble. Raises SchemeCodeError for code without a file."""
     config = experiment.resolved()
-    parts = {
-        "engine.attitude": experiment.output.attitude,
-        "analysis.crossings": experiment.crossings,
-    }
-    modules = [f"topcli.{module}" for module, needed in parts.items() if needed]
+    parts = {"topcli.engine.attitude": experiment.output.attitude, "topcli.analysis.crossings": experiment.crossings}
+    modules = [module for module, needed in parts.items() if needed]
     code = code_digest(type(experiment.top), experiment.scheme, *modules)
     return Identity(config, digest_of(config, experiment.own_code), code)
 

@@ -209,11 +209,8 @@ def sweep_table(
     """Table of the ``sweep_cells`` of these arguments, with the errors that these raise."""
     values = sweep_cells(rows, index, column, measures, aggregate)
     # title: measures, aggregate with its spread, the keys over which it is taken, and the conditions
-    title, over, (few, most) = (
-        f"{', '.join(measures)} of {rows.attrs['name']}",
-        values.attrs["over"],
-        values.attrs["sizes"],
-    )
+    title = f"{', '.join(measures)} of {rows.attrs['name']}"
+    over, (few, most) = values.attrs["over"], values.attrs["sizes"]
     if aggregate:
         title += f": {aggregate}{SPREADS[aggregate]}" + (f" over {', '.join(over)}" if over else "")
     notes = [f"{few if few == most else f'{few} to {most}'} rows in each cell"] if aggregate else []
